@@ -293,3 +293,24 @@ def small_card(folder, count):
     return cli_maker.write_card(
         folder, cli_maker.render_oracle("lambert", cli_maker.smooth_maps((20, 24), {}), lights), lights
     )
+
+
+def test_the_sample_opens_by_its_button_with_nothing_typed(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    ready.run(
+        "from functools import partial\n"
+        f"sample = importlib.import_module('{UI}.operators.sample')\n"
+        "sample._rendering = partial(sample._rendering, options=['--size', '300x225', '--photographs', '6'])\n"
+        f"sample.Path.home = lambda: sample.Path({str(tmp_path)!r})"
+    )
+    ready.click(*ready.find_button("irpso.open_sample"))
+    ready.settle()
+    ready.screenshot("the sample's dialog")
+    ready.key("Return")
+    ready.wait("settings().crop[2] > 0", timeout=400)
+    ready.wait("not checking()", timeout=180)
+    ready.run("redrawn()", area="")
+    ready.screenshot("the sample is open")
+    assert ready.run("settings().framing, settings().checked_images") == ["CROP", 6]
+    assert (tmp_path / "irpso-sample" / "photographs" / "capture.toml").is_file()

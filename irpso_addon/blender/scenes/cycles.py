@@ -44,7 +44,8 @@ def set_up(scene: Any, view: View) -> None:
     scene.render.resolution_percentage = 100
     cycles = scene.cycles
     cycles.device, cycles.samples, cycles.use_denoising = "CPU", view.samples, view.denoise
-    cycles.denoiser, cycles.denoising_input_passes = "OPENIMAGEDENOISE", "RGB_ALBEDO_NORMAL"
+    if view.denoise:  # Debian's Blender 4.3 has no denoiser
+        cycles.denoiser, cycles.denoising_input_passes = "OPENIMAGEDENOISE", "RGB_ALBEDO_NORMAL"
     cycles.use_adaptive_sampling = False
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = view.bounces

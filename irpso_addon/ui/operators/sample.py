@@ -39,6 +39,7 @@ _CHILD = (
     " exit_process(main(json.loads(sys.argv[-1])))"
 )
 _POLL_SECONDS = 0.05
+_FAULT = re.compile(r"irpso: |\w+Error: ")  # ours, or Python's
 _PERCENT = re.compile(r"(\d+) %")
 
 
@@ -129,7 +130,7 @@ def _rendering(folder: Path, options: Sequence[str] = ()) -> Generator[float, No
                 shutil.rmtree(folder.with_name(f".{folder.name}.partial-{child.pid}"), ignore_errors=True)
         if child.returncode:
             lines = log.read_text("utf-8", "replace").strip().splitlines()
-            told = [line.removeprefix("irpso: ") for line in lines if line.startswith("irpso: ")]
+            told = [line.removeprefix("irpso: ") for line in lines if _FAULT.match(line)]
             raise InputError((told or lines or [f"the process ended with code {child.returncode}"])[-1])
 
 

@@ -6,12 +6,13 @@ from functools import lru_cache
 
 from ...core.errors import InputError
 from ...gpu import probe
-from ...reflectance.model import ReflectanceModel
+from ...reflectance.model import load_model
 from ...solver.planning.cost import recovery_cost
 from ...solver.planning.forecast import forecast, forecast_text
 from ...solver.settings.schedule import Schedule
+from ..common.file_paths import absolute
 from ..properties import findings
-from ..properties.scene_settings import model_of
+from ..properties.scene_settings import CUSTOM
 from ..properties.schedule_settings import schedule_of
 
 _COVERED = 0.7  # of a mesh's maps: as a usual UV map
@@ -26,7 +27,7 @@ def search_time(context) -> str:
         return ""
     fixed = tuple(item.name for item in settings.parameters if not item.recover)
     try:
-        each = _work(model_of(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
+        each = _work(_model(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
     except InputError:  # Recover says what is wrong
         return ""
     return forecast_text(forecast(_texels(settings) * each, probe.measured()))
@@ -45,6 +46,10 @@ def _texels(settings) -> float:
     return framed * settings.picture_scale**2
 
 
-@lru_cache(maxsize=8)
-def _work(model: ReflectanceModel, schedule: Schedule, fixed: tuple[str, ...], observations: int) -> float:
-    return recovery_cost(model, schedule, fixed, observations).work
+def _model(settings) -> str:
+    return settings.model if settings.model != CUSTOM else str(absolute(settings.model_path, "Model File"))
+
+
+@lru_cache(maxsize=8)  # panels are drawn often
+def _work(model: str, schedule: Schedule, fixed: tuple[str, ...], observations: int) -> float:
+    return recovery_cost(load_model(model), schedule, fixed, observations).work

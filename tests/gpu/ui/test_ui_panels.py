@@ -265,6 +265,32 @@ def test_the_panels_show_the_next_steps_from_loading_to_kept(settings, card):
     assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
 
 
+@pytest.mark.bpy_only
+def test_below_recover_stands_how_long_the_search_will_take(settings, card, monkeypatch):
+    from irpso_addon.gpu import probe
+
+    def times():
+        return [text for text in drawn().texts if "minutes" in text or "hours" in text]
+
+    def probed():
+        return {"renderer": "llvmpipe", "fragment_seconds": 0.06 * 10_000, "compute_seconds": 0.06}
+
+    bpy.ops.irpso.import_capture(filepath=str(card))
+    assert (settings.checked_images, settings.checked_texels) == (12, 120)
+    probe.measured.cache_clear()
+    assert times() == []  # the device has not been measured
+    monkeypatch.setattr(probe, "measured", functools.cache(probed))
+    probe.measured()
+    whole = times()
+    assert len(whole) == 1
+    settings.framing, settings.crop = "CROP", (0, 0, 1, 1)
+    assert times() != whole
+    settings.framing, settings.corners = "CORNERS", (0, 0, 12, 0, 12, 10, 0, 10)
+    assert times() == whole
+    settings.capture_path = ""
+    assert times() == []
+
+
 def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.job import make_job
