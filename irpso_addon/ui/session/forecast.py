@@ -41,7 +41,7 @@ def _texels(settings) -> float:
     if settings.framing == "CROP":
         framed = settings.crop[2] * settings.crop[3]
     elif settings.framing == "CORNERS":
-        x, y = settings.corners[::2], settings.corners[1::2]
+        x, y = tuple(settings.corners)[::2], tuple(settings.corners)[1::2]
         framed = abs(sum(x[i - 1] * y[i] - x[i] * y[i - 1] for i in range(4))) / 2
     return framed * settings.picture_scale**2
 
