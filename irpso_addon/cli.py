@@ -273,9 +273,9 @@ def _add_develop(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--flat", nargs="+", metavar="FILE", help="flat fields, files or folders")
     add.add_argument("--white", metavar="X,Y,W,H",
                      help="white balance from a grey patch, with =R also the scale; or three gains R,G,B")  # fmt: skip
-    add.add_argument("--colour-chart", metavar="X1,Y1,…,X4,Y4",
-                     help="colours and scale from a 24-patch chart: the corners of its patches, clockwise from that of"
-                     " dark skin")  # fmt: skip
+    add.add_argument("--colour-chart", metavar="auto|X1,Y1,…,X4,Y4",
+                     help="colours and scale from a 24-patch chart: auto finds it; or the corners of its patches,"
+                     " clockwise from that of dark skin")  # fmt: skip
     add.add_argument("--brackets", choices=("exif", "names"), help="merge the exposures of each light")
     add.add_argument(
         "--exposure", choices=("exif", "names"), help="scale each frame by its exposure, and merge nothing"
