@@ -112,7 +112,7 @@ def _fitted(patches: _Patches, cells: dict[int, tuple[int, int]]) -> tuple[Latti
     """Return the lattice through patches' centres and its patches, with those that growing missed; or None."""
     cv = opencv("the search for a colour chart")
     chosen, places = np.array(list(cells)), np.array(list(cells.values()), np.float64)
-    matrix = None
+    matrix = np.eye(3)
     for _ in range(_ROUNDS):
         pitch = float(np.sqrt(np.median(patches.areas[chosen])))
         found, inside = cv.findHomography(places, patches.centres[chosen], cv.RANSAC, _OFF * pitch)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import ModuleType
 
 import numpy as np
 
@@ -36,14 +37,14 @@ def quads_of(picture: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 4, 2)
 
 
-def _steepness(cv, picture: np.ndarray) -> np.ndarray:
+def _steepness(cv: ModuleType, picture: np.ndarray) -> np.ndarray:
     """Return (H, W) the largest slope of the three channels, in codes a pixel."""
     smooth = cv.GaussianBlur(picture, (3, 3), 0).astype(np.float32)
     slopes = [cv.Sobel(smooth, cv.CV_32F, *axis, ksize=3, scale=1 / 8) for axis in ((1, 0), (0, 1))]
     return np.hypot(*slopes).max(axis=-1)
 
 
-def _even_quads(cv, even: np.ndarray) -> Iterator[np.ndarray]:
+def _even_quads(cv: ModuleType, even: np.ndarray) -> Iterator[np.ndarray]:
     """Yield (4, 2) corners of connected even regions that are quadrilaterals; edges take a pixel off each side."""
     largest = _MOST * max(even.shape)
     outlines, _ = cv.findContours(even.astype(np.uint8), cv.RETR_CCOMP, cv.CHAIN_APPROX_NONE)

@@ -53,9 +53,9 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
                 continue
             except InputError:
                 continue
-            error = float(np.nanmean(fit.after))
-            if error <= _SURE and (best is None or error < best[0]):
-                best = error, turned
+            mean = float(np.nanmean(fit.after))
+            if mean <= _SURE and (best is None or mean < best[0]):
+                best = mean, turned
         if best is not None:
             break
     if best is None:

@@ -47,7 +47,7 @@ class Photograph:
     def keys(self) -> dict[str, Any]:
         """Return its table."""
         exposure = self.exposure
-        found = {"image": self.image, "file": self.file, **self.lens}
+        found: dict[str, Any] = {"image": self.image, "file": self.file, **self.lens}
         if exposure is not None:
             found |= {"seconds": exposure.seconds, "f_number": exposure.f_number, "iso": exposure.iso}
         return {key: value for key, value in found.items() if value is not None}
