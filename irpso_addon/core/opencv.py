@@ -13,7 +13,5 @@ def opencv(what: str) -> ModuleType:
     try:
         import cv2
     except ImportError as error:
-        raise InputError(
-            f"{what} needs OpenCV; run {sys.executable} -m pip install opencv-python-headless"
-        ) from error
+        raise InputError(f"{what} needs OpenCV; run {sys.executable} -m pip install opencv-python-headless") from error
     return cv2

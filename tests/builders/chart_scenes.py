@@ -115,7 +115,9 @@ def _background(rng, width, height):
         elif kind == 3:
             for _ in range(5):
                 end = rng.uniform(0, 1, 2) * (width, height)
-                cv2.line(picture, (int(x), int(y)), tuple(int(v) for v in end), colour.tolist(), int(rng.integers(1, 8)))
+                cv2.line(
+                    picture, (int(x), int(y)), tuple(int(v) for v in end), colour.tolist(), int(rng.integers(1, 8))
+                )
         else:
             for n in range(8):
                 cv2.putText(picture, "IRPSO 0123", (int(x), int(y + n * size / 6)), 0, size / 300, colour.tolist(), 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ _KEYS = {"format", "colour_space", "saturated", "reference", "gains", "matrix", 
 
 @dataclass(frozen=True)
 class Photograph:
-    """What a photograph was taken with. image: its file in the capture. file: the camera's own, of a bracket the first.
+    """What a photograph was taken with. image: its file in the capture. file: the camera's own, or a bracket's name.
 
     lens: EXIF's camera, lens and focal length, those that the file has. exposure: EXIF's, None without one.
     """
@@ -55,7 +55,8 @@ class Photograph:
 
 def photograph_of(image: str, shot: Shot) -> Photograph:
     """Return what a shot was taken with; an EXR tells nothing. Raises InputError if its file cannot be read."""
-    return photograph_at(image, shot.images[0].path)
+    found = photograph_at(image, shot.images[0].path)
+    return found if len(shot.images) == 1 else replace(found, file=shot.name + shot.images[0].path.suffix)
 
 
 def photograph_at(image: str, path: Path) -> Photograph:
@@ -69,9 +70,7 @@ def photograph_at(image: str, path: Path) -> Photograph:
 def photograph_of_keys(row: dict[str, Any], where: str) -> Photograph:
     """Return a photograph of its table. Raises CaptureError at unknown keys."""
     known_keys(row, {"image", "file", *LENS_KEYS, "seconds", "f_number", "iso"}, where)
-    seconds, f_number, iso = (
-        number(row, key, where) if key in row else None for key in ("seconds", "f_number", "iso")
-    )
+    seconds, f_number, iso = (number(row, key, where) if key in row else None for key in ("seconds", "f_number", "iso"))
     lens = {key: row[key] for key in LENS_KEYS if key in row}
     exposure = None if seconds is None else Exposure(seconds, f_number, iso)
     return Photograph(text(row, "image", where), text(row, "file", where), lens, exposure)

@@ -46,11 +46,15 @@ class Progress(NamedTuple):
 
 @dataclass(frozen=True)
 class Output:
-    """How images are written. register: shifted onto the one named ``reference``, or onto the first. half: 16 bits."""
+    """How images are written. register: shifted onto the one named ``reference``, or onto the first. half: 16 bits.
+
+    corrections: whether they are written too, for a rig.
+    """
 
     register: bool = False
     reference: str | None = None
     half: bool = False
+    corrections: bool = True
 
     def __post_init__(self) -> None:
         if self.reference and not self.register:

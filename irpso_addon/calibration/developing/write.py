@@ -51,7 +51,8 @@ def write_developed_steps(
         yield from work.register_steps(output.reference)
     with new_folder(out) as folder:
         yield from work.write_steps(folder)
-        write_corrections(folder / FOLDER, measured, work.photographs)
+        if output.corrections:
+            write_corrections(folder / FOLDER, measured, work.photographs)
         report = work.report(settings)
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     return report
@@ -77,9 +78,7 @@ class _Work:
         number = names.index(wanted) if wanted else 0
         steps = registration_steps(self.store, shots, masks, self.measured.corrections, number)
         span = _REGISTERED - _MEASURED
-        self.shifts = yield from map_steps(
-            steps, lambda part: Progress(_MEASURED + span * part, "looking for shifts")
-        )
+        self.shifts = yield from map_steps(steps, lambda part: Progress(_MEASURED + span * part, "looking for shifts"))
         trusted = self.shifts[2]
         if not trusted.any():
             self.warnings.append(

@@ -111,9 +111,7 @@ def _rgb(table: dict[str, str]) -> list[str] | None:
     return lone * 3 if len(lone) == 1 else None
 
 
-def samples_of_exr(
-    image: ExrImage, rgb: list[str], alpha: str | None, matrix: np.ndarray | None = None
-) -> Samples:
+def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None, matrix: np.ndarray | None = None) -> Samples:
     """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
 
     Alpha becomes the weight. Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec.
