@@ -1,4 +1,4 @@
-"""Saves the capture's lamps and cameras as a rig, and applies a rig to a folder of photographs."""
+"""Saves the capture's lamps and cameras as a rig, applies a rig to photographs; and the menu of these."""
 
 from __future__ import annotations
 
@@ -117,4 +117,19 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
         return imported(self, out, [*applied.left_out, *applied.warnings], found)
 
 
-CLASSES = (IRPSO_OT_save_rig, IRPSO_OT_apply_rig)
+class IRPSO_MT_photographs(bpy.types.Menu):
+    """What makes a capture of photographs, or keeps it for others."""
+
+    bl_label = "Photographs"
+
+    def draw(self, context) -> None:
+        """Draw the entries."""
+        layout = self.layout
+        layout.operator("irpso.develop", text="Develop…", icon="IMAGE_DATA")
+        layout.operator("irpso.mark_chart", icon="EYEDROPPER")
+        layout.separator()
+        layout.operator("irpso.save_rig", text="Save Rig…", icon="EXPORT")
+        layout.operator("irpso.apply_rig", text="Apply Rig…", icon="IMPORT")
+
+
+CLASSES = (IRPSO_OT_save_rig, IRPSO_OT_apply_rig, IRPSO_MT_photographs)

@@ -33,14 +33,11 @@ _COLOUR = (1.0, 0.75, 0.2, 1.0)
 _HELP = "Click the four corners of {}; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
 
 
-class IRPSO_OT_mark_card(bpy.types.Operator):
-    """Click the four corners of the card in a photograph, in an Image editor. Backspace removes the last one, a corner
-    can be dragged, Enter ends, Esc cancels"""
+class _Marking:
+    """Mixin of an operator: four corners are clicked in a photograph. what: of what they are, for the status bar."""
 
-    bl_idname = "irpso.mark_card"
-    bl_label = "Mark in Photograph"
     bl_options = {"INTERNAL", "UNDO"}
-    what = "the card"
+    what = ""
 
     corners: FloatVectorProperty(
         name="Corners", description="X and Y of four corners, in pixels from the upper left corner of the photographs",
@@ -55,7 +52,7 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
 
     def execute(self, context):
-        """Take ``corners``, in any order, for those of the card."""
+        """Take ``corners``, in any order."""
         self._take(context.scene.irpso, np.reshape(self.corners, (4, 2)))
         return {"FINISHED"}
 
@@ -100,7 +97,7 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
 
     def _take(self, settings, corners: np.ndarray) -> None:
         """Store the corners (4, 2), in any order, in pixels from the upper left."""
-        take_corners(settings, corners)
+        raise NotImplementedError
 
     def _handled(self, context, event):
         if self._area not in list(context.screen.areas):
@@ -208,7 +205,19 @@ def around(points: np.ndarray) -> np.ndarray:
     return np.roll(ordered, -int((ordered[:, 1] - ordered[:, 0]).argmax()), axis=0)
 
 
-class IRPSO_OT_mark_chart(IRPSO_OT_mark_card):
+class IRPSO_OT_mark_card(_Marking, bpy.types.Operator):
+    """Click the four corners of the card in a photograph, in an Image editor. Backspace removes the last one, a corner
+    can be dragged, Enter ends, Esc cancels"""
+
+    bl_idname = "irpso.mark_card"
+    bl_label = "Mark in Photograph"
+    what = "the card"
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        take_corners(settings, corners)
+
+
+class IRPSO_OT_mark_chart(_Marking, bpy.types.Operator):
     """Click the four corners of the 24 patches of a color chart in its photograph, in an Image editor, in any order
     around it. Backspace removes the last one, a corner can be dragged, Enter ends, Esc cancels"""
 

@@ -34,7 +34,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             row = layout.row(align=True)
             row.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
-            row.menu(IRPSO_MT_photographs.__name__, text="", icon="DOWNARROW_HLT")
+            row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
                 layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")
                 return
@@ -54,21 +54,6 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
         if settings.source == "FILES":
             layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
         draw_observation(layout, context)
-
-
-class IRPSO_MT_photographs(bpy.types.Menu):
-    """What makes a capture of photographs, or keeps it for others."""
-
-    bl_label = "Photographs"
-
-    def draw(self, context) -> None:
-        """Draw the entries."""
-        layout = self.layout
-        layout.operator("irpso.develop", text="Develop…", icon="IMAGE_DATA")
-        layout.operator("irpso.mark_chart", icon="EYEDROPPER")
-        layout.separator()
-        layout.operator("irpso.save_rig", text="Save Rig…", icon="EXPORT")
-        layout.operator("irpso.apply_rig", text="Apply Rig…", icon="IMPORT")
 
 
 def draw_observation(layout, context) -> None:
@@ -269,11 +254,4 @@ def _draw_fixed(layout, item) -> None:
     box.template_ID(item, "image", open="image.open")
 
 
-CLASSES = (
-    IRPSO_MT_photographs,
-    IRPSO_PT_frame,
-    IRPSO_PT_capture,
-    IRPSO_PT_capture_facts,
-    IRPSO_PT_subject,
-    IRPSO_PT_material,
-)
+CLASSES = (IRPSO_PT_frame, IRPSO_PT_capture, IRPSO_PT_capture_facts, IRPSO_PT_subject, IRPSO_PT_material)
