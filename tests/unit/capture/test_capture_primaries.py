@@ -5,6 +5,7 @@ import OpenEXR
 import pytest
 
 from irpso_addon.capture import CaptureError
+from irpso_addon.capture.bounds import weight_and_clipped
 from irpso_addon.capture.images.image import ImageRef, ImageStore
 
 ACES = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)  # AP0, SMPTE ST 2065-1
@@ -44,6 +45,7 @@ def test_a_clipped_channel_takes_the_whole_pixel_with_it(tmp_path):
     colours[1, 2, 0] = 65504
     found = written(tmp_path / "a.exr", ACES_CG, colours, np.float16)
     assert found.clipped.sum() == 1 and found.rgba[1, 2, 3] == 0
+    assert weight_and_clipped(found.bounds)[1][1, 2].all()  # the matrix mixes the clipped channel into the others
 
 
 def test_chromaticities_of_no_colour_space_are_refused(tmp_path):
