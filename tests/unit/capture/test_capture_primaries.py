@@ -45,7 +45,9 @@ def test_a_clipped_channel_takes_the_whole_pixel_with_it(tmp_path):
     colours[1, 2, 0] = 65504
     found = written(tmp_path / "a.exr", ACES_CG, colours, np.float16)
     assert found.clipped.sum() == 1 and found.rgba[1, 2, 3] == 0
-    assert weight_and_clipped(found.bounds[..., 3])[1][1, 2].all()  # the matrix mixes the clipped channel into the others
+    assert weight_and_clipped(found.bounds[..., 3])[1][
+        1, 2
+    ].all()  # the matrix mixes the clipped channel into the others
 
 
 def test_chromaticities_of_no_colour_space_are_refused(tmp_path):
