@@ -93,6 +93,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_calibrate(commands)
     _add_develop(commands)
     _add_response(commands)
+    _add_rig(commands)
     _add_sample(commands)
     _add_demo(commands)
     add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
@@ -273,9 +274,9 @@ def _add_develop(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--flat", nargs="+", metavar="FILE", help="flat fields, files or folders")
     add.add_argument("--white", metavar="X,Y,W,H",
                      help="white balance from a grey patch, with =R also the scale; or three gains R,G,B")  # fmt: skip
-    add.add_argument("--colour-chart", metavar="X1,Y1,…,X4,Y4",
-                     help="colours and scale from a 24-patch chart: the corners of its patches, clockwise from that of"
-                     " dark skin")  # fmt: skip
+    add.add_argument("--colour-chart", metavar="auto|X1,Y1,…,X4,Y4",
+                     help="colours and scale from a 24-patch chart: auto finds it; or the corners of its patches,"
+                     " clockwise from that of dark skin")  # fmt: skip
     add.add_argument("--brackets", choices=("exif", "names"), help="merge the exposures of each light")
     add.add_argument(
         "--exposure", choices=("exif", "names"), help="scale each frame by its exposure, and merge nothing"
@@ -303,6 +304,21 @@ def _add_response(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--grey-card", action="append", metavar="X,Y,W,H=R", help="grey patch of reflectance R; give two or more"
     )
+    _add_common(add)
+
+
+def _add_rig(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser(
+        "rig", help="keep lamps, cameras and corrections; apply them to new photographs", epilog=_EPILOG
+    )
+    add.add_argument("action", choices=("save", "apply"), help="save a capture's, or apply a rig's")
+    add.add_argument("inputs", nargs="+", metavar="CAPTURE|RIG PHOTOGRAPHS",
+                     help="save: a capture; apply: a rig, and the folder of the photographs")  # fmt: skip
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder for the rig, or the capture")
+    add.add_argument("--match", choices=("auto", "order", "names", "numbers"), default="auto",
+                     help="how lamps are matched to photographs (auto: by equal names, else by order)")  # fmt: skip
+    add.add_argument("--exposure", choices=("exif",), help="scale photographs of other exposures to the rig's")
+    add.add_argument("--half", action="store_true", help="write developed images as 16-bit floats")
     _add_common(add)
 
 

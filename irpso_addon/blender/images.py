@@ -16,6 +16,7 @@ from ..capture.images.headers import read_header
 from ..capture.images.linearise import Picture
 from ..capture.images.raw import decode_raw, is_raw
 from ..core.errors import InputError
+from .colour_spaces import use_space
 
 
 def decode(path: Path | str) -> Picture:
@@ -35,7 +36,7 @@ def decode(path: Path | str) -> Picture:
     except RuntimeError as error:
         raise InputError(f"{path}: Blender cannot open it ({error}); check its permissions") from error
     try:
-        image.colorspace_settings.name = "Non-Color"
+        use_space(image, "data")
         image.alpha_mode = "CHANNEL_PACKED"
         width, height = image.size
         stored = (header.height, header.width) if header.orientation >= 5 else (header.width, header.height)

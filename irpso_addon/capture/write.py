@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.files import new_folder
+from ..core.steps import at_once
 from ..core.toml_text import toml_value
 from .bounds import without_bounds
 from .camera import Camera
@@ -20,31 +22,47 @@ from .types import Capture, Light
 _IMAGES = "images.exr"
 
 
-def write_capture(capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False) -> None:
-    """Write a capture into a new or empty folder, whole or not at all; ``read_capture`` reads it back.
+def write_steps(
+    capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False
+) -> Generator[float, None, list[str]]:
+    """Yield the fraction done before each image; write a capture into a new or empty folder, whole or not at all.
 
-    half: 16-bit instead of 32-bit floats (values from 65504 read back as clipped). single_file: all images and masks as
-    parts of one EXR; the cameras must have one size. Weights other than 1 are kept as alpha. Raises InputError if the
-    folder is not empty or cannot be written, or sizes differ.
+    ``read_capture`` reads it back. half: 16-bit instead of 32-bit floats (values from 65504 read back as clipped).
+    single_file: all images and masks as parts of one EXR; the cameras must have one size. Weights other than 1 are kept
+    as alpha. Returns the names of files or parts. Raises InputError if the folder is not empty or cannot be written, or
+    sizes differ.
     """
     folder = Path(folder)
     if single_file and len({(camera.width, camera.height) for camera in capture.cameras}) > 1:
         raise CaptureError(f"{folder}: cameras differ in size, which one EXR cannot hold; write single files", "size")
     count = max(3, len(str(len(capture.observations))))
     names = [f"{n:0{count}d}" for n in range(len(capture.observations))]
-    masked = [not mask.all() for mask in capture.masks]
+    masked = np.flatnonzero([not mask.all() for mask in capture.masks]).tolist()
     with new_folder(folder) as partial:
-        images = zip(names, (_channels(observation.read()) for observation in capture.observations), strict=True)
-        masks = ((f"mask_{n}", {"Y": capture.masks[n].astype(np.float32)}) for n in np.flatnonzero(masked))
+        parts: dict[str, dict[str, np.ndarray]] = {}
+        for n, (name, observation) in enumerate(zip(names, capture.observations, strict=True)):
+            yield n / len(names)
+            channels = _channels(observation.read())
+            if single_file:
+                parts[name] = channels
+            else:
+                write_exr(partial / f"{name}.exr", {"": channels}, half)
+        masks = {n: {"Y": capture.masks[n].astype(np.float32)} for n in masked}
         if single_file:
-            write_exr(partial / _IMAGES, dict(images) | dict(masks), half)
+            write_exr(partial / _IMAGES, parts | {f"mask_{n}": mask for n, mask in masks.items()}, half)
+            pictures = [{"part": name} for name in names]
+            shown = {n: {"mask": _IMAGES, "mask_part": f"mask_{n}"} for n in masked}
         else:
-            for stem, channels in images:
-                write_exr(partial / f"{stem}.exr", {"": channels}, half)
-            for stem, channels in masks:
-                write_exr(partial / f"{stem}.exr", {"": channels}, half=True)
-        lines = "\n".join(_lines(capture, names, masked, single_file)) + "\n"
-        (partial / TABLE).write_text(lines, encoding="utf-8")
+            for n, mask in masks.items():
+                write_exr(partial / f"mask_{n}.exr", {"": mask}, half=True)
+            pictures = [{"image": f"{name}.exr"} for name in names]
+            shown = {n: {"mask": f"mask_{n}.exr"} for n in masked}
+        top = {"colour_space": "linear", **({"image": _IMAGES} if single_file else {})}
+        (partial / TABLE).write_text(table_text(capture, pictures, shown, top), encoding="utf-8")
+    return names if single_file else [f"{name}.exr" for name in names]
+
+
+write_capture = at_once("write_capture", write_steps)
 
 
 def _channels(rgba: np.ndarray) -> dict[str, np.ndarray]:
@@ -53,28 +71,43 @@ def _channels(rgba: np.ndarray) -> dict[str, np.ndarray]:
     return channels if (rgba[..., 3] == 1).all() else {**channels, "A": rgba[..., 3]}
 
 
-def _lines(capture: Capture, names: list[str], masked: list[bool], single_file: bool) -> Iterator[str]:
+def table_text(
+    capture: Capture,
+    pictures: Sequence[Mapping[str, Any]],
+    masks: Mapping[int, Mapping[str, Any]],
+    top: Mapping[str, Any],
+) -> str:
+    """Return the text of a capture.toml with a capture's cameras and lights.
+
+    pictures: keys of each observation's image. masks: camera → keys of its mask. top: further keys of the table.
+    """
+    return "\n".join(_lines(capture, pictures, masks, top)) + "\n"
+
+
+def _lines(
+    capture: Capture,
+    pictures: Sequence[Mapping[str, Any]],
+    masks: Mapping[int, Mapping[str, Any]],
+    top: Mapping[str, Any],
+) -> Iterator[str]:
     yield f"format = {FORMAT}"
     yield f"name = {toml_value(capture.name)}"
-    yield 'colour_space = "linear"'
-    if single_file:
-        yield f'image = "{_IMAGES}"'
+    yield from _keys(top)
     if capture.card_distance is not None:
         yield f"{CARD_DISTANCE} = {_numbers(capture.card_distance)}"
     for n, camera in enumerate(capture.cameras):
-        yield from ["", "[[camera]]", f'name = "camera {n + 1}"', *_camera(camera)]
-        if masked[n] and single_file:
-            yield from [f'mask = "{_IMAGES}"', f'mask_part = "mask_{n}"']
-        elif masked[n]:
-            yield f'mask = "mask_{n}.exr"'
-    for stem, observation in zip(names, capture.observations, strict=True):
+        yield from ["", "[[camera]]", f'name = "camera {n + 1}"', *_camera(camera), *_keys(masks.get(n, {}))]
+    for picture, observation in zip(pictures, capture.observations, strict=True):
         light = observation.light
-        yield from ["", "[[observation]]", f"name = {toml_value(observation.name)}"]
-        yield f'part = "{stem}"' if single_file else f'image = "{stem}.exr"'
+        yield from ["", "[[observation]]", f"name = {toml_value(observation.name)}", *_keys(picture)]
         yield f"light_{'direction' if light.distant else 'position'} = {_numbers(light.vector)}"
         yield f"light_intensity = {_numbers(light.intensity)}"
         yield from _emission(light)
         yield f'camera = "camera {observation.camera + 1}"'
+
+
+def _keys(table: Mapping[str, Any]) -> Iterator[str]:
+    yield from (f"{key} = {toml_value(value)}" for key, value in table.items())
 
 
 def _emission(light: Light) -> Iterator[str]:

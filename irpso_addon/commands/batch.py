@@ -11,10 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..blender.images import decode
+from ..calibration.rigs.apply import apply_steps
+from ..calibration.rigs.rig import read_rig
 from ..capture.formats.toml_file import load_toml
 from ..cluster.transport import joined
 from ..core.errors import CheckpointError, InputError
 from ..core.files import write_json
+from ..core.steps import run_steps
 from ..pipeline.drive import CHECKPOINT
 from ..pipeline.ranks import refused
 from ..results.report import plain
@@ -39,12 +43,14 @@ Parse = Callable[[Sequence[str]], Namespace]
 class Row:
     """One job of a list. words: its command line, without the options that a batch adds.
 
-    listed: the same words with paths as in the list, which identify the job even if the list has moved.
+    listed: the same words with paths as in the list, which identify the job even if the list has moved. rig: applied to
+    the job's capture, which is then a folder of photographs.
     """
 
     name: str
     words: tuple[str, ...]
     listed: tuple[str, ...]
+    rig: Path | None = None
 
     def folder(self, output: Path) -> Path:
         """Return the folder of its result."""
@@ -108,12 +114,17 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
         raise InputError(f"{where}: name must be one that a folder can have, other than batch")
     if ours := [key for key in _OURS if key in row]:
         raise InputError(f"{where}: {ours[0]} is not an option of jobs; give it to batch itself")
+    rig = row.pop("rig", None)
+    if rig is not None and not isinstance(rig, str):
+        raise InputError(f'{where}: rig must be a text, as in rig = "folder"')
     words, listed = (_command(row, place) for place in (path, None))
     try:
         parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
-    return Row(name, tuple(words), tuple(listed))
+    if rig is None:
+        return Row(name, tuple(words), tuple(listed))
+    return Row(name, tuple(words), (*listed, "rig", rig), path.parent / rig)
 
 
 def _command(row: dict[str, Any], path: Path | None) -> list[str]:
@@ -162,6 +173,8 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     words = [*job.words, "-o", str(folder), *["--resume"] * resume, *["--quiet"] * silent(options)]
     started = time.perf_counter()
     try:
+        if job.rig is not None:
+            words[1] = str(_under_rig(job.rig, Path(words[1]), output / f"{job.name}_capture", options))
         try:
             found = recover.run(options.parse(words))
         except CheckpointError as error:  # of other options, photographs or another version
@@ -176,6 +189,15 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     state["took"] = round(time.perf_counter() - started, 1)
     write_json(file, plain(state))
     return state
+
+
+def _under_rig(rig: Path, photographs: Path, capture: Path, options: Namespace) -> Path:
+    """Return the capture of photographs under a rig, which is written unless it is there."""
+    if not capture.is_dir():
+        applied = run_steps(apply_steps(read_rig(rig), photographs, capture, decoder=decode))
+        for warning in (*applied.left_out, *applied.warnings):
+            _say(options, f"{capture.name}: {warning}")
+    return capture
 
 
 def _outcome(states: list[dict[str, Any]], file: Path | None, options: Namespace) -> dict:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..blender.images import decode
+from ..calibration.developing.measure import patch_response
 from ..calibration.radiometry.curve_file import write_response
 from ..calibration.radiometry.response import Response, bracket_step, response_from_brackets
 from ..calibration.radiometry.source import Exposing, brackets_of_images, images_in
@@ -16,7 +17,7 @@ from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
-from .options.photographs import chart_response, exposure_list
+from .options.photographs import exposure_list, patch_option
 from .options.values import silent
 
 _SAMPLES = 4000  # pixels from all brackets
@@ -28,7 +29,8 @@ def run(options: Namespace) -> dict:
     path, store = Path(options.photographs), ImageStore(decode)
     warnings: list[str] = []
     if options.grey_card:
-        response = chart_response(store, ImageRef(path), options.grey_card)
+        patches = tuple(patch_option("--grey-card", text) for text in options.grey_card)
+        response = patch_response(store, ImageRef(path), patches)
     else:
         exposing = Exposing(options.brackets, True, exposure_list("--exposures", options.exposures))
         response, warnings = _from_brackets(path, exposing, store, options)

@@ -17,6 +17,8 @@ MODULES = (
     "operators.capture_import",
     "operators.ball_lights",
     "operators.sample",
+    "operators.develop",
+    "operators.rigs",
     "operators.camera_import",
     "operators.scene_setup",
     "operators.presets",

@@ -20,6 +20,7 @@ from ...core.errors import InputError
 from ...core.files import replacing_file
 from ...core.png import encode_png
 from ...core.udim import tile_place
+from ..colour_spaces import Use, use_space
 from .displacement import DIVISION
 from .material import TAG
 
@@ -183,18 +184,18 @@ def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> An
     tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
     shader.inputs["IOR"].default_value = surface.ior
 
-    def texture(suffix: str, image: np.ndarray, space: str = "Non-Color", output: str = "Color") -> Any:
+    def texture(suffix: str, image: np.ndarray, use: Use = "data", output: str = "Color") -> Any:
         file = folder / f"{surface.name}{suffix}.png"
         encode_png(file, image, bits=8)
         made.images.append(loaded := bpy.data.images.load(str(file)))
-        loaded.colorspace_settings.name = space
+        use_space(loaded, use)
         loaded.alpha_mode = "CHANNEL_PACKED"
         loaded.pack()
         node = tree.nodes.new("ShaderNodeTexImage")
         node.image, node.extension = loaded, extension
         return node.outputs[output]
 
-    tree.links.new(texture("_BaseColor", surface.base_color, "sRGB"), shader.inputs["Base Color"])
+    tree.links.new(texture("_BaseColor", surface.base_color, "srgb"), shader.inputs["Base Color"])
     split = tree.nodes.new("ShaderNodeSeparateColor")
     tree.links.new(texture("_ORM", surface.orm), split.inputs["Color"])
     tree.links.new(split.outputs["Green"], shader.inputs["Roughness"])

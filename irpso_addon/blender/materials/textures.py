@@ -15,6 +15,7 @@ from ...core.udim import ONE_SQUARE, PATTERN, tile_stem
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.map_tables import MapTable, encoded_values, map_tables, map_values
 from ...results.maps import Maps, split_maps
+from ..colour_spaces import use_space
 
 TAG = "irpso_map"
 
@@ -106,7 +107,7 @@ def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, pac
     else:
         _point_at_tiles(image, paths)
     # Set the colour space before pixels are read: the loader reads 16-bit PNG as sRGB.
-    image.colorspace_settings.name = table.color_space if table.fits_unit else "Non-Color"
+    use_space(image, "srgb" if table.fits_unit and table.color_space == "sRGB" else "data")
     image.alpha_mode = "CHANNEL_PACKED" if table.components == 4 else "NONE"
     image.use_half_precision = False
     if packed and tuple(paths) == ONE_SQUARE:

@@ -15,13 +15,12 @@ from ...capture.errors import CaptureError
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Picture, Samples, mask_of_picture, samples_of_picture
 from ...core.errors import InputError
+from ..colour_spaces import use_of
 from ..images import decode
 
 # Custom properties of an image: part and layer of an EXR with several, and the colour space that a capture states for
 # its file. Blender has no properties for them.
 PART, LAYER, COLOUR_SPACE = "irpso_part", "irpso_layer", "irpso_colour_space"
-_LINEAR_SPACES = ("Non-Color", "Linear Rec.709", "Linear", "Raw")
-_ENCODED_SPACES = ("sRGB",)
 _NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a set of UDIM tiles"}
 
 
@@ -78,12 +77,11 @@ def _colour_space(image, where: str, wanted: str) -> str:
         return wanted
     if COLOUR_SPACE in image:
         return image[COLOUR_SPACE]
-    name = image.colorspace_settings.name
-    if name in _LINEAR_SPACES:
-        return "linear"
-    if name not in _ENCODED_SPACES:
+    use = use_of(image)
+    if use is None:
+        name = image.colorspace_settings.name
         raise InputError(f"{where} is in color space '{name}'; set it to sRGB, Linear Rec.709 or Non-Color")
-    return "auto"
+    return "auto" if use == "srgb" else "linear"
 
 
 def _in_memory(image, where: str, space: str) -> Photograph:

@@ -26,6 +26,10 @@ _IS_A_CHART, _POOR = 12.0, 3.0
 _ROUNDS = 12
 
 
+class Mirrored(InputError):
+    """A photograph shows its chart mirrored."""
+
+
 @dataclass(frozen=True)
 class Chart:
     """Sampled patches in the order of ``PATCHES``. values: (24, 3) linear medians. usable: (24,) bool.
@@ -81,13 +85,16 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
     off = np.abs(cell - index - (1 - _GAP) / 2)
     inner = (off < _INNER * (1 - _GAP) / 2).all(axis=-1) & (index >= 0).all(axis=-1)
     inner &= (index < (COLUMNS, ROWS)).all(axis=-1)
-    number = np.where(inner, index[..., 1] * COLUMNS + index[..., 0], -1)
-    pixels = rgba[height - 1 - y, x]
+    number = index[..., 1] * COLUMNS + index[..., 0]
+    pixels = rgba[height - high[1] : height - low[1], low[0] : high[0]][::-1]
     values = np.zeros((COUNT, 3))
     left_out: dict[str, list[str]] = {"clipped": [], "black": [], "too small": []}
     usable = np.ones(COUNT, bool)
-    for n, name in enumerate(NAMES):
-        own = pixels[number == n]
+    # The pixels of each patch, one after the other.
+    order = np.argsort(number[inner], kind="stable")
+    ends = np.cumsum(np.bincount(number[inner], minlength=COUNT))
+    owned = np.split(pixels[inner][order], ends[:-1])
+    for n, (name, own) in enumerate(zip(NAMES, owned, strict=True)):
         seen = own[:, 3] > 0
         values[n] = np.median(own[seen, :3], axis=0) if seen.any() else 0
         small, clipped = len(own) < _LEAST_PIXELS, (~seen).sum() > _CLIPPED * len(own)
@@ -102,8 +109,8 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
 def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
     """Return the corners (4, 2) in the chart's own order, its patches and their fit.
 
-    All eight orders of the corners are tried. Raises InputError where none gives a chart, where the photograph shows
-    the chart mirrored, or where too few patches are usable.
+    All eight orders of the corners are tried. Raises InputError where none gives a chart or too few patches are usable,
+    Mirrored where the photograph shows the chart mirrored.
     """
     corners = np.asarray(corners, np.float64)
     best: tuple[np.ndarray, Chart, ColourFit] | None = None
@@ -131,7 +138,7 @@ def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.nd
             " places, and that the photograph is linear (--response)"
         )
     if not (turns(best[0]) > 0).all():
-        raise InputError(f"{where}: the photograph shows the chart mirrored; undo the mirroring of all photographs")
+        raise Mirrored(f"{where}: the photograph shows the chart mirrored; undo the mirroring of all photographs")
     return best
 
 

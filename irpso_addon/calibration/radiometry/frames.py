@@ -20,6 +20,10 @@ _LIT = 99.0  # percentile of a frame that must be above its dark frame
 _CLIPPED_PATCH = 0.02  # of a patch's pixels
 
 
+class TooDark(InputError):
+    """A photograph is no brighter than its dark frame."""
+
+
 @dataclass(frozen=True)
 class Frame:
     """One photograph. rgb: (H, W, 3) float32, linear, row 0 at the bottom. weight: (H, W), 0 where clipped.
@@ -106,10 +110,10 @@ def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = 
 
 
 def without_dark(frame: Frame, dark: np.ndarray, where: str) -> Frame:
-    """Return a frame minus its dark frame. Raises InputError where less than 1 % of it is brighter."""
+    """Return a frame minus its dark frame. Raises TooDark where less than 1 % of it is brighter."""
     rgb = frame.rgb - dark
     if np.percentile(rgb.max(axis=-1), _LIT) <= 0:
-        raise InputError(f"{where}: is no brighter than the dark frame; check which files --dark names")
+        raise TooDark(f"{where}: is no brighter than the dark frame; check which files --dark names")
     return Frame(rgb, frame.weight, frame.high, frame.low, frame.bits)
 
 

@@ -31,7 +31,11 @@ def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
 
     Raises CaptureError if a key is unknown, missing or wrong, or the file of cameras is.
     """
-    table = load_toml(path)
+    return spec_of_keys(load_toml(path), path, colour_space)
+
+
+def spec_of_keys(table: dict[str, Any], path: Path, colour_space: str = "auto") -> CaptureSpec:
+    """Return the spec of the table of a capture.toml at ``path``. Raises CaptureError as ``spec_of_table`` does."""
     known_keys(table, _TOP, str(path))
     if table.get("format", FORMAT) != FORMAT:
         raise CaptureError(f"{path}: format is {table['format']!r}; this program reads format = {FORMAT}", "format")

@@ -23,6 +23,7 @@ _DAMAGE = (SyntaxError, OSError, EOFError, ValueError, LookupError, TypeError, s
 _FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN = 41989, 40962, 40963
 _DIAGONAL_35MM = math.hypot(36.0, 24.0)  # millimetres
 _SAME_SHAPE = 0.01  # by how much the proportions of a picture that is not cropped may differ from its tags'
+_MAKE, _MODEL, _LENS, _FOCAL_LENGTH = 271, 272, 42036, 37386
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
 
 
@@ -81,6 +82,16 @@ def exposure_of(data: bytes) -> Exposure | None:
     tags = tiff_tags(_exif_block(data))
     seconds, f_number, iso = (_positive(tags.get(tag)) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
     return Exposure(seconds, f_number, iso) if seconds else None
+
+
+def lens_of(data: bytes) -> dict[str, str | float]:
+    """Return make, model, lens, focal_length and focal_length_35mm in millimetres of a file: those that it has."""
+    tags = tiff_tags(_exif_block(data))
+    named = {"make": _MAKE, "model": _MODEL, "lens": _LENS}
+    texts = {key: str(tags.get(tag) or "").strip("\0 ") for key, tag in named.items()}
+    lengths = {"focal_length": _FOCAL_LENGTH, "focal_length_35mm": _FOCAL_LENGTH_35MM}
+    numbers = {key: _positive(tags.get(tag)) for key, tag in lengths.items()}
+    return {key: value for key, value in {**texts, **numbers}.items() if value}
 
 
 def field_of_view(data: bytes, width: int, height: int) -> float | None:

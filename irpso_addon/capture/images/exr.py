@@ -111,13 +111,18 @@ def _rgb(table: dict[str, str]) -> list[str] | None:
     return lone * 3 if len(lone) == 1 else None
 
 
-def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None) -> Samples:
+def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None, matrix: np.ndarray | None = None) -> Samples:
     """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
 
-    Alpha becomes the weight. Pixels outside the data window have weight 0.
+    Alpha becomes the weight. Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec.
+    709, or None where that is what it holds.
     """
     colour = np.stack([image.channels[name] for name in rgb], axis=-1)
     clipped = colour >= _HALF_MAX if colour.dtype == np.float16 else np.zeros(colour.shape, bool)
+    if matrix is not None:
+        clipped[:] = clipped.any(axis=-1, keepdims=True)  # the matrix mixes the channels
+        with np.errstate(invalid="ignore"):
+            colour = colour.astype(np.float64) @ matrix.T
     found = samples(colour.astype(np.float32), None if alpha is None else image.channels[alpha], clipped)
     found.rgba[~image.inside] = found.bounds[~image.inside] = 0
     return found

@@ -23,7 +23,8 @@ _LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
 class ExrPart:
     """name: "" for an unnamed single part. channels: name → "uint", "half" or "float". width, height: display window.
 
-    subsampled: whether a channel has fewer samples than pixels.
+    subsampled: whether a channel has fewer samples than pixels. chromaticities: x and y of red, green, blue and white;
+    None where the file does not state them.
     """
 
     name: str
@@ -31,6 +32,7 @@ class ExrPart:
     width: int
     height: int
     subsampled: bool
+    chromaticities: tuple[float, ...] | None = None
 
 
 def is_exr(path: Path) -> bool:
@@ -114,4 +116,5 @@ def _part(path: Path, header: dict[str, bytes]) -> ExrPart:
     x0, y0, x1, y1 = struct.unpack("<4i", header["displayWindow"])
     if x1 < x0 or y1 < y0:
         raise CaptureError(f"{path}: says it has no pixels; export it again", "image_unknown")
-    return ExrPart(header.get("name", b"").decode(), channels, x1 - x0 + 1, y1 - y0 + 1, subsampled)
+    primaries = struct.unpack("<8f", header["chromaticities"]) if "chromaticities" in header else None
+    return ExrPart(header.get("name", b"").decode(), channels, x1 - x0 + 1, y1 - y0 + 1, subsampled, primaries)

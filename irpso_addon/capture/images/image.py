@@ -14,6 +14,7 @@ from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import ImageHeader, read_header
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
+from .primaries import to_rec_709
 from .raw import decode_raw, is_raw, raw_size
 
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
@@ -93,7 +94,7 @@ class ImageStore:
             return samples_of_picture(self.picture(image), space)
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
-        return samples_of_exr(self._pixels(image.path, part), rgb, alpha)
+        return samples_of_exr(self._pixels(image.path, part), rgb, alpha, _matrix_of(image, part, rgb))
 
     def mask(self, image: ImageRef) -> np.ndarray:
         """Return an image as a mask, (H, W) bool."""
@@ -155,6 +156,18 @@ class ImageStore:
         if several:
             self._parts[path] = parts
         return image
+
+
+def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | None:
+    """Return the matrix from an EXR part's primaries to Rec. 709; None where it has these, or one channel."""
+    if part.chromaticities is None or len(set(rgb)) == 1:
+        return None
+    try:
+        return to_rec_709(part.chromaticities)
+    except ValueError as error:
+        raise CaptureError(
+            f"{image}: its chromaticities are those of no colour space; export it as linear Rec. 709", "image_unknown"
+        ) from error
 
 
 def find_image(folder: Path, name: str) -> Path:

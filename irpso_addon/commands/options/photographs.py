@@ -7,11 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...calibration.radiometry.frames import Patch, patch_mean
-from ...calibration.radiometry.response import Response, response_from_patches
+from ...calibration.radiometry.frames import Patch
 from ...calibration.radiometry.source import images_in
-from ...capture.images.exr_header import is_exr
-from ...capture.images.image import ImageRef, ImageStore
 from ...core.errors import InputError
 from .values import numbers_of_text
 
@@ -73,17 +70,3 @@ def corners_option(option: str, text: str) -> np.ndarray:
     if len(numbers) != 8 or not np.isfinite(numbers).all():
         raise InputError(f"{option} {text}: write X1,Y1,X2,Y2,X3,Y3,X4,Y4, four corners in pixels")
     return numbers.reshape(4, 2)
-
-
-def chart_response(store: ImageStore, image: ImageRef, texts: Sequence[str]) -> Response:
-    """Return the response curve of the grey patches "X,Y,W,H=REFLECTANCE" in one photograph. Raises InputError."""
-    patches = [patch_option("--grey-card", text) for text in texts]
-    if any(patch.reflectance is None for patch in patches):
-        raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
-    if is_exr(image.path):
-        raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
-    values = store.picture(image).values
-    rgb = values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
-    weight = np.ones(rgb.shape[:2])
-    means = [patch_mean(rgb, weight, patch, f"--grey-card: {image}") for patch in patches]
-    return response_from_patches(np.array(means), [patch.reflectance for patch in patches])

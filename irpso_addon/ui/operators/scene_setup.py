@@ -11,6 +11,7 @@ import numpy as np
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from mathutils import Matrix, Vector
 
+from ...blender.colour_spaces import use_space
 from ...blender.images import decode
 from ...blender.materials import material
 from ...blender.scenes import scene_images
@@ -242,9 +243,9 @@ class _Images:
                 if value is not None:
                     image[name] = value
             if mask:
-                image.colorspace_settings.name = "Non-Color"
+                use_space(image, "data")
             elif deep or space == "linear":
-                image.colorspace_settings.name = "Linear Rec.709"
+                use_space(image, "linear")
             self._images[key] = image
         return self._images[key]
 

@@ -1,8 +1,9 @@
-"""An operator that marks a card in its photographs: a click on each corner, in an Image editor."""
+"""Operators that mark a card or a color chart in photographs: a click on each corner, in an Image editor."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import bpy
@@ -11,11 +12,13 @@ from bpy.props import FloatVectorProperty
 
 from ...blender.images import decode
 from ...capture.bounds import without_bounds
+from ...capture.images.image import ImageRef, ImageStore
 from ...capture.spec import build_capture
 from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
 from ...gpu.viewport import Drawing
 from ..common import failures
+from ..common.file_paths import absolute
 from ..common.polls import usable
 from ..session.scene_capture import spec_of
 from . import handlers
@@ -27,16 +30,14 @@ _PICTURES = 3  # photographs whose brightest values are shown
 _BRIGHT = 99.0  # percentile that is shown white
 _REACH = 20.0  # pixels at scale 1 within which a click takes hold of a corner
 _COLOUR = (1.0, 0.75, 0.2, 1.0)
-_HELP = "Click the card's four corners; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
+_HELP = "Click the four corners of {}; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
 
 
-class IRPSO_OT_mark_card(bpy.types.Operator):
-    """Click the four corners of the card in a photograph, in an Image editor. Backspace removes the last one, a corner
-    can be dragged, Enter ends, Esc cancels"""
+class _Marking:
+    """Mixin of an operator: four corners are clicked in a photograph. what: of what they are, for the status bar."""
 
-    bl_idname = "irpso.mark_card"
-    bl_label = "Mark in Photograph"
     bl_options = {"INTERNAL", "UNDO"}
+    what = ""
 
     corners: FloatVectorProperty(
         name="Corners", description="X and Y of four corners, in pixels from the upper left corner of the photographs",
@@ -51,8 +52,8 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
 
     def execute(self, context):
-        """Take ``corners``, in any order, for those of the card."""
-        take_corners(context.scene.irpso, np.reshape(self.corners, (4, 2)))
+        """Take ``corners``, in any order."""
+        self._take(context.scene.irpso, np.reshape(self.corners, (4, 2)))
         return {"FINISHED"}
 
     def invoke(self, context, event):
@@ -60,7 +61,7 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
-            picture, self._size = _photograph(context.scene.irpso)
+            picture, self._size = _picture(self._radiances(context.scene.irpso))
         except InputError as error:
             return failures.refused(self, error)
         self._area = _shown_in_editor(context, picture)
@@ -72,7 +73,7 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         self._drawing = Drawing()
         self._handle: Any = bpy.types.SpaceImageEditor.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set(_HELP)
+        context.workspace.status_text_set(_HELP.format(self.what))
         context.window_manager.modal_handler_add(self)
         handlers.redraw()
         return {"RUNNING_MODAL"}
@@ -87,6 +88,17 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         """End when the window or the file is closed."""
         self._leave(context, {"CANCELLED"})
 
+    def _radiances(self, settings) -> Iterator[np.ndarray]:
+        """Yield the radiance (H, W, 3) of some photographs; their brightest values are shown. Raises InputError."""
+        capture = build_capture(spec_of(settings), decode)
+        count = len(capture.observations)
+        for index in sorted({round(k * (count - 1) / max(_PICTURES - 1, 1)) for k in range(_PICTURES)}):
+            yield without_bounds(capture.observations[index].read())[..., :3]
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        """Store the corners (4, 2), in any order, in pixels from the upper left."""
+        raise NotImplementedError
+
     def _handled(self, context, event):
         if self._area not in list(context.screen.areas):
             return self._leave(context, {"CANCELLED"})
@@ -98,7 +110,7 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
                 return {"RUNNING_MODAL"}
             height = self._size[1]
             corners = np.array(self._points) * self._size
-            take_corners(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
+            self._take(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
             return self._leave(context, {"FINISHED"})
         if event.value == "PRESS" and event.type == "BACK_SPACE":
             self._points = self._points[:-1]
@@ -193,14 +205,42 @@ def around(points: np.ndarray) -> np.ndarray:
     return np.roll(ordered, -int((ordered[:, 1] - ordered[:, 0]).argmax()), axis=0)
 
 
-def _photograph(settings) -> tuple[Any, np.ndarray]:
-    """Return an image of the brightest values of some photographs, and their size in pixels (2,). Raises InputError."""
-    capture = build_capture(spec_of(settings), decode)
-    count = len(capture.observations)
+class IRPSO_OT_mark_card(_Marking, bpy.types.Operator):
+    """Click the four corners of the card in a photograph, in an Image editor. Backspace removes the last one, a corner
+    can be dragged, Enter ends, Esc cancels"""
+
+    bl_idname = "irpso.mark_card"
+    bl_label = "Mark in Photograph"
+    what = "the card"
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        take_corners(settings, corners)
+
+
+class IRPSO_OT_mark_chart(_Marking, bpy.types.Operator):
+    """Click the four corners of the 24 patches of a color chart in its photograph, in an Image editor, in any order
+    around it. Backspace removes the last one, a corner can be dragged, Enter ends, Esc cancels"""
+
+    bl_idname = "irpso.mark_chart"
+    bl_label = "Mark Chart in Photograph"
+    what = "the chart's patches"
+
+    def _radiances(self, settings) -> Iterator[np.ndarray]:
+        if not settings.chart_photograph:
+            yield from super()._radiances(settings)
+            return
+        image = ImageRef(absolute(settings.chart_photograph, "Chart"), colour_space=settings.colour_space)
+        yield ImageStore(decode).samples(image).rgba[..., :3]
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        settings.chart_corners = (around(corners * (1, -1)) * (1, -1)).ravel().tolist()
+
+
+def _picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
+    """Return an image of the brightest values of photographs, and their size in pixels (2,)."""
     shown: np.ndarray = np.zeros(())
     size = np.zeros(2)
-    for index in sorted({round(k * (count - 1) / max(_PICTURES - 1, 1)) for k in range(_PICTURES)}):
-        radiance = without_bounds(capture.observations[index].read())[..., :3]
+    for radiance in radiances:
         size = np.array(radiance.shape[1::-1], float)
         step = math.ceil(max(radiance.shape) / _MOST_PIXELS)
         shown = np.maximum(shown, np.nan_to_num(radiance[::step, ::step]))
@@ -234,4 +274,4 @@ def _shown_in_editor(context, picture):
     return area
 
 
-CLASSES = (IRPSO_OT_mark_card,)
+CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_mark_chart)

@@ -143,6 +143,7 @@ def _capture_changed(self, context) -> None:
     """Reset the settings of the previous capture."""
     self.near_lights, self.framing, self.picture_scale = False, "FILE", 1.0
     self.stated_distance = self.stated_width = self.card_distance = self.card_width = 0.0
+    self.chart_photograph, self.chart_corners = "", (0.0,) * 8
 
 
 class FindingItem(bpy.types.PropertyGroup):
@@ -293,6 +294,14 @@ class Settings(bpy.types.PropertyGroup):
     corners: FloatVectorProperty(
         name="Corners", description="X and Y of the card's corners, clockwise from its upper left one, in pixels from"
         " the upper left corner of the photographs", size=8, min=0, precision=1,
+    )  # fmt: skip
+    chart_photograph: StringProperty(
+        name="Chart", description="Photograph of the 24-patch chart, in the light and with the settings of the others."
+        " Empty: the capture's own", subtype="FILE_PATH", **RELATIVE_PATH,
+    )  # fmt: skip
+    chart_corners: FloatVectorProperty(
+        name="Chart Corners", description="X and Y of the corners of the chart's patches, in pixels from the upper left"
+        " corner of the photograph", size=8, min=0, precision=1,
     )  # fmt: skip
     picture_scale: FloatProperty(
         name="Scale", description="Size of the photographs, and so of a card's maps. 0.25 is a quick preview", min=0.01,

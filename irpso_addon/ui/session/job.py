@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...blender.colour_spaces import use_of
 from ...blender.materials import material
 from ...blender.mesh import extract_mesh
 from ...blender.occluders import WITH_SURFACE, with_occluders
@@ -200,7 +201,7 @@ def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarr
     values = values.reshape(height, width, image.channels)[..., : parameter.components]
     if values.shape[-1] < parameter.components:
         raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
-    encoded = image.colorspace_settings.name == "sRGB"  # and where they are floats, Blender has decoded them
+    encoded = use_of(image) == "srgb"  # and where they are floats, Blender has decoded them
     if encoded and image.is_float and parameter.color_space != "sRGB":
         values = srgb_from_linear(values)
     if parameter.is_normal:

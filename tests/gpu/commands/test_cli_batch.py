@@ -157,3 +157,16 @@ def test_paths_are_relative_to_the_list(listed):
     (other,) = batch.read_list(listed / "other.toml", build_parser().parse_args)
     assert {str(listed / "own.toml"), f"normal={listed / 'given.exr'}", "roughness=0.5"} <= set(other.words)
     assert jobs[2].words.count("--set") == 2 and jobs[0].words[-2:] == ("--checkpoint-every", "60")
+
+
+def test_a_job_with_a_rig_reads_photographs_under_its_lamps(listed):
+    common = ["--model", "lambert", "--preset", "swarm", "--iterations", "60", "--entry", "fragment", "--quiet"]
+    assert run_cli("recover", listed / "second", *common, "-o", listed / "alone")[0] == 0
+    assert run_cli("rig", "save", listed / "first", "-o", listed / "dome")[0] == 0
+    (listed / "second" / "capture.toml").unlink()  # photographs without lights
+    text = LIST.partition("[[job]]")[0] + '[[job]]\nname = "one"\ncapture = "second"\nrig = "dome"\n'
+    (listed / "rigged.toml").write_text(text, encoding="utf-8")
+    assert run_cli("batch", listed / "rigged.toml", "-o", listed / "out")[0] == 0
+    assert (listed / "out" / "one_capture" / "capture.toml").is_file()
+    for part, values in maps_of(listed / "alone").items():
+        np.testing.assert_array_equal(maps_of(listed / "out" / "one")[part], values)

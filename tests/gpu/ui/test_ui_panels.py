@@ -1,6 +1,5 @@
 """What the panels show in every state, drawn into a layout that checks each property, operator and icon it is given."""
 
-import functools
 import sys
 from types import SimpleNamespace
 
@@ -61,8 +60,8 @@ class Drawn:
         assert name in data.bl_rna.properties
         self.notes["props"].append(name)
 
-    def menu(self, name, text="", translate=True):
-        assert hasattr(bpy.types, name), name
+    def menu(self, name, text="", icon="NONE", translate=True):
+        assert hasattr(bpy.types, name) and icon in ICONS, (name, icon)
         self.notes["texts"].append(text)
 
     def popover(self, panel, text="", icon="NONE"):

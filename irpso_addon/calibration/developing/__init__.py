@@ -1,0 +1,1 @@
+"""Photographs developed to a capture: corrections measured, kept for later captures, and images written."""

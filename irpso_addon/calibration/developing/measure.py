@@ -1,0 +1,273 @@
+"""Measures the corrections of photographs: response curve, dark frame, flat field, colours, in this order."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...capture.images.exif import exposure_of
+from ...capture.images.exr_header import is_exr
+from ...capture.images.headers import read_bytes
+from ...capture.images.image import ImageRef, ImageStore
+from ...core.errors import InputError
+from ..charts.search import find_chart
+from ..radiometry.brackets import exif_amount, name_amount
+from ..radiometry.colour_fit import chart_report, chart_warnings, recognised
+from ..radiometry.curve_file import read_response
+from ..radiometry.develop import Corrections, Shot, developed
+from ..radiometry.frames import (
+    Dark,
+    Flat,
+    Patch,
+    mean_dark,
+    mean_flat,
+    patch_mean,
+    read_frame,
+    white_gains,
+    without_dark,
+)
+from ..radiometry.hdr import SATURATED
+from ..radiometry.response import Response, response_from_patches
+from ..radiometry.source import Exposing, Source
+
+_GOOD = 3.0  # mean ΔE2000 of a chart that ends the search; above, the other photographs are searched too
+
+
+class Progress(NamedTuple):
+    """The share of the work that is done, 0…1, and what is done now."""
+
+    done: float
+    what: str
+
+
+@dataclass(frozen=True)
+class Output:
+    """How images are written. register: shifted onto the one named ``reference``, or onto the first. half: 16 bits.
+
+    corrections: whether they are written too, for a rig.
+    """
+
+    register: bool = False
+    reference: str | None = None
+    half: bool = False
+    corrections: bool = True
+
+    def __post_init__(self) -> None:
+        if self.reference and not self.register:
+            raise InputError("--reference is the image that --register moves the others onto; add --register")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is measured and corrected. chart: the photograph with the patches or the chart; None for the capture's own.
+
+    greys: patches that give the curve. white: a grey patch, or three gains. colour_chart: corners (4, 2); or "auto", to
+    find it. The other fields are as the options of ``develop``.
+    """
+
+    response: Path | None = None
+    greys: tuple[Patch, ...] = ()
+    chart: Path | None = None
+    darks: tuple[Path, ...] = ()
+    scale_dark: bool = False
+    flats: tuple[Path, ...] = ()
+    white: Patch | tuple[float, float, float] | None = None
+    colour_chart: np.ndarray | str | None = None
+    exposing: Exposing | None = None
+    saturated: float = SATURATED
+    colour_space: str = "auto"
+    output: Output = Output()
+
+    def __post_init__(self) -> None:
+        if self.white is not None and self.colour_chart is not None:
+            raise InputError("--white and --colour-chart both give the white balance; give one of them")
+        if self.response is not None and self.greys:
+            raise InputError("--response and --grey-card both give the curve; give one of them")
+
+    @property
+    def left_out(self) -> list[Path]:
+        """The files that do not show the subject."""
+        return [*self.darks, *self.flats, *([self.chart] if self.chart else [])]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Corrections, what the report says of them, and warnings. exposing, colour_space: how the files are read."""
+
+    corrections: Corrections
+    figures: dict = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    exposing: Exposing | None = None
+    colour_space: str = "auto"
+
+
+def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generator[Progress, None, Measured]:
+    """Yield before each measurement; return the corrections. Raises InputError where one cannot be measured."""
+    work = _Work(store, source, wanted)
+    shots = source.shots
+    cameras = 1 + max(shot.camera for shot in shots)
+    amounts = [a for shot in shots for a in shot.amounts or ()]
+    corrections = Corrections(
+        response=work.response(),
+        reference=min(amounts, default=1.0),
+        saturated=wanted.saturated,
+        align_brackets=wanted.output.register,
+    )
+    dark = flat = None
+    if wanted.darks:
+        yield Progress(0.0, "dark frames")
+        dark = work.dark(corrections.response)
+    if wanted.flats:
+        yield Progress(0.1, "flat fields")
+        flat = work.flat(corrections.response, dark)
+    corrections = replace(corrections, darks=(dark,) * cameras, flats=(flat,) * cameras)
+    if wanted.white is not None:
+        corrections = replace(corrections, gains=work.gains(corrections, wanted.white))
+    if isinstance(wanted.colour_chart, str):
+        found = yield from work.searched(corrections)
+        corrections = replace(corrections, matrix=found)
+    elif wanted.colour_chart is not None:
+        corrections = replace(corrections, matrix=work.matrix(corrections, wanted.colour_chart))
+    return Measured(corrections, work.figures, tuple(work.warnings), wanted.exposing, wanted.colour_space)
+
+
+def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...]) -> Response:
+    """Return the response curve of grey patches in one photograph. Raises InputError."""
+    if any(patch.reflectance is None for patch in patches):
+        raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
+    if is_exr(image.path):
+        raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
+    values = store.picture(image).values
+    rgb = values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
+    weight = np.ones(rgb.shape[:2])
+    means = [patch_mean(rgb, weight, patch, f"--grey-card: {image}") for patch in patches]
+    return response_from_patches(np.array(means), [patch.reflectance or 0.0 for patch in patches])
+
+
+class _Work:
+    """The measurements of one source; each adds to ``figures`` and ``warnings``."""
+
+    def __init__(self, store: ImageStore, source: Source, wanted: Wanted):
+        self.store, self.source, self.wanted = store, source, wanted
+        self.figures: dict = {}
+        self.warnings: list[str] = []
+
+    def response(self) -> Response | None:
+        if self.wanted.response is not None:
+            response = read_response(self.wanted.response)
+            self.figures["response"] = {"file": str(self.wanted.response), "residual": finite(response.residual)}
+            return response
+        if not self.wanted.greys:
+            return None
+        shot = self.source.shots[0]
+        image = ImageRef(self.wanted.chart) if self.wanted.chart else shot.images[len(shot.images) // 2]
+        response = patch_response(self.store, image, self.wanted.greys)
+        patches = [f"{patch}={patch.reflectance}" for patch in self.wanted.greys]
+        self.figures["response"] = {"chart": str(image), "patches": patches, "residual": finite(response.residual)}
+        return response
+
+    def dark(self, response: Response | None) -> Dark:
+        files, size = self.wanted.darks, self.source.shots[0].size
+        frames = ((self._amount(p), read_frame(self.store, self._ref(p), response, size).rgb) for p in files)
+        dark = mean_dark(frames, self.wanted.scale_dark)
+        self.figures["dark"] = {"files": [str(p) for p in files],
+                                "mean": [round(float(level.mean()), 7) for _, level in dark.levels]}  # fmt: skip
+        return dark
+
+    def flat(self, response: Response | None, dark: Dark | None) -> Flat:
+        files, size = self.wanted.flats, self.source.shots[0].size
+        read = ((p, read_frame(self.store, self._ref(p), response, size)) for p in files)
+        if dark is not None:
+            read = ((p, without_dark(frame, dark.of(self._amount(p), str(p)), str(p))) for p, frame in read)
+        flat = mean_flat(frame for _, frame in read)
+        low, high = np.quantile(flat.field[flat.usable], (0.001, 0.999))
+        self.figures["flat"] = {"files": [str(p) for p in files],
+                                "range": [round(float(low), 4), round(float(high), 4)],
+                                "not_usable": round(float(1 - flat.usable.mean()), 6)}  # fmt: skip
+        if not flat.usable.all():
+            self.warnings.append(
+                f"{files[0]}: the flat field is clipped or too dark at {1 - flat.usable.mean():.1%} of the pixels,"
+                " which get weight 0"
+            )
+        return flat
+
+    def gains(self, corrections: Corrections, white: Patch | tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the factors of a white balance: as given, or measured on a patch."""
+        if isinstance(white, Patch):
+            shot = self._chart_shot(white.reflectance is not None, "omit =…")
+            rgba = developed(self.store, shot, corrections).rgba
+            where = f"--white {white}: {shot.images[0]}"
+            gains = white_gains(patch_mean(rgba[..., :3], rgba[..., 3], white, where), white.reflectance, where)
+        else:
+            gains = np.array(white)
+        self.figures["white_gains"] = [round(float(g), 6) for g in gains]
+        red, green, blue = (float(g) for g in gains)
+        return red, green, blue
+
+    def matrix(self, corrections: Corrections, corners: np.ndarray) -> np.ndarray:
+        """Return the matrix of a chart at given corners, which includes white balance and scale."""
+        shot = self._chart_shot(True, "give one that has it, as the other photographs do")
+        where = f"--colour-chart: {shot.images[0]}"
+        order, chart, fit = recognised(developed(self.store, shot, corrections).rgba, corners, where)
+        self.figures["colour_chart"] = {"file": str(shot.images[0]), **chart_report(order, chart, fit)}
+        self.warnings += chart_warnings(where, corners, order, chart, fit)
+        return fit.matrix
+
+    def searched(self, corrections: Corrections) -> Generator[Progress, None, np.ndarray]:
+        """Return the matrix of the chart that is found: in the chart's photograph, else in the first that shows it."""
+        shots = [self._chart_shot(True, "give one that has it")] if self.wanted.chart else list(self.source.shots)
+        best = None
+        for k, shot in enumerate(shots):
+            yield Progress(0.2 * k / len(shots), f"colour chart: {shot.name}")
+            where = f"--colour-chart: {shot.images[0]}"
+            found = find_chart(developed(self.store, shot, corrections).rgba, where)
+            if found is None:
+                continue
+            mean = float(np.nanmean(found.fit.after))
+            if best is None or mean < best[0]:
+                best = mean, where, shot, found
+            if mean <= _GOOD:
+                break
+        if best is None:
+            many = f"any of the {len(shots)} photographs" if len(shots) > 1 else str(shots[0].images[0])
+            raise InputError(
+                f"--colour-chart auto: no 24-patch chart is found in {many}; photograph it whole, larger and evenly"
+                " lit, or give its corners as X1,Y1,…,X4,Y4"
+            )
+        _, where, shot, found = best
+        report = chart_report(found.corners, found.chart, found.fit)
+        self.figures["colour_chart"] = {"file": str(shot.images[0]), "found": True, **report}
+        self.warnings += chart_warnings(where, found.corners, found.corners, found.chart, found.fit)
+        return found.fit.matrix
+
+    def _ref(self, path: Path) -> ImageRef:
+        return ImageRef(path, colour_space=self.wanted.colour_space)
+
+    def _amount(self, path: Path) -> float | None:
+        """Return the exposure of a file beside the shots; None if it has none or exposures are not used."""
+        exposing = self.wanted.exposing
+        if exposing is None:
+            return None
+        if exposing.by == "exif":
+            return exif_amount(path) if exposure_of(read_bytes(path)) else None
+        found = None if exposing.given else name_amount(path.stem)
+        return found[1] if found else None
+
+    def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
+        first, chart = self.source.shots[0], self.wanted.chart
+        if chart is None:
+            return first
+        amount = self._amount(chart)
+        if scaled and self.wanted.exposing is not None and amount is None:
+            raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
+        amounts = None if amount is None else (amount,)
+        return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)
+
+
+def finite(value: float) -> float | None:
+    """Return a number as a report has it: rounded, None for one that is not finite."""
+    return round(value, 6) if np.isfinite(value) else None

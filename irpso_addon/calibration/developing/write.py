@@ -1,0 +1,135 @@
+"""Writes developed photographs: a capture's images and lists, the corrections, and a report. Whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...capture.images.exr import write_exr
+from ...capture.images.image import ImageStore
+from ...capture.write import write_steps
+from ...core.errors import InputError
+from ...core.files import check_unused, new_folder
+from ...core.steps import map_steps
+from ..radiometry.develop import developed, registration_steps
+from ..radiometry.source import Source
+from ..register import SMALLEST_MOVE, moved_back
+from .corrections_file import FOLDER, Photograph, photograph_of, write_corrections
+from .measure import Measured, Output, Progress, Wanted, finite, measure_steps
+
+_FILENAMES = "filenames.txt"
+_MEASURED, _REGISTERED = 0.2, 0.5  # the share of the work that ends there
+
+
+def develop_steps(
+    store: ImageStore, source: Source, wanted: Wanted, out: Path, settings: dict[str, Any]
+) -> Generator[Progress, None, dict]:
+    """Measure the corrections of a source, develop its photographs into a new folder, and return the report.
+
+    settings: for the report. Raises InputError, and then writes nothing.
+    """
+    check_unused(out)
+    measured = yield from measure_steps(store, source, wanted)
+    return (yield from write_developed_steps(store, source, measured, out, settings, wanted.output))
+
+
+def write_developed_steps(
+    store: ImageStore, source: Source, measured: Measured, out: Path, settings: dict[str, Any], output: Output
+) -> Generator[Progress, None, dict]:
+    """Develop a source with corrections that are known into a new folder, and return the report.
+
+    Raises InputError, and then writes nothing.
+    """
+    work = _Work(store, source, measured, output.half)
+    if output.register:
+        yield from work.register_steps(output.reference)
+    with new_folder(out) as folder:
+        yield from work.write_steps(folder)
+        if output.corrections:
+            write_corrections(folder / FOLDER, measured, work.photographs)
+        report = work.report(settings)
+        (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    return report
+
+
+class _Work:
+    """Develops one source: reads, corrects, moves and writes each image."""
+
+    def __init__(self, store: ImageStore, source: Source, measured: Measured, half: bool):
+        self.store, self.source, self.measured, self.half = store, source, measured, half
+        self.shifts: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.warnings = [*source.warnings, *measured.warnings]
+        self.figures: list[dict] = [{} for _ in source.shots]
+        self.photographs: list[Photograph] = []
+
+    def register_steps(self, wanted: str | None) -> Generator[Progress, None, None]:
+        """Measure each image's shift against the reference, by name, or the first."""
+        shots, capture = self.source.shots, self.source.capture
+        names = [shot.name for shot in shots]
+        if wanted and wanted not in names:
+            raise InputError(f"--reference {wanted}: there is no such image; give a name, as {names[0]}")
+        masks = capture.masks if capture else [np.ones((shots[0].size or (1, 1))[::-1], bool)]
+        number = names.index(wanted) if wanted else 0
+        steps = registration_steps(self.store, shots, masks, self.measured.corrections, number)
+        span = _REGISTERED - _MEASURED
+        self.shifts = yield from map_steps(steps, lambda part: Progress(_MEASURED + span * part, "looking for shifts"))
+        trusted = self.shifts[2]
+        if not trusted.any():
+            self.warnings.append(
+                "the images do not agree well enough to be registered (no texture, a shiny subject, or deep shadows),"
+                " so none is moved"
+            )
+            return
+        for k in np.flatnonzero(~trusted):
+            self.warnings.append(
+                f"{names[k]}: agrees with no other image, so it is not moved; check if it belongs here"
+            )
+
+    def write_steps(self, folder: Path) -> Generator[Progress, None, None]:
+        """Yield before each image; write all images and the lists into a folder."""
+        begun = _MEASURED if self.shifts is None else _REGISTERED
+        shots, capture = self.source.shots, self.source.capture
+        if capture is not None:
+            observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
+            steps = write_steps(replace(capture, observations=tuple(observations)), folder, half=self.half)
+            names = yield from map_steps(steps, lambda part: Progress(begun + (1 - begun) * part, "developing"))
+            self.photographs = [photograph_of(name, shot) for name, shot in zip(names, shots, strict=True)]
+            return
+        for k, shot in enumerate(shots):
+            yield Progress(begun + (1 - begun) * k / len(shots), shot.name)
+            rgba = self._read(k)
+            channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
+            if (rgba[..., 3] != 1).any():
+                channels["A"] = rgba[..., 3]
+            self.photographs.append(photograph_of(f"{shot.name}.exr", shot))
+            write_exr(folder / f"{shot.name}.exr", {"": channels}, self.half)
+        listed = "".join(f"{photograph.image}\n" for photograph in self.photographs)
+        (folder / _FILENAMES).write_text(listed, encoding="utf-8")
+
+    def _read(self, index: int) -> np.ndarray:
+        """Return one image to write, (H, W, 4), and store its figures."""
+        shots = self.source.shots
+        found = developed(self.store, shots[index], self.measured.corrections)
+        rgba, figures = found.rgba, {"name": shots[index].name, **found.figures}
+        if self.shifts is not None:
+            (right, up), agreement, trusted = (part[index] for part in self.shifts)
+            moved = bool(max(abs(right), abs(up)) >= SMALLEST_MOVE)
+            figures |= {"shift": [round(float(right), 4), round(float(up), 4)], "agreement": finite(float(agreement)),
+                        "trusted": bool(trusted), "moved": moved}  # fmt: skip
+            if moved:
+                rgba = moved_back(rgba, right, up)
+                rgba[..., :3] = np.maximum(rgba[..., :3], 0)  # Lanczos rings below 0 beside highlights
+        self.figures[index] = figures
+        return rgba
+
+    def report(self, settings: dict[str, Any]) -> dict:
+        """Return the report: settings, corrections and figures of each image."""
+        return {"settings": settings, **self.measured.figures,
+                "reference_exposure": self.measured.corrections.reference, "images": self.figures,
+                "warnings": self.warnings}  # fmt: skip

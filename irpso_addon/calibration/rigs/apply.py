@@ -1,0 +1,172 @@
+"""Applies a rig to photographs: a capture with the rig's lamps and cameras, developed where it has corrections."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...capture.formats.diligent import MASKS
+from ...capture.formats.table import TABLE
+from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.linearise import Decoder
+from ...capture.spec import CaptureSpec, build_capture
+from ...capture.write import table_text
+from ...core.errors import InputError
+from ...core.files import check_unused, natural, new_folder
+from ...core.steps import map_steps
+from ..developing.measure import Measured, Output, Progress
+from ..developing.write import write_developed_steps
+from ..photographs import relative_path
+from ..radiometry.develop import Corrections, Shot, developed
+from ..radiometry.frames import TooDark
+from ..radiometry.source import Exposing, Source, read_source
+from .match import check_exposures, check_photographs, matched, rig_exposure
+from .rig import Rig
+
+_FAILED = 0.02  # of the median brightness over intensity: below, the lamp failed
+_BRIGHT = 99.0  # percentile of a photograph that tells its brightness
+_SEEN = 512  # pixels of the longer side that brightness is measured on
+_LOOKED = 0.4  # the share of the work that ends when all photographs are looked at
+_SPACE = "colour_space"
+
+
+@dataclass(frozen=True)
+class Applied:
+    """lamps: photograph → lamp, by file names. left_out: lamps that failed, or have no photograph, and why.
+
+    developed: whether images were written; else the capture points at the photographs.
+    """
+
+    lamps: dict[str, str]
+    left_out: tuple[str, ...]
+    warnings: tuple[str, ...]
+    developed: bool
+
+
+def apply_steps(
+    rig: Rig,
+    photographs: Path,
+    out: Path,
+    way: str = "auto",
+    exposure: str | None = None,
+    half: bool = False,
+    decoder: Decoder | None = None,
+) -> Generator[Progress, None, Applied]:
+    """Yield before each photograph; write a capture of photographs under a rig's lamps into a new folder.
+
+    way: as ``matched`` has it. exposure: "exif" scales photographs to the rig's exposure. Raises InputError, and then
+    writes nothing, where the photographs do not fit the rig.
+    """
+    check_unused(out)
+    measured = _measured(rig, exposure)
+    given = None if measured is None else measured.exposing
+    space = rig.spec.observations[0].image.colour_space if measured is None else measured.colour_space
+    source = read_source(photographs, decoder, given, space)
+    shots = source.shots
+    store = ImageStore(decoder)
+    lamps = matched(rig, [_name(shot) for shot in shots], way, str(photographs))
+    check_photographs(rig, shots, lamps, store)
+    if given is None:
+        check_exposures(rig, shots, lamps)
+    cameras = [rig.spec.observations[lamp].camera for lamp in lamps]
+    shots = tuple(replace(shot, camera=n, size=rig.spec.views[n].size) for shot, n in zip(shots, cameras, strict=True))
+    measured = None if measured is None else _for_cameras(measured, len(rig.spec.views))
+    corrections = Corrections(darks=(None,) * len(rig.spec.views), flats=(None,) * len(rig.spec.views))
+    steps = _lit_steps(store, shots, [rig.spec.observations[lamp].intensity for lamp in lamps],
+                       corrections if measured is None else measured.corrections)  # fmt: skip
+    lit = yield from map_steps(steps, lambda step: Progress(_LOOKED * step.done, step.what))
+    names = [photograph.file for photograph in rig.photographs]
+    left_out = [f"{_file(shots[k])}: is black, the lamp of {names[lamps[k]]} failed" for k in np.flatnonzero(~lit)]
+    left_out += [f"{name}: its lamp has no photograph" for n, name in enumerate(names) if n not in lamps]
+    kept = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(shots[k])))
+    used = [(shots[k], lamps[k]) for k in kept]
+    spec = _spec(rig, photographs, out, used)
+    applied = Applied({_file(shot): names[lamp] for shot, lamp in used}, tuple(left_out), source.warnings,
+                      measured is not None)  # fmt: skip
+    report = {"rig": str(rig.path), "photographs": str(photographs), "lamps": applied.lamps, "left_out": left_out}
+    if measured is None:
+        _write_table(spec, out, space, report, decoder)
+        return applied
+    developing = Source(tuple(shot for shot, _ in used), build_capture(spec, decoder), source.warnings)
+    writing = write_developed_steps(store, developing, measured, out, report, Output(half=half, corrections=False))
+    written = yield from map_steps(writing, lambda step: Progress(_LOOKED + (1 - _LOOKED) * step.done, step.what))
+    return replace(applied, warnings=tuple(written["warnings"]))
+
+
+def _measured(rig: Rig, exposure: str | None) -> Measured | None:
+    """Return the corrections to apply, those that scale exposures included; None for none. Raises InputError."""
+    measured = rig.measured
+    if exposure is None:
+        return measured
+    if measured is not None and measured.exposing is not None:
+        raise InputError("--exposure: the rig was developed with exposures and reads them by itself; omit it")
+    if measured is not None and any(dark is not None for dark in measured.corrections.darks):
+        raise InputError("--exposure exif: the rig's dark frame is of one exposure; photograph with that one")
+    amount = rig_exposure(rig)
+    space = rig.spec.observations[0].image.colour_space
+    base = Measured(Corrections(), colour_space=space) if measured is None else measured
+    return replace(base, corrections=replace(base.corrections, reference=amount), exposing=Exposing("exif", False))
+
+
+def _for_cameras(measured: Measured, count: int) -> Measured:
+    """Return corrections of one camera as those of several."""
+    found = measured.corrections
+    return replace(measured, corrections=replace(found, darks=found.darks[:1] * count, flats=found.flats[:1] * count))
+
+
+def _lit_steps(
+    store: ImageStore, shots: Sequence[Shot], intensities: Sequence[Sequence[float]], corrections: Corrections
+) -> Generator[Progress, None, np.ndarray]:
+    """Yield before each photograph; return (K,) whether a lamp lit it. Raises InputError where most are black."""
+    bright = np.zeros(len(shots))
+    for k, shot in enumerate(shots):
+        yield Progress(k / len(shots), shot.name)
+        try:
+            rgba = developed(store, shot, corrections).rgba
+        except TooDark:
+            continue
+        step = -(-max(rgba.shape[:2]) // _SEEN)
+        seen = rgba[::step, ::step]
+        bright[k] = np.percentile(seen[..., :3].max(axis=-1), _BRIGHT) / np.mean(intensities[k])
+    usual = float(np.median(bright))
+    if usual <= 0:
+        raise InputError(f"{shots[0].images[0].path.parent}: most of its photographs are black; check lamps and camera")
+    return bright > _FAILED * usual
+
+
+def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[Shot, int]]) -> CaptureSpec:
+    """Return the spec of photographs under their lamps; a single camera takes the mask beside them."""
+    observations = tuple(
+        replace(rig.spec.observations[lamp], name=_file(shot), image=shot.images[0], where=str(shot.images[0].path))
+        for shot, lamp in used
+    )
+    views = list(rig.spec.views)
+    folder = photographs if photographs.is_dir() else photographs.parent
+    mask = next((folder / name for name in MASKS if (folder / name).is_file()), None)
+    if len(views) == 1 and mask is not None:
+        views[0] = replace(views[0], mask=ImageRef(mask))
+    return replace(rig.spec, name=out.name, source=photographs, observations=observations, views=tuple(views))
+
+
+def _write_table(spec: CaptureSpec, out: Path, space: str, report: dict, decoder: Decoder | None) -> None:
+    """Write a capture.toml that points at the photographs, and a report, into a new folder."""
+    capture = build_capture(spec, decoder)
+    pictures = [{"image": relative_path(shot.image.path, out)} for shot in spec.observations]
+    masks = {n: {"mask": relative_path(view.mask.path, out)} for n, view in enumerate(spec.views) if view.mask}
+    text = table_text(capture, pictures, masks, {} if space == "auto" else {_SPACE: space})
+    with new_folder(out) as folder:
+        (folder / TABLE).write_text(text, encoding="utf-8")
+        (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def _file(shot: Shot) -> str:
+    return shot.images[0].path.name
+
+
+def _name(shot: Shot) -> str:
+    """Return the name of a photograph without its suffix, or of a bracket without exposures."""
+    return shot.images[0].path.stem if len(shot.images) == 1 else shot.name

@@ -1,0 +1,129 @@
+"""Which lamp of a rig lit which photograph, and whether the photographs are of the rig's camera."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...capture.images.image import ImageStore
+from ...core.errors import InputError
+from ...core.files import natural
+from ..developing.corrections_file import photograph_at
+from ..radiometry.develop import Shot
+from ..radiometry.frames import SAME_STOPS
+from .rig import Rig
+
+WAYS = ("auto", "order", "names", "numbers")
+_SAME_LENGTH = 0.01  # of a focal length
+_SUFFIXES = {".jpeg": ".jpg", ".tiff": ".tif"}
+
+
+def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
+    """Return the lamp of each photograph, by its name without suffix.
+
+    way: "order" of the names, as people count; equal "names"; the last "numbers" in names; or "auto": names where all
+    are equal, else order. Raises InputError where a photograph has no lamp, or the order has another number of them.
+    """
+    lamps = [Path(photograph.file).stem for photograph in rig.photographs]
+    keys = {"names": str.lower, "numbers": _number}
+    if way == "auto":
+        way = "names" if sorted(map(str.lower, names)) == sorted(map(str.lower, lamps)) else "order"
+    if way == "order":
+        if len(names) != len(lamps):
+            raise InputError(
+                f"{where}: has {len(names)} photographs, the rig {rig.path} {len(lamps)} lamps; photograph each lamp"
+                " once, or choose --match names or --match numbers"
+            )
+        by_name = sorted(range(len(lamps)), key=lambda n: natural(lamps[n]))
+        order = sorted(range(len(names)), key=lambda n: natural(names[n]))
+        return [by_name[order.index(n)] for n in range(len(names))]
+    known = [keys[way](lamp) for lamp in lamps]
+    wanted = [keys[way](name) for name in names]
+    for what, owner, listed in ((lamps, rig.path, known), (names, where, wanted)):
+        for n, key in enumerate(listed):
+            if key is None:
+                raise InputError(f"{owner}: {what[n]} has no number in its name; choose --match order")
+            if key in listed[:n]:
+                raise InputError(
+                    f"{owner}: {what[n]} and {what[listed.index(key)]} have the same one of --match {way};"
+                    " choose --match order"
+                )
+    for name, key in zip(names, wanted, strict=True):
+        if key not in known:
+            raise InputError(f"{where}: {name} is none of the rig's lamps by --match {way}: {_some(lamps)}")
+    return [known.index(key) for key in wanted]
+
+
+def check_photographs(rig: Rig, shots: Sequence[Shot], lamps: Sequence[int], store: ImageStore) -> None:
+    """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's."""
+    for shot, lamp in zip(shots, lamps, strict=True):
+        path, known = shot.images[0].path, rig.photographs[lamp]
+        view, size = rig.spec.views[rig.spec.observations[lamp].camera], store.size(shot.images[0])
+        if view.size is not None and size != view.size:
+            raise InputError(
+                f"{path}: is {size[0]}×{size[1]} pixels, the rig's photographs {view.size[0]}×{view.size[1]}; set the"
+                " camera as for the rig, and do not crop"
+            )
+        if rig.measured is not None and _kind(path.name) != _kind(known.file):
+            raise InputError(
+                f"{path}: is a {_kind(path.name)} file, and the rig's corrections are for {_kind(known.file)} files;"
+                " give the camera's own files as for the rig"
+            )
+        found = photograph_at(path.name, path).lens
+        for key, value in known.lens.items():
+            if key in found and not _same(found[key], value):
+                raise InputError(
+                    f"{path}: was taken with {key.replace('_', ' ')} {_shown(found[key])}, the rig's photographs with"
+                    f" {_shown(value)}; calibrate a rig for this camera and lens"
+                )
+
+
+def check_exposures(rig: Rig, shots: Sequence[Shot], lamps: Sequence[int]) -> None:
+    """Raise InputError for the first photograph of another exposure than that of the rig's, by EXIF."""
+    for shot, lamp in zip(shots, lamps, strict=True):
+        known, path = rig.photographs[lamp].exposure, shot.images[0].path
+        found = photograph_at(path.name, path).exposure
+        if known is None or found is None:
+            continue
+        stops = math.log2(found.amount / known.amount)
+        if abs(stops) >= SAME_STOPS:
+            raise InputError(
+                f"{path}: is exposed {abs(stops):.1f} stops {'more' if stops > 0 else 'less'} than the rig's"
+                " photographs; set the camera as for the rig, or scale with --exposure exif"
+            )
+
+
+def rig_exposure(rig: Rig) -> float:
+    """Return the one exposure of all photographs of a rig, by EXIF. Raises InputError where they have none, or more."""
+    amounts = [photograph.exposure.amount for photograph in rig.photographs if photograph.exposure]
+    if len(amounts) < len(rig.photographs):
+        raise InputError(f"--exposure exif: the photographs of the rig {rig.path} had no exposure in their EXIF")
+    if max(amounts) / min(amounts) >= 2**SAME_STOPS:
+        raise InputError(f"--exposure exif: the photographs of the rig {rig.path} had several exposures")
+    return amounts[0]
+
+
+def _number(name: str) -> int | None:
+    numbers = re.findall(r"\d+", name)
+    return int(numbers[-1]) if numbers else None
+
+
+def _kind(name: str) -> str:
+    suffix = Path(name).suffix.lower()
+    return _SUFFIXES.get(suffix, suffix)
+
+
+def _same(one: str | float, other: str | float) -> bool:
+    if isinstance(one, str) or isinstance(other, str):
+        return one == other
+    return abs(one / other - 1) < _SAME_LENGTH
+
+
+def _shown(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:g} mm"
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (", …" if len(names) > 4 else "")

@@ -1,0 +1,110 @@
+"""A rig as a folder: rig.toml with lamps and cameras, and the corrections that ``develop`` measured (docs/rigs.md)."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...capture.errors import CaptureError
+from ...capture.formats.table import spec_of_keys
+from ...capture.formats.toml_file import load_toml, rows
+from ...capture.framing import framed
+from ...capture.images.exr_header import is_exr
+from ...capture.images.linearise import Decoder
+from ...capture.spec import CaptureSpec, build_capture
+from ...capture.write import table_text
+from ...core.errors import InputError
+from ...core.files import check_unused, new_folder
+from ..developing.corrections_file import FOLDER, Photograph, photograph_at, photograph_of_keys, read_corrections
+from ..developing.measure import Measured
+
+TABLE = "rig.toml"
+FORMAT = 1
+_HEAD = """\
+# Lamps and cameras, calibrated once: irpso rig apply RIG PHOTOGRAPHS -o CAPTURE
+# An observation is a lamp; its image is the photograph that it was calibrated with, which is not needed any more.
+"""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """spec: lamps as observations whose images do not exist, and cameras. photographs: of each lamp, in its order.
+
+    measured: the corrections; None where the photographs are used as they are.
+    """
+
+    path: Path
+    spec: CaptureSpec
+    photographs: tuple[Photograph, ...]
+    measured: Measured | None
+
+
+def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Rig:
+    """Write the lamps and cameras of a capture as a rig into a new folder, whole or not at all, and return it.
+
+    If ``develop`` wrote the capture's images, the rig has its corrections. Raises InputError where the capture is not
+    usable or the folder is not empty.
+    """
+    check_unused(out)
+    if spec.framing.corners is not None and spec.framing.card_width is not None:
+        raise InputError(
+            f"{spec.source}: has corners and card_width, which are of its own card; give card_distance instead"
+        )
+    capture = build_capture(spec, decoder)
+    if spec.framing.card_width is not None:
+        capture = framed(capture, spec.framing)
+    corrections = _corrections_of(spec)
+    images = [shot.image.path for shot in spec.observations]
+    if corrections is None:
+        photographs = [photograph_at(path.name, path) for path in images]
+    else:
+        known = {photograph.image: photograph for photograph in read_corrections(corrections)[1]}
+        photographs = [known[path.name] for path in images]
+    top: dict[str, Any] = {"rig": FORMAT}
+    stated = {shot.image.colour_space for shot in spec.observations}
+    if (
+        corrections is None and len(stated) == 1 and not is_exr(images[0])
+    ):  # of the photographs; an EXR is always linear
+        top["colour_space"] = stated.pop()
+    pictures = [{"image": photograph.file, "photograph": _keys(photograph)} for photograph in photographs]
+    with new_folder(out) as partial:
+        (partial / TABLE).write_text(_HEAD + table_text(capture, pictures, {}, top), encoding="utf-8")
+        if corrections is not None:
+            shutil.copytree(corrections, partial / FOLDER)
+    return read_rig(out)
+
+
+def read_rig(path: Path) -> Rig:
+    """Return the rig in a folder. Raises InputError where it is none, damaged or of another version."""
+    file = path / TABLE if path.is_dir() else path
+    if not file.is_file():
+        raise InputError(f"{path}: is no rig, a folder with {TABLE}; write one with irpso rig save CAPTURE -o RIG")
+    table = load_toml(file)
+    if table.pop("rig", None) != FORMAT:
+        raise CaptureError(f"{file}: is no rig of version {FORMAT}; write it again with irpso rig save", "format")
+    photographs = []
+    for number, row in enumerate(rows(table, "observation", file), 1):
+        where = f"{file}: observation {row.get('name', number)}"
+        keys = row.pop("photograph", {})
+        if not isinstance(keys, dict):
+            raise CaptureError(f"{where}: photograph must be a table", "value")
+        photographs.append(photograph_of_keys({"image": row.get("image"), "file": row.get("image"), **keys}, where))
+    corrections = file.parent / FOLDER
+    measured = read_corrections(corrections)[0] if corrections.is_dir() else None
+    return Rig(file.parent, spec_of_keys(table, file), tuple(photographs), measured)
+
+
+def _keys(photograph: Photograph) -> dict[str, Any]:
+    return {key: value for key, value in photograph.keys().items() if key not in ("image", "file")}
+
+
+def _corrections_of(spec: CaptureSpec) -> Path | None:
+    """Return the folder of corrections that all images of a capture were developed with; None without one."""
+    homes = {shot.image.path.resolve().parent for shot in spec.observations}
+    folder = homes.pop() / FOLDER
+    if homes or not folder.is_dir():
+        return None
+    known = {photograph.image for photograph in read_corrections(folder)[1]}
+    return folder if {shot.image.path.name for shot in spec.observations} <= known else None

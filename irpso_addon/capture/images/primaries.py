@@ -1,0 +1,37 @@
+"""Colours of other primaries as linear Rec. 709: ACES, Rec. 2020, P3, by the chromaticities of an OpenEXR header."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+# x and y of red, green, blue and white. ITU-R BT.709; also what OpenEXR takes for a file that states none.
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+_SAME = 2e-3  # the digits that programs write for the same primaries
+# Cone responses of XYZ after Bradford (Lam 1985), as in ICC.1:2010, Annex E.
+_BRADFORD = np.array([(0.8951, 0.2664, -0.1614), (-0.7502, 1.7135, 0.0367), (0.0389, -0.0685, 1.0296)])
+
+
+def to_rec_709(chromaticities: Sequence[float]) -> np.ndarray | None:
+    """Return the matrix (3, 3) from linear RGB of eight chromaticities to linear Rec. 709; None where they are its own.
+
+    White stays white (Bradford). Raises ValueError where the chromaticities are none of a colour space.
+    """
+    given = np.asarray(chromaticities, np.float64)
+    if np.allclose(given, REC_709, rtol=0, atol=_SAME):
+        return None
+    (source, white), (target, other) = _xyz_of(given), _xyz_of(np.array(REC_709))
+    adapted = np.linalg.inv(_BRADFORD) @ np.diag(_BRADFORD @ other / (_BRADFORD @ white)) @ _BRADFORD
+    return np.linalg.inv(target) @ adapted @ source
+
+
+def _xyz_of(chromaticities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrix (3, 3) from RGB to XYZ, and the XYZ of white (SMPTE RP 177)."""
+    x, y = chromaticities.reshape(4, 2).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        xyz = np.stack([x / y, np.ones(4), (1 - x - y) / y])
+    if not np.isfinite(xyz).all() or abs(np.linalg.det(xyz[:, :3])) < 1e-6:
+        raise ValueError("chromaticities of no colour space")
+    scale = np.linalg.solve(xyz[:, :3], xyz[:, 3])
+    return xyz[:, :3] * scale, xyz[:, 3]

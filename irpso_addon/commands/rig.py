@@ -1,0 +1,56 @@
+"""``rig save CAPTURE`` and ``rig apply RIG PHOTOGRAPHS``: lamps and cameras that are calibrated once."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+from ..blender.images import decode
+from ..calibration.developing.measure import Progress
+from ..calibration.rigs.apply import apply_steps
+from ..calibration.rigs.rig import read_rig, save_rig
+from ..capture.read import read_spec
+from ..core.errors import InputError
+from ..core.progress_bar import ProgressBar
+from ..core.steps import run_steps
+from .options.values import silent
+
+_USE = {"save": (1, "irpso rig save CAPTURE -o RIG"), "apply": (2, "irpso rig apply RIG PHOTOGRAPHS -o CAPTURE")}
+
+
+def run(options: Namespace) -> dict:
+    """Save or apply a rig. Raises InputError and then writes nothing."""
+    count, use = _USE[options.action]
+    if len(options.inputs) != count:
+        raise InputError(f"rig {options.action}: write {use}")
+    return _save(options) if options.action == "save" else _apply(options)
+
+
+def _save(options: Namespace) -> dict:
+    for option, value in (("--match", options.match != "auto"), ("--exposure", options.exposure),
+                          ("--half", options.half)):  # fmt: skip
+        if value:
+            raise InputError(f"{option}: goes with rig apply")
+    rig = save_rig(read_spec(options.inputs[0]), Path(options.output), decode)
+    corrected = rig.measured is not None
+    if not silent(options):
+        kind = "with the corrections of develop" if corrected else "without corrections"
+        sys.stdout.write(f"{len(rig.photographs)} lamps, {len(rig.spec.views)} cameras, {kind}: {options.output}\n")
+    return {"output": options.output, "lamps": len(rig.photographs), "cameras": len(rig.spec.views),
+            "corrections": corrected}  # fmt: skip
+
+
+def _apply(options: Namespace) -> dict:
+    rig = read_rig(Path(options.inputs[0]))
+    bar = ProgressBar("rig", silent(options))
+    steps = apply_steps(
+        rig, Path(options.inputs[1]), Path(options.output), options.match, options.exposure, options.half, decode
+    )
+    applied = run_steps(steps, lambda step: bar.show(*step))
+    bar.show(*Progress(1.0, "done"))
+    bar.close()
+    for warning in (*applied.left_out, *applied.warnings):
+        sys.stderr.write(f"irpso: {warning}\n")
+    return {"output": options.output, "lamps": applied.lamps, "developed": applied.developed,
+            "left_out": list(applied.left_out), "warnings": list(applied.warnings)}  # fmt: skip

@@ -1,0 +1,135 @@
+"""Saves the capture's lamps and cameras as a rig, applies a rig to photographs; and the menu of these."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from pathlib import Path
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+
+from ...blender.images import decode
+from ...calibration.developing.measure import Progress
+from ...calibration.rigs.apply import Applied, apply_steps
+from ...calibration.rigs.rig import read_rig, save_rig
+from ...capture.read import read_spec
+from ...core.errors import InputError
+from ...core.steps import map_steps
+from ..common import failures
+from ..common.features import RELATIVE_PATH
+from ..common.file_paths import absolute
+from ..common.polls import usable
+from ..common.sliced import SlicedOperator
+from ..session.scene_capture import capture_path
+from .develop import free_folder, imported
+
+_MATCH = (
+    ("auto", "Automatic", "By equal names, else by order"),
+    ("order", "Order", "In the order of their names; every lamp has a photograph"),
+    ("names", "Names", "By the same names as the rig's photographs; some may be missing"),
+    ("numbers", "Numbers", "By the last number in their names; some may be missing"),
+)
+_FOLDER = {"subtype": "DIR_PATH", **RELATIVE_PATH}
+
+
+class IRPSO_OT_save_rig(bpy.types.Operator):
+    """Keep the capture's lamps and cameras, and the corrections of Develop, for other photographs under the same lamps.
+    Choose a new folder"""
+
+    bl_idname = "irpso.save_rig"
+    bl_label = "Save Rig"
+    bl_options = {"REGISTER"}
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture of files."""
+        settings = context.scene.irpso
+        there = settings.source == "FILES" and settings.capture_path
+        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+
+    def invoke(self, context, event):
+        """Open the file browser at a new name beside the capture."""
+        try:
+            self.filepath = str(free_folder(capture_path(context.scene.irpso), "rig"))
+        except InputError as error:
+            return failures.refused(self, error)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Write the rig. On an error nothing is written."""
+        settings = context.scene.irpso
+        try:
+            out = absolute(self.filepath, "Rig") if self.filepath else free_folder(capture_path(settings), "rig")
+            rig = save_rig(read_spec(capture_path(settings), settings.colour_space), out, decode)
+        except InputError as error:
+            return failures.refused(self, error)
+        kind = "with" if rig.measured is not None else "without"
+        self.report({"INFO"}, f"{out.name}: {len(rig.photographs)} lamps, {kind} corrections")
+        return {"FINISHED"}
+
+
+class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
+    """Import photographs under the lamps of a rig, which need no ball and no chart. They stay as they are"""
+
+    bl_idname = "irpso.apply_rig"
+    bl_label = "Apply Rig"
+    bl_options = {"REGISTER"}
+    doing = "Applying the rig"
+
+    rig: StringProperty(name="Rig", description="Folder of the rig, with rig.toml", **_FOLDER)
+    photographs: StringProperty(name="Photographs", description="Folder with one photograph for each lamp", **_FOLDER)
+    match: EnumProperty(name="Match", description="Which lamp lit which photograph", items=_MATCH, default="auto")
+
+    def invoke(self, context, event):
+        """Open the dialog."""
+        return context.window_manager.invoke_props_dialog(self, width=420)
+
+    def draw(self, context) -> None:
+        """Draw the dialog."""
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        for name in ("rig", "photographs", "match"):
+            column.prop(self, name)
+
+    def execute(self, context):
+        """Write a capture beside the photographs, and import it. On an error nothing is written."""
+        return self.begin(context, map_steps(self._applied(), lambda step: step.done))
+
+    def _applied(self) -> Generator[Progress, None, tuple[Path, Applied]]:
+        """Yield the progress; return the new folder and what was applied. Raises InputError."""
+        if not self.rig or not self.photographs:
+            raise InputError(f"{'Photographs' if self.rig else 'Rig'}: no folder is chosen; choose one")
+        photographs = absolute(self.photographs, "Photographs")
+        out = free_folder(photographs, "capture")
+        applied = yield from apply_steps(
+            read_rig(absolute(self.rig, "Rig")), photographs, out, self.match, decoder=decode
+        )
+        return out, applied
+
+    def finished(self, context, result: tuple[Path, Applied]) -> set[str]:
+        """Import the capture, and report the lamps."""
+        out, applied = result
+        kind = "linear images" if applied.developed else "a capture"
+        found = f"{len(applied.lamps)} lamps, {kind}"
+        return imported(self, out, [*applied.left_out, *applied.warnings], found)
+
+
+class IRPSO_MT_photographs(bpy.types.Menu):
+    """What makes a capture of photographs, or keeps it for others."""
+
+    bl_label = "Photographs"
+
+    def draw(self, context) -> None:
+        """Draw the entries."""
+        layout = self.layout
+        layout.operator("irpso.develop", text="Develop…", icon="IMAGE_DATA")
+        layout.operator("irpso.mark_chart", icon="EYEDROPPER")
+        layout.separator()
+        layout.operator("irpso.save_rig", text="Save Rig…", icon="EXPORT")
+        layout.operator("irpso.apply_rig", text="Apply Rig…", icon="IMPORT")
+
+
+CLASSES = (IRPSO_OT_save_rig, IRPSO_OT_apply_rig, IRPSO_MT_photographs)

@@ -1,0 +1,90 @@
+"""Develop and rigs in the window: chart found or marked, the result imported; a rig saved and applied."""
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.read import read_capture
+from tests.builders.captures import LIGHTS, write_png
+from tests.builders.chart_scenes import scene
+
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
+SHOWN = scene(333)
+
+
+@pytest.fixture
+def settings(registered, tmp_path):
+    """A capture of five lamps whose second photograph shows a chart, imported."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    for n in range(5):
+        linear = SHOWN.rgba[::-1, :, :3] if n == 1 else np.full_like(SHOWN.rgba[..., :3], 0.1 + 0.05 * n)
+        write_png(folder / f"{n}.png", np.rint(linear * 65535).astype(int), 16)
+    (folder / "filenames.txt").write_text("".join(f"{n}.png\n" for n in range(5)))
+    np.savetxt(folder / "light_directions.txt", LIGHTS)
+    bpy.ops.irpso.import_capture(directory=str(folder))
+    return bpy.context.scene.irpso
+
+
+def colours(settings):
+    return json.loads((Path(settings.capture_path) / "report.json").read_text())["colour_chart"]
+
+
+def test_develop_finds_the_chart_and_imports_linear_images(settings, tmp_path):
+    assert bpy.ops.irpso.develop() == {"FINISHED"}
+    assert settings.capture_path == str(tmp_path / "photographs_linear") and settings.source == "FILES"
+    found = colours(settings)
+    assert found["found"] and found["file"].endswith("1.png") and found["delta_e_2000"]["after"]["mean"] < 2
+    capture = read_capture(settings.capture_path)
+    np.testing.assert_allclose([o.light.vector for o in capture.observations], LIGHTS, atol=1e-6)
+
+
+def test_a_marked_chart_in_its_own_photograph(settings, tmp_path):
+    settings.chart_photograph = str(tmp_path / "photographs" / "1.png")
+    with pytest.raises(RuntimeError, match="no chart is marked"):
+        bpy.ops.irpso.develop(colours="MARKED")
+    bpy.ops.irpso.mark_chart(corners=SHOWN.corners[[2, 0, 3, 1]].ravel())
+    assert settings.framing == "FILE"  # the card's own corners stay
+    assert bpy.ops.irpso.develop(colours="MARKED") == {"FINISHED"}
+    found = np.reshape(colours(settings)["corners"], (4, 2))
+    np.testing.assert_allclose(found, SHOWN.corners, atol=0.01)
+    assert not any(settings.chart_corners) and settings.chart_photograph == ""  # of the former capture
+
+
+def test_dark_frames_are_subtracted(settings, tmp_path):
+    write_exr(tmp_path / "dark.exr", {"": dict.fromkeys("RGB", np.full(SHOWN.rgba.shape[:2], 0.05, np.float32))})
+    assert bpy.ops.irpso.develop(colours="NONE", dark=str(tmp_path / "dark.exr")) == {"FINISHED"}
+    values = read_capture(settings.capture_path).observations[2].read()[..., :3]
+    np.testing.assert_allclose(values, 0.15, atol=1e-4)
+
+
+def test_what_fails_is_one_line_and_leaves_the_capture(settings, tmp_path):
+    before = settings.capture_path, sorted(p.name for p in tmp_path.iterdir())
+    for words, given in (("holds no images", {"dark": "/nowhere"}), ("no 24-patch chart", {})):
+        if not given:
+            settings.chart_photograph = str(tmp_path / "photographs" / "0.png")
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.irpso.develop(**given)
+    assert (settings.capture_path, sorted(p.name for p in tmp_path.iterdir())) == before
+
+
+def test_a_rig_is_saved_and_applied(settings, tmp_path):
+    bpy.ops.irpso.develop()
+    assert bpy.ops.irpso.save_rig(filepath=str(tmp_path / "dome")) == {"FINISHED"}
+    later = tmp_path / "later"
+    later.mkdir()
+    for n in range(5):
+        write_png(later / f"{n}.png", np.full((*SHOWN.rgba.shape[:2], 3), 9000 * (n != 3)), 16)
+    assert bpy.ops.irpso.apply_rig(rig=str(tmp_path / "dome"), photographs=str(later)) == {"FINISHED"}
+    assert settings.capture_path == str(tmp_path / "later_capture")
+    capture = read_capture(settings.capture_path)
+    np.testing.assert_allclose([o.light.vector for o in capture.observations], np.delete(LIGHTS, 3, axis=0), atol=1e-6)
+    with pytest.raises(RuntimeError, match="Photographs: no folder is chosen"):
+        bpy.ops.irpso.apply_rig(rig=str(tmp_path / "dome"))
+    with pytest.raises(RuntimeError, match="is no rig"):
+        bpy.ops.irpso.apply_rig(rig=str(later), photographs=str(later))

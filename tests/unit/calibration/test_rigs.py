@@ -1,0 +1,216 @@
+"""A rig, saved once and applied to other photographs, against a scene that is known; PNG read without Blender."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from irpso_addon.calibration.rigs.match import matched
+from irpso_addon.calibration.rigs.rig import read_rig
+from irpso_addon.capture import read_capture
+from irpso_addon.commands import develop, rig
+from irpso_addon.core.errors import InputError
+from tests.builders.captures import LIGHTS, chunk, decode_png, shade, sphere, write_png
+from tests.builders.command_line import listing, run_cli
+from tests.builders.exif import exif
+
+SIZE = 40
+TINT = np.array([0.9, 0.6, 0.4])
+OFFSET = 0.02
+Y, X = np.meshgrid(np.linspace(-1, 1, SIZE), np.linspace(-1, 1, SIZE), indexing="ij")
+VIGNETTE = 1 - 0.3 * (X**2 + Y**2)
+SCENE = shade(sphere(SIZE)[0])
+SCENE[:, 2:8, 3:9] = 0.18  # a grey card
+OTHER = 0.5 * SCENE[:, ::-1, ::-1]  # what is photographed later
+TIME, FOCAL = (1, 60), 52
+
+
+@pytest.fixture(autouse=True)
+def png_without_blender(monkeypatch):
+    for module in (develop, rig):
+        monkeypatch.setattr(module, "decode", decode_png)
+
+
+def photograph(path, light, seconds=TIME, focal=FOCAL):
+    """Write what the camera makes of light (H, W), row 0 at the bottom: tinted, vignetted, with an offset."""
+    seen = light[..., None] * TINT * VIGNETTE[..., None] * (seconds[0] / seconds[1] * 60) / 2 + OFFSET
+    codes = np.rint(np.clip(seen, 0, 1) * 65535).astype(int)
+    write_png(path, codes[::-1], 16, chunk(b"eXIf", exif(seconds, focal_35mm=focal)))
+
+
+@pytest.fixture
+def capture(tmp_path):
+    """A capture of five lamps, a dark frame and a flat field."""
+    folder = tmp_path / "first"
+    (folder / "frames").mkdir(parents=True)
+    for k, frame in enumerate(SCENE):
+        photograph(folder / f"lamp_{k + 1}.png", frame)
+    photograph(folder / "frames" / "dark.png", np.zeros((SIZE, SIZE)))
+    photograph(folder / "frames" / "flat.png", np.ones((SIZE, SIZE)))
+    (folder / "filenames.txt").write_text("".join(f"lamp_{k + 1}.png\n" for k in range(5)))
+    np.savetxt(folder / "light_directions.txt", LIGHTS)
+    np.savetxt(folder / "light_intensities.txt", np.linspace(0.8, 1.2, 5)[:, None] * np.ones(3))
+    return folder
+
+
+@pytest.fixture
+def later(tmp_path):
+    """Photographs of something else under the same lamps, without lists."""
+    folder = tmp_path / "later"
+    folder.mkdir()
+    for k, frame in enumerate(OTHER):
+        photograph(folder / f"lamp_{k + 1}.png", frame)
+    return folder
+
+
+@pytest.fixture
+def developed_rig(capture, tmp_path):
+    """The rig of the capture with dark frame, flat field and a grey card."""
+    frames = capture / "frames"
+    command = "develop", capture, "-o", tmp_path / "linear", "--dark", frames / "dark.png", "--flat"
+    patch = f"3,{SIZE - 8},6,6=0.18"
+    assert run_cli(*command, frames / "flat.png", "--white", patch, "--quiet")[0] == 0
+    assert run_cli("rig", "save", tmp_path / "linear", "-o", tmp_path / "rig", "--quiet")[0] == 0
+    return tmp_path / "rig"
+
+
+@pytest.fixture
+def plain_rig(capture, tmp_path):
+    """The rig of the capture without corrections."""
+    assert run_cli("rig", "save", capture, "-o", tmp_path / "rig", "--quiet")[0] == 0
+    return tmp_path / "rig"
+
+
+def test_new_photographs_come_out_as_the_scene_under_the_rigs_lamps(developed_rig, later, tmp_path):
+    before = listing(later)
+    code, _, err = run_cli("rig", "apply", developed_rig, later, "-o", tmp_path / "out", "--quiet")
+    assert (code, err) == (0, "") and listing(later) == before
+    found = read_capture(tmp_path / "out")
+    np.testing.assert_allclose([o.light.vector for o in found.observations], LIGHTS, atol=1e-6)
+    np.testing.assert_allclose([o.light.intensity[1] for o in found.observations], np.linspace(0.8, 1.2, 5))
+    for observation, truth in zip(found.observations, OTHER, strict=True):
+        np.testing.assert_allclose(observation.read()[..., :3], truth[..., None] * np.ones(3), atol=5e-4)
+
+
+def test_a_rig_needs_nothing_of_the_capture_that_it_came_from(developed_rig, capture, later, tmp_path):
+    for folder in (capture, tmp_path / "linear"):
+        folder.rename(folder.with_name(f"gone_{folder.name}"))
+    assert run_cli("rig", "apply", developed_rig, later, "-o", tmp_path / "out", "--quiet")[0] == 0
+
+
+def test_without_corrections_the_capture_points_at_the_photographs(plain_rig, later, tmp_path):
+    write_png(later / "mask.png", np.where(X[..., None] > 0, 255, 0).astype(int), 8)
+    code, out, _ = run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / "out", "--json")
+    assert code == 0 and json.loads(out)["developed"] is False
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"capture.toml", "report.json"}
+    table = tomllib.loads((tmp_path / "out" / "capture.toml").read_text())
+    assert table["observation"][2]["image"] == "../later/lamp_3.png"
+    found = read_capture(tmp_path / "out", decode_png)
+    np.testing.assert_allclose([o.light.vector for o in found.observations], LIGHTS, atol=1e-6)
+    np.testing.assert_array_equal(found.masks[0], X > 0)
+
+
+def test_a_lamp_that_failed_is_named_and_left_out(developed_rig, later, tmp_path):
+    photograph(later / "lamp_2.png", np.zeros((SIZE, SIZE)))
+    photograph(later / "lamp_4.png", 0.005 * OTHER[3])
+    code, out, err = run_cli("rig", "apply", developed_rig, later, "-o", tmp_path / "out", "--json")
+    assert code == 0 and err.count("\n") == 2
+    assert "lamp_2.png: is black, the lamp of lamp_2.png failed" in err
+    assert list(json.loads(out)["lamps"].values()) == ["lamp_1.png", "lamp_3.png", "lamp_5.png"]
+    lights = [o.light.vector for o in read_capture(tmp_path / "out").observations]
+    np.testing.assert_allclose(lights, LIGHTS[[0, 2, 4]], atol=1e-6)
+
+
+def test_photographs_of_another_exposure_are_scaled_if_that_is_wanted(plain_rig, later, tmp_path):
+    photograph(later / "lamp_3.png", OTHER[2] - OFFSET, (1, 30))  # whose offset doubles with all else, to be exact
+    command = "rig", "apply", plain_rig, later, "-o", tmp_path / "out", "--quiet"
+    code, _, err = run_cli(*command)
+    assert code == 2 and "lamp_3.png: is exposed 1.0 stops more" in err and "--exposure exif" in err
+    assert run_cli(*command, "--exposure", "exif")[0] == 0
+    (one,) = [o for o in read_capture(tmp_path / "out").observations if o.name == "lamp_3.png"]
+    seen = ((OTHER[2] - OFFSET)[..., None] * TINT * VIGNETTE[..., None] + OFFSET).clip(0, 1) / 2
+    inside = seen.max(axis=-1) < 0.49
+    np.testing.assert_allclose(one.read()[..., :3][inside], seen[inside], atol=1e-4)
+
+
+def cropped(folder):
+    write_png(folder / "lamp_2.png", np.full((SIZE, SIZE - 2, 3), 9000), 16)
+
+
+def another_lens(folder):
+    photograph(folder / "lamp_2.png", OTHER[1], focal=35)
+
+
+def missing(folder):
+    (folder / "lamp_2.png").unlink()
+
+
+def another_kind(folder):
+    for path in sorted(folder.iterdir()):
+        path.rename(path.with_suffix(".tif"))
+
+
+def all_black(folder):
+    for k in range(5):
+        photograph(folder / f"lamp_{k + 1}.png", np.zeros((SIZE, SIZE)))
+
+
+WRONG = [
+    (cropped, (), "lamp_2.png: is 38×40 pixels, the rig's photographs 40×40"),
+    (another_lens, (), "lamp_2.png: was taken with focal length 35mm 35 mm, the rig's photographs with 52 mm"),
+    (missing, (), "has 4 photographs, the rig"),
+    (another_kind, (), "lamp_1.tif: is a .tif file, and the rig's corrections are for .png files"),
+    (all_black, (), "most of its photographs are black"),
+    (lambda folder: None, ("--exposure", "exif"), "the rig's dark frame is of one exposure"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "options", "words"), WRONG, ids=[w[0].__name__ for w in WRONG])
+def test_what_does_not_fit_the_rig_is_one_line_and_leaves_nothing(
+    developed_rig, later, tmp_path, spoil, options, words
+):
+    spoil(later)
+    before = listing(tmp_path)
+    code, out, err = run_cli("rig", "apply", developed_rig, later, "-o", tmp_path / "out", "--quiet", *options)
+    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+    assert listing(tmp_path) == before
+
+
+def test_fewer_photographs_are_matched_by_names_or_numbers(plain_rig, later, tmp_path):
+    (later / "lamp_2.png").unlink()
+    for match in ("names", "numbers"):
+        code, _, err = run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / match, "--match", match, "--quiet")
+        assert code == 0 and err == "irpso: lamp_2.png: its lamp has no photograph\n"
+        lights = [o.light.vector for o in read_capture(tmp_path / match, decode_png).observations]
+        np.testing.assert_allclose(lights, LIGHTS[[0, 2, 3, 4]], atol=1e-6)
+
+
+ORDERS = [
+    (("IMG_12", "IMG_13", "IMG_9", "IMG_11", "IMG_10"), "auto", [3, 4, 0, 2, 1]),
+    (("lamp_5", "lamp_4", "lamp_3", "lamp_2", "lamp_1"), "auto", [4, 3, 2, 1, 0]),
+    (("tile 03", "tile 01"), "numbers", [2, 0]),
+    (("tile 03", "tile"), "numbers", "tile has no number in its name"),
+    (("tile 03", "b3"), "numbers", "b3 and tile 03 have the same one of --match numbers"),
+    (("lamp_1", "lamp_7"), "names", "lamp_7 is none of the rig's lamps"),
+]
+
+
+@pytest.mark.parametrize(("names", "way", "expected"), ORDERS)
+def test_lamps_go_by_names_numbers_or_order(plain_rig, names, way, expected):
+    if isinstance(expected, list):
+        assert matched(read_rig(plain_rig), names, way, "later") == expected
+        return
+    with pytest.raises(InputError, match=expected):
+        matched(read_rig(plain_rig), names, way, "later")
+
+
+def test_a_folder_that_is_no_rig_or_of_another_version_is_refused(plain_rig, later, tmp_path):
+    code, _, err = run_cli("rig", "apply", later, later, "-o", tmp_path / "out")
+    assert code == 2 and "is no rig, a folder with rig.toml" in err
+    table = plain_rig / "rig.toml"
+    table.write_text(table.read_text().replace("rig = 1", "rig = 2"))
+    code, _, err = run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / "out")
+    assert code == 2 and "is no rig of version 1" in err
+    code, _, err = run_cli("rig", "apply", plain_rig, "-o", tmp_path / "out")
+    assert code == 2 and "write irpso rig apply RIG PHOTOGRAPHS -o CAPTURE" in err
