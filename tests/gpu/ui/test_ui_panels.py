@@ -1,5 +1,6 @@
 """What the panels show in every state, drawn into a layout that checks each property, operator and icon it is given."""
 
+import functools
 import sys
 from types import SimpleNamespace
 
