@@ -255,7 +255,7 @@ def test_a_fresh_clone_stays_small():
     history = len(subprocess.run(pack, cwd=ROOT, input=names.stdout.encode(), capture_output=True, check=True).stdout)
     # Sources, tests and benchmarks take 3.9 MB, the pages, plots and pictures of docs/ 1.0 MB; no data.
     assert files < 6_000_000
-    assert history < 5_000_000
+    assert history < 6_500_000  # it grows by some 50 kB an issue
 
 
 @pytest.mark.parametrize("name", [name for name in irpso_addon.__all__ if name not in ("register", "unregister")])
