@@ -18,7 +18,8 @@ import numpy as np
 from benchmarks import report
 from benchmarks.scenes.ball_tables import HEIGHT, SAMPLES, WIDTH, BallTable, photographed
 from irpso_addon.calibration.balls.ball import SMALL, Ball
-from irpso_addon.calibration.balls.detect.search import FoundBall, as_ball, search_steps
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball
+from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
 from irpso_addon.calibration.filters import blurred
 from irpso_addon.core.encode import srgb_from_linear
@@ -80,10 +81,12 @@ def _compared(
             ball = as_ball(match, table.camera, "ball", None)
             place, across = outline(ball)
             readers = [lambda image=image: image for image in images]
-            lights = run_steps(calibration_steps(readers, [ball], Request(kind))).lights
+            lights = run_steps(
+                calibration_steps(readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius))
+            ).lights
             off = [
                 float(np.degrees(np.arccos(np.clip(np.dot(light.light.vector, truth), -1, 1))))
-                for light, truth in zip(lights, table.lights, strict=True)
+                for light, truth in zip(lights, table.lights(centre), strict=True)
                 if light.light is not None
             ]
             row |= {

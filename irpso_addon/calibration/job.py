@@ -18,13 +18,15 @@ from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from .balls.detect.search import FoundBall, as_ball, of_one_kind, search_steps
+from .balls.detect.found import FoundBall, as_ball, of_one_kind
+from .balls.detect.search import search_steps
 from .balls.lights import KINDS, Calibration, Request, calibration_steps
 from .photographs import calibrated_table
 
 AUTO = "auto"
 _FEWEST = 0.5  # fraction of the photographs that must show a light
 _SEARCH = 0.7  # fraction of the work
+_FAR, _SIGNIFICANT = 5.0, 5.0  # picture widths to a distant lamp; standard errors
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
     " --ball none finds lights by the subject's own shading"
@@ -139,8 +141,9 @@ def calibrate_steps(
         used = of_one_kind(found)
         if not used:
             raise _too_small(found[0], camera)
-        request = replace(request, kind=used[0].kind)
         balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
+        inverse = float(np.mean([one.inverse[0] / ball.radius for one, ball in zip(used, balls, strict=True)]))
+        request = replace(request, kind=used[0].kind, inverse=inverse)
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     begun = _SEARCH if found else 0.0
@@ -156,7 +159,7 @@ def calibrate_steps(
             f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - shown} of {len(shots)}"
             " photographs show no light; check --ball and --kind)"
         )
-    warnings = [*_doubts(found), *(w for ball in balls for w in ball.warnings)]
+    warnings = [*_doubts(found), *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings)]
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
@@ -194,6 +197,20 @@ def _doubts(found: Sequence[FoundBall]) -> list[str]:
         elif ball.shadow is None:
             warnings.append(f"{where} throws no visible shadow, which would confirm it; look at balls.png")
     return warnings
+
+
+def near_lamps(found: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
+    """Return a warning where lights count as distant, and their fall-off over the table says that they are not."""
+    if result.near or not found or not of_one_kind(found):
+        return []
+    ball = of_one_kind(found)[0]
+    inverse, error = ball.inverse
+    if inverse * camera.width / ball.radius < 1 / _FAR or inverse < _SIGNIFICANT * error:
+        return []
+    return [
+        f"the light falls off over the table like that of lamps about {1 / inverse:.0f} ball radii away; directions are"
+        " those at the ball. For positions measure the distance and give --radius and --distance"
+    ]
 
 
 def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:
@@ -284,6 +301,7 @@ def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
         "circle": [round(float(v), 2) for v in (x, height - y, ball.radius)],
         "outline_seen": round(ball.support, 3),
         "shadow_correlation": None if ball.shadow is None else round(ball.shadow, 3),
+        "radius_over_lamp_distance": [round(v, 5) if np.isfinite(v) else None for v in ball.inverse],
     }
 
 

@@ -31,13 +31,19 @@ class Table:
 
 
 def agreement(
-    stack: np.ndarray, ball: Ball, lights: np.ndarray, near: Table | None = None, around: Ball | None = None
+    stack: np.ndarray,
+    ball: Ball,
+    lights: np.ndarray,
+    near: Table | None = None,
+    around: Ball | None = None,
+    inverse: float = 0.0,
 ) -> tuple[float, Table] | None:
     """Return the correlation, −1…1, between the darkness beside a ball and the shadow that it would throw on a table.
 
     stack: (K, H, W) grey values over white. lights: (K, 3) unit, from the ball, NaN where unknown. The table is the one
     that agrees best: of all, or of those ``near`` one. around: the ball beside which pixels are compared (default: the
-    ball). A correlation of 0: nothing becomes dark. None: there is no surface that the lamp lights.
+    ball). inverse: the ball's radius over the lamps' distance. A correlation of 0: nothing becomes dark. None: there is
+    no surface that the lamp lights.
     """
     known = np.isfinite(lights).all(axis=-1)
     around = around or ball
@@ -63,7 +69,7 @@ def agreement(
     best = -1.0, Table(np.array([0.0, 0.0, 1.0]), 1.0)
     for table in _tables() if near is None else _near(near):
         if (lights[known] @ table.up).min() > _GRAZING:
-            shadow = _predicted(origin, ray, ball, lights[known], table)
+            shadow = shadowed(_meeting(origin, ray, ball, table), lights[known], inverse)
             reached = np.where(shadow.any(axis=0), 1.0, _ELSEWHERE)
             correlation = _correlation(_centred(shadow), darkness, weight * reached)
             if correlation > best[0]:
@@ -102,16 +108,30 @@ def _near(table: Table) -> Sequence[Table]:
     return [Table(up / np.linalg.norm(up), table.height) for up in ups]
 
 
-def _predicted(origin: np.ndarray, ray: np.ndarray, ball: Ball, lights: np.ndarray, table: Table) -> np.ndarray:
-    """Return (K, N) 1 where a table below the ball lies in the ball's shadow."""
-    foot = ball.centre - table.height * ball.radius * table.up
+def on_table(ball: Ball, table: Table, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return the points (N, 3) of the table that pixels show, from the ball's centre, in radii; NaN where none."""
+    origin, ray = pixel_rays(ball.camera, np.stack([columns, rows], axis=-1) + 0.5)
+    return _meeting(origin, ray, ball, table)
+
+
+def _meeting(origin: np.ndarray, ray: np.ndarray, ball: Ball, table: Table) -> np.ndarray:
     falling = ray @ table.up
+    foot = ball.centre - table.height * ball.radius * table.up
     length = ((foot - origin) @ table.up) / np.where(falling < -1e-3, falling, np.nan)
-    point = origin + length[:, None] * ray - ball.centre
-    along = point @ lights.T
-    off = (point**2).sum(axis=-1)[:, None] - along**2
+    return (origin + length[:, None] * ray - ball.centre) / ball.radius
+
+
+def shadowed(point: np.ndarray, lights: np.ndarray, inverse: float = 0.0) -> np.ndarray:
+    """Return (K, N) 1 where points (N, 3), from the ball's centre in radii, lie in the shadow of a ball, else 0.
+
+    lights: (K, 3) unit, from its centre. inverse: its radius over the lamps' distance.
+    """
+    along, square = point @ lights.T, (point**2).sum(axis=-1)[:, None]
+    # From a point p the lamp lies along the light l less inverse p: a cone of shadow.
+    toward = along - inverse * square
     with np.errstate(invalid="ignore"):
-        return ((off < ball.radius**2) & (along < 0)).T.astype(np.float64)
+        off = square - toward**2 / (1 - 2 * inverse * along + inverse**2 * square)
+        return ((off < 1) & (toward < 0)).T.astype(np.float64)
 
 
 def _centred(values: np.ndarray) -> np.ndarray:
