@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
 from .balls.detect.found import FoundBall, as_ball, of_one_kind
 from .balls.detect.search import search_steps
-from .balls.lights import KINDS, Calibration, Request, calibration_steps
+from .balls.lights import KINDS, Calibration, FoundLight, Request, calibration_steps
+from .balls.mirror import Sight
 from .photographs import calibrated_table
 
 AUTO = "auto"
@@ -119,11 +121,13 @@ def calibrate_steps(
     decoder: Decoder | None = None,
     radius: float | None = None,
     view: str | None = None,
+    dropped: Collection[str] = (),
 ) -> Generator[float, None, Calibrated]:
     """Yield the finished fraction of the work; return the lights that the balls show.
 
     Without requests, or with one that is ``searched``, the photographs are searched for balls. radius: of the balls,
-    in world units. view: name of the camera, needed where the spec has several.
+    in world units. view: name of the camera, needed where the spec has several. dropped: names of photographs whose
+    highlight is not the lamp's; they are left out.
     Raises InputError, also where more than half of the photographs show no light.
     """
     number = _camera_number(spec, view)
@@ -152,6 +156,7 @@ def calibrate_steps(
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     names = tuple(spec.observations[n].name for n in shots)
+    result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
     shown = sum(light.light is not None for light in result.lights)
     if shown < max(1, _FEWEST * len(shots)):
         lost = next(i for i, light in enumerate(result.lights) if light.light is None)
@@ -164,6 +169,12 @@ def calibrate_steps(
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
     return Calibrated(spec, number, shots, names, result, tuple(warnings), found)
+
+
+def _without(dropped: Collection[str], name: str, light: FoundLight) -> FoundLight:
+    if name not in dropped:
+        return light
+    return FoundLight(None, np.inf, None, light.sights, ("its highlight is dropped by hand",))
 
 
 def _given_balls(
@@ -264,6 +275,7 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
             "radius": view.ball.radius,
             "radius_px": round(view.ball.radius_px, 3),
             "outline_error_px": [round(v, 4) for v in view.ball.error_px],
+            "circle": _circle(view.ball),
         }
         for view in result.views
     ]
@@ -277,6 +289,8 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
         if light.distance_error is not None:
             row["distance_error"] = round(light.distance_error, 4)
         row["balls"] = [None if s is None else [float(v) for v in s.direction] for s in light.sights]
+        height = result.views[0].ball.camera.height
+        row["highlights"] = [_highlight(sight, height) for sight in light.sights]
         lights.append(row)
     return {
         "kind": result.kind,
@@ -290,6 +304,20 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
         "lights": lights,
         "warnings": list(calibrated.warnings),
     }
+
+
+def _circle(ball: Ball) -> list[float]:
+    """Return x, y and radius of a circle like a ball's outline; pixels count from the upper left corner."""
+    points = ball.outline[:-1]
+    x, y = (points.max(axis=0) + points.min(axis=0)) / 2
+    return [round(float(v), 2) for v in (x, ball.camera.height - y, np.ptp(points, axis=0).mean() / 2)]
+
+
+def _highlight(sight: Sight | None, height: int) -> list[float] | None:
+    """Return the pixel of a mirror ball's highlight; pixels count from the upper left corner."""
+    if sight is None or not np.isfinite(sight.pixel).all():
+        return None
+    return [round(float(sight.pixel[0]), 2), round(float(height - sight.pixel[1]), 2)]
 
 
 def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:

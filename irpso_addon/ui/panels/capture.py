@@ -32,7 +32,9 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row = layout.row()
             row.scale_y = 1.0 if settings.capture_path else 1.5
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
-            layout.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
+            row = layout.row(align=True)
+            row.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
+            row.operator("irpso.mark_balls", text="", icon="MESH_CIRCLE")
             if not settings.capture_path:
                 layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")
                 return

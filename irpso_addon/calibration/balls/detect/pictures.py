@@ -13,6 +13,7 @@ from .edges import Edges
 
 _WIDTH = 640  # pixels of the reduced images
 _WHITE = 99.5  # percentile of all values
+_DARK = 0.25  # of all values: noise is measured in them
 _ENLARGED = 32.0  # pixels: smaller balls are measured in an enlarged part
 _AROUND = 4.5  # radii: half the side of an enlarged part
 
@@ -21,8 +22,8 @@ _AROUND = 4.5  # radii: half the side of an enlarged part
 class Pictures:
     """Grey photographs: values over ``white`` (K, h, w), clipped (K, h, w) bool, their edges and camera.
 
-    block: a value is the mean of block × block pixels of the photographs. origin: (2,) the pixel of a photograph where
-    the first value begins.
+    noise: deviation of dark values. block: a value is the mean of block × block pixels of the photographs. origin: (2,)
+    the pixel of a photograph where the first value begins.
     """
 
     values: np.ndarray
@@ -31,6 +32,7 @@ class Pictures:
     strong: Edges
     camera: Camera
     white: float
+    noise: float
     block: int
     origin: np.ndarray
 
@@ -106,4 +108,12 @@ def _pictures(
         camera, width=width, height=height, scale=(sx / block, sy / block),
         centre=(float(centre[0]), float(centre[1])), matrix=np.eye(4),
     )  # fmt: skip
-    return Pictures(values, clipped, steady, strong, part, white, block, origin)
+    return Pictures(values, clipped, steady, strong, part, white, _noise(values), block, origin)
+
+
+def _noise(values: np.ndarray) -> float:
+    """Return the deviation of dark values (K, h, w) from the mean of their four neighbours."""
+    inner = values[:, 1:-1, 1:-1]
+    mean = (values[:, :-2, 1:-1] + values[:, 2:, 1:-1] + values[:, 1:-1, :-2] + values[:, 1:-1, 2:]) / 4
+    dark = mean <= np.quantile(mean, _DARK)
+    return float(1.4826 * np.median(np.abs(inner - mean)[dark]) / 1.25**0.5)

@@ -12,8 +12,9 @@ from ....core.steps import map_steps
 from ..ball import SMALL
 from .circles import candidates
 from .found import FoundBall
-from .hits import PROMISING, Hit, distinct, improved, measured, tested
-from .outline import fitted
+from .hits import PROMISING, Hit, distinct, improved, tested
+from .outline import fitted, measured
+from .paths import circles_of_paths
 from .pictures import Pictures, enlarged_steps, reduced_steps
 
 FEWEST = 3  # photographs
@@ -47,15 +48,16 @@ def search_steps(
     better: list[Hit] = []
     for number, (hit, pictures) in enumerate(zip(hits, closer, strict=True)):
         yield 0.8 + 0.2 * number / len(hits)
-        near = improved(pictures, hit.circle, hit.kind) if pictures is not None else []
-        better += near or improved(whole, hit.circle, hit.kind)
-    return [_found(measured(hit, whole)) for hit in _separate(better)]
+        near = improved(pictures, hit.circle, hit.kind, whole) if pictures is not None else []
+        better += near or improved(whole, hit.circle, hit.kind, whole)
+    return [_found(hit) for hit in _separate(better)]
 
 
 def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, None, list[Hit]]:
     """Yield the finished fraction; return what may be balls, each once."""
     smallest = max(_SMALLEST * pictures.camera.width, _LEAST_RADIUS)
-    circles = candidates(pictures.steady, smallest, _LARGEST * pictures.camera.width, _CANDIDATES)
+    largest = _LARGEST * pictures.camera.width
+    circles = candidates(pictures.steady, smallest, largest, _CANDIDATES)
     outlines = []
     for number, circle in enumerate(circles):
         yield 0.5 * number / len(circles)
@@ -66,6 +68,9 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
     for number, outline in enumerate(kept):
         yield 0.5 + 0.5 * number / len(kept)
         hits += tested(pictures, outline, kinds, PROMISING)
+    if "mirror" in kinds:
+        for circle in circles_of_paths(pictures.values, smallest, largest):
+            hits += tested(pictures, measured(pictures.steady, *circle.tolist()), ["mirror"], PROMISING)
     return _separate(hits)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...filters import blurred
 from ..ball import Ball, pixel_rays, tangents
 
 _NEAREST, _FARTHEST = 1.08, 4.0  # of the ball's radius: where its shadow is looked for
@@ -16,7 +17,10 @@ _HEIGHTS = (1.0, 1.6)  # of the ball's centre above the table, in radii: on it, 
 _TILTED = np.radians(2.5)  # between neighbouring tables
 _GRAZING = 0.02  # cosine between the table's normal and a light: the light is above the table
 _FULL = 0.8  # quantile over photographs: a pixel in light
-_LEAST_LIT = 0.01  # of white: darker pixels show no shadow
+_LEAST_LIT, _FAINTEST = 0.01, 0.001  # of white: darker pixels, and means of pixels, show no shadow
+_CLEAR = 5.0  # deviations of the noise: a shadow shows
+_SOFT = 0.1  # of the radius: deviation of means on black cloth
+_BRIGHT = 4.0  # of the cloth's value: brighter things count no more in means
 _LIT_PART = 0.2  # of the pixels: so many show whether there is a shadow
 _ELSEWHERE = 0.25  # weight where the ball throws no shadow: other things may
 _SEEN = 0.05  # variation of darkness: below, nothing is in shadow
@@ -37,26 +41,24 @@ def agreement(
     near: Table | None = None,
     around: Ball | None = None,
     inverse: float = 0.0,
+    noise: float = 0.0,
 ) -> tuple[float, Table] | None:
     """Return the correlation, −1…1, between the darkness beside a ball and the shadow that it would throw on a table.
 
     stack: (K, H, W) grey values over white. lights: (K, 3) unit, from the ball, NaN where unknown. The table is the one
     that agrees best: of all, or of those ``near`` one. around: the ball beside which pixels are compared (default: the
-    ball). inverse: the ball's radius over the lamps' distance. A correlation of 0: nothing becomes dark. None: there is
-    no surface that the lamp lights.
+    ball). inverse: the ball's radius over the lamps' distance. noise: deviation of the values. A correlation of 0:
+    nothing becomes dark. None: there is no surface that the lamp lights.
     """
     known = np.isfinite(lights).all(axis=-1)
     around = around or ball
     pixels = _around(around, (stack.shape[1], stack.shape[2]), _PIXELS if near is None else _MORE_PIXELS)
     if known.sum() < 3 or len(pixels) < 30:
         return None
-    rows, columns = pixels.T
-    values = stack[known][:, rows, columns]
-    lit = np.quantile(values, _FULL, axis=0)
-    count = len(pixels)
-    values, lit, pixels = values[:, lit > _LEAST_LIT], lit[lit > _LEAST_LIT], pixels[lit > _LEAST_LIT]
-    if len(pixels) < max(30, _LIT_PART * count):
+    seen = _lit(stack[known], pixels, noise, around)
+    if seen is None:
         return None
+    pixels, values, lit = seen
     ratio = values / lit
     ratio = ratio / np.maximum(np.quantile(ratio, _FULL, axis=1, keepdims=True), 1e-6)
     darkness = _centred(np.clip(1.25 - 1.5 * ratio, 0, 1))
@@ -75,6 +77,35 @@ def agreement(
             if correlation > best[0]:
                 best = correlation, table
     return best
+
+
+def _lit(
+    stack: np.ndarray, pixels: np.ndarray, noise: float, ball: Ball
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return the pixels (N, 2) that a lamp lights, their values (K, N) and the value in light (N,).
+
+    None: there are too few. On black cloth single values are noise: means over a tenth of the ball's radius are not.
+    """
+    values, clear = stack[:, *pixels.T], max(_LEAST_LIT, _CLEAR * noise)
+    lit = np.quantile(values, _FULL, axis=0)
+    if (lit > clear).sum() < max(30, _LIT_PART * len(pixels)):
+        sigma = _SOFT * ball.radius_px
+        clear = max(_FAINTEST, _CLEAR * noise / max(2 * np.pi**0.5 * sigma, 1))
+        middle = ball.outline[:-1].mean(axis=0)
+        away = np.hypot(*(pixels[:, ::-1] + 0.5 - middle).T) / ball.radius_px
+        pixels = pixels[away > _NEAREST + 2 * _SOFT]
+        values = _means(stack, pixels, sigma, _BRIGHT * float(np.median(lit)))
+        lit = np.quantile(values, _FULL, axis=0)
+    enough = (lit > clear).sum() >= max(30, _LIT_PART * len(pixels))
+    return (pixels[lit > clear], values[:, lit > clear], lit[lit > clear]) if enough else None
+
+
+def _means(stack: np.ndarray, pixels: np.ndarray, sigma: float, most: float) -> np.ndarray:
+    """Return weighted means (K, N) around pixels, of values up to ``most``: the ball's own light spreads no farther."""
+    low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
+    part = np.minimum(stack[:, low[0] : high[0], low[1] : high[1]], most)
+    rows, columns = (pixels - low).T
+    return np.stack([blurred(image, sigma)[rows, columns] for image in part])
 
 
 def _around(ball: Ball, shape: tuple[int, int], most: int) -> np.ndarray:

@@ -1,13 +1,13 @@
-"""An operator that marks a card in its photographs: a click on each corner, in an Image editor."""
+"""Marks in a photograph: an Image editor that shows it, handles that the mouse drags, and their drawing."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import FloatVectorProperty
 
 from ...blender.images import decode
 from ...capture.bounds import without_bounds
@@ -16,69 +16,70 @@ from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
 from ...gpu.viewport import Drawing
 from ..common import failures
-from ..common.polls import usable
+from ..overlay import handlers
+from ..overlay.paint import Painter
 from ..session.scene_capture import spec_of
-from . import handlers
-from .paint import HALO, Painter
 
 _PICTURE = "IRPSO Photograph"
 _MOST_PIXELS = 1600  # of the shown picture's longer side
 _PICTURES = 3  # photographs whose brightest values are shown
 _BRIGHT = 99.0  # percentile that is shown white
-_REACH = 20.0  # pixels at scale 1 within which a click takes hold of a corner
-_COLOUR = (1.0, 0.75, 0.2, 1.0)
-_HELP = "Click the card's four corners; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
+_REACH = 20.0  # pixels at scale 1 within which a click takes hold of a handle
 
 
-class IRPSO_OT_mark_card(bpy.types.Operator):
-    """Click the four corners of the card in a photograph, in an Image editor. Backspace removes the last one, a corner
-    can be dragged, Enter ends, Esc cancels"""
+class Marking:
+    """The modal part of an operator that marks things in a photograph. Enter ends, Esc cancels.
 
-    bl_idname = "irpso.mark_card"
-    bl_label = "Mark in Photograph"
-    bl_options = {"INTERNAL", "UNDO"}
+    Places are in parts of the picture, from its lower left corner.
+    """
 
-    corners: FloatVectorProperty(
-        name="Corners", description="X and Y of four corners, in pixels from the upper left corner of the photographs",
-        size=8, min=0,
-    )  # fmt: skip
+    help_text = ""
+    _size: np.ndarray  # (2,) of the photographs, in pixels
 
-    @classmethod
-    def poll(cls, context):
-        """Whether there are photographs in files."""
-        settings = context.scene.irpso
-        there = settings.source == "FILES" and settings.capture_path
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+    def confirmed(self, context) -> bool:
+        """Take the marks; return whether the operator ends."""
+        raise NotImplementedError
 
-    def execute(self, context):
-        """Take ``corners``, in any order, for those of the card."""
-        take_corners(context.scene.irpso, np.reshape(self.corners, (4, 2)))
-        return {"FINISHED"}
+    def handles(self) -> dict[Hashable, np.ndarray]:
+        """Return the places (2,) that a click takes hold of."""
+        raise NotImplementedError
 
-    def invoke(self, context, event):
-        """Show a photograph and wait for clicks."""
-        if bpy.app.background or context.window is None:
-            return self.execute(context)
+    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+        """Take hold of a handle, or click beside all; return the handle that moves with the mouse."""
+        raise NotImplementedError
+
+    def moved(self, handle: Hashable, place: np.ndarray) -> None:
+        """Move a handle."""
+        raise NotImplementedError
+
+    def removed(self) -> None:
+        """Remove the last mark, if that is possible."""
+
+    def drawn(self, painter: Painter) -> None:
+        """Draw the marks."""
+        raise NotImplementedError
+
+    def begin(self, context, readers: int = _PICTURES) -> set[str]:
+        """Show the brightest values of some photographs and wait for the mouse."""
         try:
-            picture, self._size = _photograph(context.scene.irpso)
+            picture, self._size = _photograph(context.scene.irpso, readers)
         except InputError as error:
             return failures.refused(self, error)
         self._area = _shown_in_editor(context, picture)
         if self._area is None:
             self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")
             return {"CANCELLED"}
-        self._points: list[np.ndarray] = []  # in parts of the picture, from its lower left corner
-        self._held: int | None = None
+        self._held: Hashable | None = None
         self._drawing = Drawing()
         self._handle: Any = bpy.types.SpaceImageEditor.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set(_HELP)
+        context.workspace.status_text_set(self.help_text)
         context.window_manager.modal_handler_add(self)
         handlers.redraw()
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        """Place, move and remove corners. Blender handles all other events."""
+        """Place, move and remove marks. Blender handles all other events."""
         with failures.reported("Marking"):
             return self._handled(context, event)
         return self._leave(context, {"CANCELLED"})
@@ -93,18 +94,12 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         if event.value == "PRESS" and event.type in {"ESC", "RIGHTMOUSE"}:
             return self._leave(context, {"CANCELLED"})
         if event.value == "PRESS" and event.type in {"RET", "NUMPAD_ENTER"}:
-            if len(self._points) < 4:
-                self.report({"INFO"}, f"{len(self._points)} of 4 corners are marked; click the others")
-                return {"RUNNING_MODAL"}
-            height = self._size[1]
-            corners = np.array(self._points) * self._size
-            take_corners(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
-            return self._leave(context, {"FINISHED"})
+            return self._leave(context, {"FINISHED"}) if self.confirmed(context) else {"RUNNING_MODAL"}
         if event.value == "PRESS" and event.type == "BACK_SPACE":
-            self._points = self._points[:-1]
+            self.removed()
             return self._again()
         if event.type == "MOUSEMOVE" and self._held is not None:
-            self._points[self._held] = np.clip(self._place(event), 0, 1)
+            self.moved(self._held, np.clip(self._place(event), 0, 1))
             return self._again()
         if event.type == "LEFTMOUSE" and event.value == "RELEASE" and self._held is not None:
             self._held = None
@@ -114,15 +109,11 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         return {"PASS_THROUGH"}
 
     def _pressed(self, context, event):
-        place = np.clip(self._place(event), 0, 1)
-        reach = _REACH * context.preferences.system.ui_scale
         clicked = np.array([event.mouse_x - self._region.x, event.mouse_y - self._region.y], float)
-        near = [float(np.linalg.norm(self._pixel(point) - clicked)) for point in self._points]
-        if near and min(near) <= reach:
-            self._held = near.index(min(near))
-        elif len(self._points) < 4:
-            self._points.append(place)
-            self._held = len(self._points) - 1
+        near = {key: float(np.linalg.norm(self.pixel(place) - clicked)) for key, place in self.handles().items()}
+        closest = min(near, key=lambda key: near[key], default=None)
+        reached = closest is not None and near[closest] <= _REACH * context.preferences.system.ui_scale
+        self._held = self.taken(closest if reached else None, np.clip(self._place(event), 0, 1))
         return self._again()
 
     def _again(self):
@@ -145,23 +136,16 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         region = self._region
         return np.array(region.view2d.region_to_view(event.mouse_x - region.x + 0.5, event.mouse_y - region.y + 0.5))
 
-    def _pixel(self, place: np.ndarray) -> np.ndarray:
+    def pixel(self, place: np.ndarray) -> np.ndarray:
+        """Return the region's pixel (2,) that shows a place."""
         return np.array(self._region.view2d.view_to_region(*place, clip=False), float)
 
     def _draw(self) -> None:
-        """Draw the corners and the outline over the picture."""
         with failures.reported("Marking"):
-            if bpy.context.area != self._area or not self._points:
+            if bpy.context.area != self._area:
                 return
             painter = Painter(self._drawing, bpy.context.preferences.system.ui_scale)
-            points = np.array([self._pixel(point) for point in self._points])
-            outline = around(points) if len(points) == 4 else points
-            closed = np.concatenate([outline, outline[:1]]) if len(points) > 2 else outline
-            if len(closed) > 1:
-                painter.curve(closed, HALO, 4.0)
-                painter.curve(closed, _COLOUR, 1.5)
-            painter.rings(points, HALO, 7.0, 4.0)
-            painter.rings(points, _COLOUR, 7.0, 1.5)
+            self.drawn(painter)
             painter.flush()
 
     def _leave(self, context, result):
@@ -176,30 +160,13 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         return result
 
 
-def take_corners(settings, corners: np.ndarray) -> None:
-    """Store the corners (4, 2) of a card, in any order, in pixels from the upper left: as crop or as corners."""
-    ordered = around(corners * (1, -1)) * (1, -1)
-    settings.corners = ordered.ravel().tolist()
-    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
-    settings.crop = [int(value) for value in (*low, *(high - low))]
-    if settings.framing == "FILE":
-        settings.framing = "CORNERS"
-
-
-def around(points: np.ndarray) -> np.ndarray:
-    """Return points (4, 2), y up, clockwise around their middle, the upper left one first."""
-    away = points - points.mean(axis=0)
-    ordered = points[np.argsort(-np.arctan2(away[:, 1], away[:, 0]))]
-    return np.roll(ordered, -int((ordered[:, 1] - ordered[:, 0]).argmax()), axis=0)
-
-
-def _photograph(settings) -> tuple[Any, np.ndarray]:
+def _photograph(settings, most: int) -> tuple[Any, np.ndarray]:
     """Return an image of the brightest values of some photographs, and their size in pixels (2,). Raises InputError."""
     capture = build_capture(spec_of(settings), decode)
     count = len(capture.observations)
     shown: np.ndarray = np.zeros(())
     size = np.zeros(2)
-    for index in sorted({round(k * (count - 1) / max(_PICTURES - 1, 1)) for k in range(_PICTURES)}):
+    for index in sorted({round(k * (count - 1) / max(most - 1, 1)) for k in range(most)}):
         radiance = without_bounds(capture.observations[index].read())[..., :3]
         size = np.array(radiance.shape[1::-1], float)
         step = math.ceil(max(radiance.shape) / _MOST_PIXELS)
@@ -232,6 +199,3 @@ def _shown_in_editor(context, picture):
     with context.temp_override(area=area, region=region):
         bpy.ops.image.view_all(fit_view=True)
     return area
-
-
-CLASSES = (IRPSO_OT_mark_card,)
