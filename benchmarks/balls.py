@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -18,13 +20,15 @@ import numpy as np
 from benchmarks import report
 from benchmarks.scenes.ball_tables import HEIGHT, SAMPLES, WIDTH, BallTable, photographed
 from irpso_addon.calibration.balls.ball import SMALL, Ball
-from irpso_addon.calibration.balls.detect.search import FoundBall, as_ball, search_steps
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball
+from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
 from irpso_addon.calibration.filters import blurred
 from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.steps import run_steps
 
-_SEEDS = range(1, 48, 2)
+_SEEDS = range(1, 96, 2)
+_PROCESSES = 2
 _BLUR, _NOISE = 0.6, 0.004  # pixels, of white
 _WHITE, _EXPOSURE = 98, 1.2  # percentile of all values, and how far above it the sensor clips
 _SAME = 0.3  # of the radius: a found ball's centre is a ball's
@@ -34,18 +38,30 @@ _ENLARGED = 8
 def measure(quick: bool) -> dict[str, Any]:
     """Search all scenes, one of them where it is quick."""
     balls, empty, false = [], 0, []
-    for seed in list(_SEEDS)[: 1 if quick else None]:
-        table = photographed(seed, report.CACHE)
-        images = camera_images(table, seed)
-        began = time.perf_counter()
-        found = _searched(images, table)
-        seconds = time.perf_counter() - began
-        rows, others = _compared(table, images, found)
-        balls += [{"seed": seed, **row} for row in rows]
-        false += [{"seed": seed, "kind": ball.kind, "empty": not table.balls} for ball in others]
-        empty += not table.balls
-        report.say(f"seed {seed}: {table.text}: {rows}; {len(others)} false; {seconds:.0f} s")
-    return {"balls": balls, "scenes": len(_SEEDS), "empty": empty, "false": false, "large": _large(quick)}
+    seeds = list(_SEEDS)[: 1 if quick else None]
+    with ProcessPoolExecutor(_PROCESSES, get_context("spawn")) as pool:
+        for row in pool.map(_scene, seeds):
+            report.say(f"{row['text']}: {row['balls']}; false: {row['false']}; {row['seconds']:.0f} s")
+            balls += row["balls"]
+            false += row["false"]
+            empty += row["empty"]
+    return {"balls": balls, "scenes": len(seeds), "empty": empty, "false": false, "large": _large(quick)}
+
+
+def _scene(seed: int) -> dict[str, Any]:
+    """Return what the search finds in a scene."""
+    table = photographed(seed, report.CACHE)
+    images = camera_images(table, seed)
+    began = time.perf_counter()
+    found = _searched(images, table)
+    seconds = time.perf_counter() - began
+    rows, others = _compared(table, images, found)
+    scene = {"seed": seed, "near": bool(table.near), "cloth": bool(table.cloth)}
+    false = [{"kind": o.kind, "radius": o.radius, "exact": bool(o.exact), "empty": not table.balls} for o in others]
+    return {
+        "text": f"seed {seed}: {table.text}", "balls": [{**scene, **row} for row in rows],
+        "false": [{**scene, **row} for row in false], "empty": not table.balls, "seconds": seconds,
+    }  # fmt: skip
 
 
 def camera_images(table: BallTable, seed: int) -> list[np.ndarray]:
@@ -80,10 +96,12 @@ def _compared(
             ball = as_ball(match, table.camera, "ball", None)
             place, across = outline(ball)
             readers = [lambda image=image: image for image in images]
-            lights = run_steps(calibration_steps(readers, [ball], Request(kind))).lights
+            lights = run_steps(
+                calibration_steps(readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius))
+            ).lights
             off = [
                 float(np.degrees(np.arccos(np.clip(np.dot(light.light.vector, truth), -1, 1))))
-                for light, truth in zip(lights, table.lights, strict=True)
+                for light, truth in zip(lights, table.lights(centre), strict=True)
                 if light.light is not None
             ]
             row |= {
@@ -121,24 +139,33 @@ def write(data: dict[str, Any], folder) -> list[str]:
     """Return the page's lines."""
     empty, large = data["empty"], data["large"]
     none = sum(row["empty"] for row in data["false"])
+    used = [row for row in data["false"] if row["exact"]]
     rows = []
     for kind in KINDS:
-        for name, chosen in ((f"{SMALL:g} pixels and more", True), ("smaller", False)):
-            some = [b for b in data["balls"] if b["kind"] == kind and (b["radius"] >= SMALL) == chosen]
-            rows.append([kind, name, *_cells(some)])
+        some = [ball for ball in data["balls"] if ball["kind"] == kind]
+        sized = [ball for ball in some if ball["radius"] >= SMALL]
+        rows += [
+            [kind, "table, distant lamps", *_cells([b for b in sized if not b["cloth"] and not b["near"]])],
+            [kind, "table, near lamps", *_cells([b for b in sized if not b["cloth"] and b["near"]])],
+            [kind, "black cloth", *_cells([b for b in sized if b["cloth"]])],
+            [kind, f"below {SMALL:g} pixels", *_cells([b for b in some if b["radius"] < SMALL])],
+        ]
     return [
-        f"{data['scenes']} scenes of {WIDTH} × {HEIGHT} pixels, {SAMPLES} samples, six to eight suns each; seeds that"
-        " no threshold was set on. Balls of 3 to 30 % of the width; bowls, coins, cans, rings, cones, eggs and boxes"
-        " beside them; tables of albedo 0.05 to 0.8, plain, mottled or glossy, up to 55° from the viewer; blur of"
-        f" {_BLUR} pixels, noise of {_NOISE:.1%} of white, 8 bits, clipped highlights.",
+        f"{data['scenes']} scenes of {WIDTH} × {HEIGHT} pixels, {SAMPLES} samples, six to eight lamps each; seeds that"
+        " no threshold was set on. One or two balls of 3 to 30 % of the width, or none; bowls, coins, cans, rings,"
+        " cones, eggs and boxes beside them; tables of albedo 0.05 to 0.8, plain, mottled or glossy, and in a fifth of"
+        " the scenes black cloth of 0.003 to 0.02, up to 55° from the viewer; in half of the scenes suns, in half near"
+        f" lamps 1.2 to 4 picture widths away. Blur of {_BLUR} pixels, noise of {_NOISE:.1%} of white, 8 bits, clipped"
+        " highlights.",
         "",
-        f"False balls: {none} in {empty} scenes without a ball, {len(data['false']) - none} in the others.",
+        f"False balls: {none} in {empty} scenes without a ball, {len(data['false']) - none} in the others; {len(used)}"
+        f" of them of {SMALL:g} pixels and more, which calibration would use.",
         "",
         *report.table(
-            ["ball", "radius", "found", "centre within 1 %", "centre, median % of the radius", "radius, median %",
+            ["ball", "where", "found", "centre within 1 %", "centre, median % of the radius", "radius, median %",
              "light within 1°", "light °: median of means, largest", "photographs with a light"], rows),
-        "The command refuses balls that it measures smaller than that, unless their place is given. Near lamps, black"
-        " cloth and photographs of a camera are not measured here.",
+        "Lights are directions from the ball's centre. The command refuses balls that it measures smaller than"
+        f" {SMALL:g} pixels, unless their place is given. Photographs of a camera are not measured here.",
         "",
         f"{large['photographs']} photographs of {large['pixels'] / 1e6:.0f} megapixels (the first scene, enlarged):"
         f" {large['seconds']:.0f} s, without the time to decode files.",

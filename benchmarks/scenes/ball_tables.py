@@ -12,6 +12,7 @@ import bmesh
 import numpy as np
 from mathutils import Quaternion, Vector
 
+from irpso_addon.blender.scenes.cycles import only_lamp, place_lamp
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import read_exr
 
@@ -21,21 +22,31 @@ WIDTH, HEIGHT, SAMPLES = 480, 360, 4
 WITH = (("mirror",), ("matte",), (), ("mirror", "mirror"), ("matte", "matte"), (), ("mirror", "matte"), ())
 _DISTANCE = 10.0  # from the camera to the table
 _SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, of the picture's width
+_NEAR, _NEAR_DISTANCES = 0.5, (1.2, 4.0)  # part of the scenes with near lamps; their distance, in picture widths
+_CLOTH, _CLOTH_ALBEDO = 0.2, (0.003, 0.02)  # part of the scenes on black cloth
 _TRIES = 200
 
 
 @dataclass(frozen=True)
 class BallTable:
-    """What was photographed. images: (K, H, W, 3) float32 radiance, row 0 at the bottom. lights: (K, 3) unit.
+    """What was photographed. images: (K, H, W, 3) float32 radiance, row 0 at the bottom.
 
-    balls: (kind, centre (3,), radius) each, in camera axes, which are the world's. text: the scene in words.
+    lamps: (K, 3) unit directions to suns; or, where they are near, places. balls: (kind, centre (3,), radius) each, in
+    camera axes, which are the world's. cloth: the table is black cloth. text: the scene in words.
     """
 
     images: np.ndarray
-    lights: np.ndarray
+    lamps: np.ndarray
+    near: bool
     camera: Camera
     balls: tuple[tuple[str, np.ndarray, float], ...]
+    cloth: bool
     text: str
+
+    def lights(self, centre: np.ndarray) -> np.ndarray:
+        """Return (K, 3) unit directions to the lamps from a place."""
+        toward = self.lamps - centre if self.near else self.lamps
+        return toward / np.linalg.norm(toward, axis=-1, keepdims=True)
 
 
 def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMPLES) -> BallTable:
@@ -52,19 +63,30 @@ def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMP
     scene.camera.data.type, scene.camera.data.angle = "PERSP", math.radians(fov)
     scene.camera.location = (0, 0, 0)
     _world(scene, rng)
-    words = _table(rng, up)
+    near, cloth, away = rng.random() < _NEAR, rng.random() < _CLOTH, _width(fov) * rng.uniform(*_NEAR_DISTANCES)
+    words = _table(rng, up, cloth)
     balls = _things(rng, up, fov, WITH[seed // 2 % len(WITH)])
-    lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
-    lamp.data.angle, lamp.rotation_mode = math.radians(rng.uniform(1.0, 4.0)), "QUATERNION"
-    scene.collection.objects.link(lamp)
+    wide = math.radians(rng.uniform(1.0, 4.0))
+    lamp = only_lamp(scene, "POINT" if near else "SUN", away * math.tan(wide / 2))
+    lamps = np.array([0, 0, -_DISTANCE]) + away * lights if near else lights
+    if not near:
+        lamp.data.angle = wide
     folder = cache / f"balls-{width}-{samples}" / str(seed)
     images = []
-    for number, (light, strength) in enumerate(zip(lights, strengths, strict=True)):
-        lamp.rotation_quaternion = Vector(light).to_track_quat("Z", "Y")
-        lamp.data.energy = math.pi * strength
+    for number, (place, strength) in enumerate(zip(lamps, strengths, strict=True)):
+        place_lamp(lamp, place, away)
+        lamp.data.energy *= strength
         images.append(_shot(scene, folder / f"{number}.exr"))
-    text = f"{' and '.join(kind for kind, _, _ in balls) or 'no ball'}, {words}, tilt {np.degrees(tilt):.0f}°"
-    return BallTable(np.array(images), lights, camera, tuple(balls), text)
+    text = (
+        f"{' and '.join(kind for kind, _, _ in balls) or 'no ball'}, {words}, tilt {np.degrees(tilt):.0f}°,"
+        f" lamps {f'{away / _width(fov):.1f} widths away' if near else 'distant'}"
+    )
+    return BallTable(np.array(images), lamps, near, camera, tuple(balls), cloth, text)
+
+
+def _width(fov: float) -> float:
+    """Return the width of the picture at the table's middle. fov: degrees."""
+    return 2 * _DISTANCE * math.tan(math.radians(fov) / 2)
 
 
 def _shot(scene, path: Path) -> np.ndarray:
@@ -124,17 +146,20 @@ def _material(
     return made
 
 
-def _table(rng: np.random.Generator, up: np.ndarray) -> str:
+def _table(rng: np.random.Generator, up: np.ndarray, cloth: bool) -> str:
     bpy.ops.mesh.primitive_plane_add(size=80, location=(0, 0, -_DISTANCE))
     _turned(bpy.context.object, up)
     albedo = rng.choice([rng.uniform(0.05, 0.2), rng.uniform(0.2, 0.5), rng.uniform(0.5, 0.8)])
     texture = rng.choice([0.0, 0.0, 0.3, 0.6])
-    gloss = rng.uniform(0.25, 0.5) if rng.random() < 0.2 else 1.0
+    gloss = rng.uniform(0.25, 0.5) if rng.random() < 0.2 and not cloth else 1.0
+    if cloth:
+        albedo = math.exp(rng.uniform(*np.log(_CLOTH_ALBEDO)))
     color = albedo * rng.uniform(0.7, 1.0, 3)
     bpy.context.object.data.materials.append(
         _material(color, gloss, specular=0.5 if gloss < 1 else 0.0, texture=texture, scale=rng.uniform(0.5, 4))
     )
-    return f"table {albedo:.2f}{', textured' if texture else ''}{', glossy' if gloss < 1 else ''}"
+    words = f"{'cloth' if cloth else 'table'} {albedo:.3f}"
+    return words + (", textured" if texture else "") + (", glossy" if gloss < 1 else "")
 
 
 def _turned(thing: bpy.types.Object, up: np.ndarray, turn: float = 0.0) -> None:
@@ -147,7 +172,7 @@ def _things(
     rng: np.random.Generator, up: np.ndarray, fov: float, kinds: Sequence[str]
 ) -> list[tuple[str, np.ndarray, float]]:
     """Put balls and other things on the table, none on another; return the balls."""
-    width = 2 * _DISTANCE * math.tan(math.radians(fov) / 2)
+    width = _width(fov)
     taken: list[tuple[np.ndarray, float]] = []
     balls = []
     size = width / 2 * math.exp(rng.uniform(math.log(_SMALLEST), math.log(_LARGEST)))

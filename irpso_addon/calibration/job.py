@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,16 @@ from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from .balls.detect.search import FoundBall, as_ball, of_one_kind, search_steps
-from .balls.lights import KINDS, Calibration, Request, calibration_steps
+from .balls.detect.found import FoundBall, as_ball, of_one_kind
+from .balls.detect.search import search_steps
+from .balls.lights import KINDS, Calibration, FoundLight, Request, calibration_steps
+from .balls.mirror import Sight
 from .photographs import calibrated_table
 
 AUTO = "auto"
 _FEWEST = 0.5  # fraction of the photographs that must show a light
 _SEARCH = 0.7  # fraction of the work
+_FAR, _SIGNIFICANT = 5.0, 5.0  # picture widths to a distant lamp; standard errors
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
     " --ball none finds lights by the subject's own shading"
@@ -117,11 +121,13 @@ def calibrate_steps(
     decoder: Decoder | None = None,
     radius: float | None = None,
     view: str | None = None,
+    dropped: Collection[str] = (),
 ) -> Generator[float, None, Calibrated]:
     """Yield the finished fraction of the work; return the lights that the balls show.
 
     Without requests, or with one that is ``searched``, the photographs are searched for balls. radius: of the balls,
-    in world units. view: name of the camera, needed where the spec has several.
+    in world units. view: name of the camera, needed where the spec has several. dropped: names of photographs whose
+    highlight is not the lamp's; they are left out.
     Raises InputError, also where more than half of the photographs show no light.
     """
     number = _camera_number(spec, view)
@@ -139,8 +145,9 @@ def calibrate_steps(
         used = of_one_kind(found)
         if not used:
             raise _too_small(found[0], camera)
-        request = replace(request, kind=used[0].kind)
         balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
+        inverse = float(np.mean([one.inverse[0] / ball.radius for one, ball in zip(used, balls, strict=True)]))
+        request = replace(request, kind=used[0].kind, inverse=inverse)
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     begun = _SEARCH if found else 0.0
@@ -149,6 +156,7 @@ def calibrate_steps(
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     names = tuple(spec.observations[n].name for n in shots)
+    result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
     shown = sum(light.light is not None for light in result.lights)
     if shown < max(1, _FEWEST * len(shots)):
         lost = next(i for i, light in enumerate(result.lights) if light.light is None)
@@ -156,11 +164,17 @@ def calibrate_steps(
             f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - shown} of {len(shots)}"
             " photographs show no light; check --ball and --kind)"
         )
-    warnings = [*_doubts(found), *(w for ball in balls for w in ball.warnings)]
+    warnings = [*_doubts(found), *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings)]
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
     return Calibrated(spec, number, shots, names, result, tuple(warnings), found)
+
+
+def _without(dropped: Collection[str], name: str, light: FoundLight) -> FoundLight:
+    if name not in dropped:
+        return light
+    return FoundLight(None, np.inf, None, light.sights, ("its highlight is dropped by hand",))
 
 
 def _given_balls(
@@ -194,6 +208,20 @@ def _doubts(found: Sequence[FoundBall]) -> list[str]:
         elif ball.shadow is None:
             warnings.append(f"{where} throws no visible shadow, which would confirm it; look at balls.png")
     return warnings
+
+
+def near_lamps(found: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
+    """Return a warning where lights count as distant, and their fall-off over the table says that they are not."""
+    if result.near or not found or not of_one_kind(found):
+        return []
+    ball = of_one_kind(found)[0]
+    inverse, error = ball.inverse
+    if inverse * camera.width / ball.radius < 1 / _FAR or inverse < _SIGNIFICANT * error:
+        return []
+    return [
+        f"the light falls off over the table like that of lamps about {1 / inverse:.0f} ball radii away; directions are"
+        " those at the ball. For positions measure the distance and give --radius and --distance"
+    ]
 
 
 def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:
@@ -247,6 +275,7 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
             "radius": view.ball.radius,
             "radius_px": round(view.ball.radius_px, 3),
             "outline_error_px": [round(v, 4) for v in view.ball.error_px],
+            "circle": _circle(view.ball),
         }
         for view in result.views
     ]
@@ -260,6 +289,8 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
         if light.distance_error is not None:
             row["distance_error"] = round(light.distance_error, 4)
         row["balls"] = [None if s is None else [float(v) for v in s.direction] for s in light.sights]
+        height = result.views[0].ball.camera.height
+        row["highlights"] = [_highlight(sight, height) for sight in light.sights]
         lights.append(row)
     return {
         "kind": result.kind,
@@ -275,6 +306,20 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
     }
 
 
+def _circle(ball: Ball) -> list[float]:
+    """Return x, y and radius of a circle like a ball's outline; pixels count from the upper left corner."""
+    points = ball.outline[:-1]
+    x, y = (points.max(axis=0) + points.min(axis=0)) / 2
+    return [round(float(v), 2) for v in (x, ball.camera.height - y, np.ptp(points, axis=0).mean() / 2)]
+
+
+def _highlight(sight: Sight | None, height: int) -> list[float] | None:
+    """Return the pixel of a mirror ball's highlight; pixels count from the upper left corner."""
+    if sight is None or not np.isfinite(sight.pixel).all():
+        return None
+    return [round(float(sight.pixel[0]), 2), round(float(height - sight.pixel[1]), 2)]
+
+
 def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
     """Return a found ball's row; pixels count from the upper left corner."""
     x, y = ball.centre
@@ -284,6 +329,7 @@ def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
         "circle": [round(float(v), 2) for v in (x, height - y, ball.radius)],
         "outline_seen": round(ball.support, 3),
         "shadow_correlation": None if ball.shadow is None else round(ball.shadow, 3),
+        "radius_over_lamp_distance": [round(v, 5) if np.isfinite(v) else None for v in ball.inverse],
     }
 
 

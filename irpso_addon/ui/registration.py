@@ -35,7 +35,8 @@ MODULES = (
     "panels.image_editor",
     "overlay.handlers",
     "overlay.probes",
-    "overlay.card_marks",
+    "marks.card_marks",
+    "marks.ball_marks",
 )
 
 

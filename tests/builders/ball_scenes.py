@@ -1,4 +1,4 @@
-"""A table with balls and things that look like balls, ray traced in numpy (float64) under distant lights."""
+"""A table with balls and things that look like balls, ray traced in numpy (float64) under distant or near lights."""
 
 from dataclasses import dataclass
 
@@ -26,13 +26,17 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Scene:
-    """camera: perspective, along −z. up: the table's normal. disc: (x, y, radius, albedo) painted on the table."""
+    """camera: perspective, along −z. up: the table's normal. disc: (x, y, radius, albedo) painted on the table.
+
+    near: lights are places, as bright as distant ones in the table's middle.
+    """
 
     spheres: tuple = ()
     albedo: float = 0.4
     up: tuple = (0.0, 0.0, 1.0)
     discs: tuple = ()
     texture: float = 0.0
+    near: bool = False
     camera: Camera = Camera.from_fov(320, 240, 35.0)
 
 
@@ -69,7 +73,7 @@ def _radiance(scene, origin, ray, light, bounces=2):
     t, what = _nearest(scene, origin, ray)
     up = np.asarray(scene.up)
     value = np.full(len(ray), SKY)
-    off = np.degrees(np.arccos(np.clip(ray @ light, -1, 1)))
+    off = np.degrees(np.arccos(np.clip((ray * _toward(scene, origin, light)[0]).sum(-1), -1, 1)))
     value[(what == -2) & (off < LAMP_DEGREES / 2)] = LAMP
     for number in range(-1, len(scene.spheres)):
         here = what == number
@@ -90,9 +94,19 @@ def _radiance(scene, origin, ray, light, bounces=2):
                 seen = ray[here] - 2 * (ray[here] * normal).sum(-1, keepdims=True) * normal
                 value[here] = albedo * _radiance(scene, point + 1e-6 * normal, seen, light, bounces - 1)
                 continue
-        shadowed = _nearest(scene, point + 1e-6 * normal, np.broadcast_to(light, point.shape))[1] >= 0
-        value[here] = albedo * (SKY + np.maximum(normal @ light, 0) * ~shadowed)
+        toward, strength = _toward(scene, point, light)
+        shadowed = _nearest(scene, point + 1e-6 * normal, toward)[1] >= 0
+        value[here] = albedo * (SKY + strength * np.maximum((normal * toward).sum(-1), 0) * ~shadowed)
     return value
+
+
+def _toward(scene, point, light):
+    """Unit vectors from points (N, 3) to the light, and its strength there."""
+    if not scene.near:
+        return np.broadcast_to(light, point.shape), 1.0
+    away = light - point
+    square = (away**2).sum(-1)
+    return unit(away), ((np.asarray(light) - (0, 0, -TABLE)) ** 2).sum() / square
 
 
 def photographs(scene, lights, seed=0, fine=2, blur=0.7, noise=0.004, clip=1.0):
@@ -100,7 +114,8 @@ def photographs(scene, lights, seed=0, fine=2, blur=0.7, noise=0.004, clip=1.0):
     camera, rng, images = scene.camera, np.random.default_rng(seed), []
     origin, ray = (np.ascontiguousarray(part).reshape(-1, 3) for part in rays(camera, fine))
     for light in lights:
-        value = _radiance(scene, origin, ray, unit(np.asarray(light, np.float64)))
+        light = np.asarray(light, np.float64)
+        value = _radiance(scene, origin, ray, light if scene.near else unit(light))
         image = coarse(value.reshape(camera.height * fine, camera.width * fine), fine)
         images.append(photographed(image, rng, blur, noise, clip))
     return images

@@ -60,13 +60,15 @@ class Calibration:
 class Request:
     """Options. kind: one of KINDS. lights: one of DISTANCES. distance: from the balls' centre to all lights, or None.
 
-    albedo: (3,) of matte balls, or None: intensities are relative to the first light's.
+    albedo: (3,) of matte balls, or None: intensities are relative to the first light's. inverse: 1 / distance of lamps
+    that count as distant: directions are those from the balls' centre.
     """
 
     kind: str
     lights: str = "auto"
     distance: float | None = None
     albedo: tuple[float, float, float] | None = None
+    inverse: float = 0.0
 
 
 def calibration_steps(
@@ -109,11 +111,11 @@ def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> C
 def _by_shading(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
     shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
     free = len(views) > 1 and request.lights != "distant" and request.distance is None
-    fits, bounce = fit_lights(shadings, centre, free, 1 / request.distance if request.distance else 0.0)
+    fits, bounce = fit_lights(shadings, centre, free, 1 / request.distance if request.distance else request.inverse)
     intersections = [_of_fit(fit, views) for fit in fits if isinstance(fit, Fit)] if free else []
     near, how = _decision(intersections, request, len(views))
     if free and not near:
-        fits, bounce = fit_lights(shadings, centre, False)
+        fits, bounce = fit_lights(shadings, centre, False, request.inverse)
     median = _median_inverse(intersections)
     first = next((fit.radiance for fit in fits if isinstance(fit, Fit)), np.ones(3))
     lights = []
@@ -171,7 +173,7 @@ def _located(
     A sight's direction starts on its ball: as seen from the balls' centre, a light 6 radii away lies up to 6° off it.
     """
     if not near:
-        return _intersected(row, centre, False)
+        return _intersected(row, centre, False, request.inverse)
     if request.distance is not None:
         return _intersected(row, centre, False, 1 / request.distance)
     if sum(sight is not None for sight in row) > 1:

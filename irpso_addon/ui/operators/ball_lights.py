@@ -7,6 +7,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
 from ...blender.images import decode
@@ -75,6 +76,14 @@ class LightsFromBall(SlicedOperator, bpy.types.Operator):
         size=3,
         min=0,
     )
+    circles: StringProperty(
+        name="Circles", description="Center and radius of several balls, x y radius x y radius …, in place of one",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )  # fmt: skip
+    dropped: StringProperty(
+        name="Dropped", description="Photographs, one in a line, whose highlight is not the lamp's",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )  # fmt: skip
     inside_out: BoolProperty(
         name="Inside Out", description="Take the other of two answers, if the relief looks inside out. Only a mask with"
         " the subject's outline tells them apart",
@@ -133,15 +142,16 @@ class LightsFromBall(SlicedOperator, bpy.types.Operator):
         source = absolute(self.photographs, "Photographs")
         if not source.exists():
             raise InputError(f"{source}: does not exist; choose the folder of the photographs")
-        ball = None if self.found_by == "NONE" else self._ball()
+        balls = [] if self.found_by == "NONE" else self._balls()
         colour_space = bpy.context.scene.irpso.colour_space
-        spec = read_photographs(source, colour_space, [ball.mask] if ball and ball.mask else [])
+        spec = read_photographs(source, colour_space, [ball.mask for ball in balls if ball.mask])
         keys = {"fov_degrees": math.degrees(self.fov)} if self.fov > 0 else lens_of_files(spec, decode)
         if keys:
             spec = with_camera(spec, keys, "Field of View")
         table = free_table(source if source.is_dir() else source.parent)
-        if ball is not None:
-            calibration = yield from calibrate_steps(spec, [ball], Request(self.kind), decode)
+        if balls:
+            dropped = self.dropped.splitlines()
+            calibration = yield from calibrate_steps(spec, balls, Request(self.kind), decode, dropped=dropped)
             write_calibration(calibration, table, keys)
             return table, calibration.warnings
         probe.probe()
@@ -150,6 +160,12 @@ class LightsFromBall(SlicedOperator, bpy.types.Operator):
         found = yield from uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=self.inside_out)
         write_lights(spec, keys, found.lights, found.report(), table)
         return table, found.warnings
+
+    def _balls(self) -> list[BallRequest]:
+        if self.circles:
+            numbers = np.reshape([float(number) for number in self.circles.split()], (-1, 3))
+            return [BallRequest(None, tuple(circle)) for circle in numbers.tolist()]
+        return [self._ball()]
 
     def _ball(self) -> BallRequest:
         if self.found_by == "AUTO":

@@ -34,6 +34,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             row = layout.row(align=True)
             row.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
+            row.operator("irpso.mark_balls", text="", icon="MESH_CIRCLE")
             row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
                 layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")

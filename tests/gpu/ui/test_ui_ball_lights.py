@@ -1,6 +1,7 @@
 """The button that finds lights from a ball."""
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
+from irpso_addon.ui.marks import ball_marks
 from irpso_addon.ui.operators.ball_lights import free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
 from tests.builders.ball_scenes import photographs as photographs_of
@@ -100,6 +102,48 @@ def test_a_circle_counts_from_the_upper_left_and_a_table_is_never_overwritten(ph
     assert free_table(photographs).name == "capture_2.toml"
     capture = read_capture(photographs / "capture_1.toml")
     assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 1.5
+
+
+def test_balls_of_a_calibration_are_moved_and_a_highlight_is_dropped(photographs):
+    inside = np.argwhere(trace(CAMERA, CENTRE, RADIUS)[3]) + 0.5
+    (y, x), radius = inside.mean(axis=0), np.sqrt(len(inside) / np.pi)
+    press(photographs, found_by="CIRCLE", circle=(x + 3, CAMERA.height - y - 2, radius * 0.9))
+    wrong = read_capture(photographs / "capture.toml")
+    assert degrees([o.light.vector for o in wrong.observations], LIGHTS).max() > 5
+    assert bpy.ops.irpso.mark_balls(moves=(-3, 2, 0.1 * radius, *[0] * 27), dropped="2.exr") == {"FINISHED"}
+    path = bpy.context.scene.irpso.capture_path
+    assert path == str(photographs / "capture_1.toml")
+    right, kept = read_capture(path), np.delete(LIGHTS, 2, axis=0)
+    assert [o.name for o in right.observations] == ["0.exr", "1.exr", "3.exr", "4.exr", "5.exr"]
+    assert degrees([o.light.vector for o in right.observations], kept).max() < 1.5
+
+
+def test_the_rim_of_a_ball_and_its_highlights_are_where_the_mouse_takes_hold_of_them(photographs):
+    press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr"))
+    report = ball_marks.report_beside(photographs / "capture.toml")
+    marks = SimpleNamespace(
+        _size=np.array([CAMERA.width, CAMERA.height]), _circles=np.array([b["circle"] for b in report["balls"]]),
+        _spots=[(row["name"], np.array(row["highlights"][0])) for row in report["lights"]], _lost=set(),
+    )  # fmt: skip
+    operator = ball_marks.IRPSO_OT_mark_balls
+    marks._part = lambda x, y: operator._part(marks, x, y)
+    handles = operator.handles(marks)
+    inside = np.argwhere(trace(CAMERA, CENTRE, RADIUS)[3])[:, ::-1] + 0.5
+    np.testing.assert_allclose(handles["middle", 0] * marks._size, inside.mean(axis=0), atol=0.5)
+    assert handles["rim", 0][0] * CAMERA.width == pytest.approx(inside[:, 0].max() + 0.5, abs=1)
+    assert operator.taken(marks, ("spot", 1), np.zeros(2)) is None and marks._lost == {"1.exr"}
+    operator.taken(marks, ("spot", 1), np.zeros(2))
+    assert marks._lost == set() and operator.taken(marks, ("rim", 0), np.zeros(2)) == ("rim", 0)
+    operator.moved(marks, ("rim", 0), handles["middle", 0] + (0.1, 0))
+    assert marks._circles[0, 2] == pytest.approx(0.1 * CAMERA.width)
+    operator.moved(marks, ("middle", 0), np.array([0.25, 0.75]))
+    np.testing.assert_allclose(marks._circles[0, :2], (0.25 * CAMERA.width, 0.25 * CAMERA.height))
+
+
+def test_without_a_calibrations_report_no_ball_can_be_moved(photographs):
+    bpy.context.scene.irpso.capture_path = str(photographs)
+    with pytest.raises(RuntimeError, match="use Find Lights first"):
+        bpy.ops.irpso.mark_balls()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.ui.overlay.card_marks import around
+from irpso_addon.ui.marks.card_marks import around
 from irpso_addon.ui.session import job, scene_capture
 from tests.builders.near_card import DISTANCE, write_near_card
 

@@ -1,19 +1,24 @@
 """Balls found without being pointed at, in scenes ray traced in numpy."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from irpso_addon.calibration.balls.ball import Ball
-from irpso_addon.calibration.balls.detect import shadow
+from irpso_addon.calibration.balls.detect import falloff, shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, of_one_kind
 from irpso_addon.calibration.balls.detect.outline import fitted
-from irpso_addon.calibration.balls.detect.search import FoundBall, as_ball, of_one_kind, search_steps
+from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import Request, calibration_steps
 from irpso_addon.calibration.filters import blurred, sampled
+from irpso_addon.calibration.job import near_lamps
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
 from tests.builders.ball_scenes import Scene, Sphere, photographs, place
 from tests.builders.balls import cap, degrees
+from tests.builders.domains import unit
 
 LIGHTS = cap(6, 55)[1:]
 KINDS = ("mirror", "matte")
@@ -79,6 +84,60 @@ def test_a_ball_beside_a_subject_of_stronger_edges_is_found():
     assert np.hypot(*(ball.centre - middle)) < 0.03 * radius and abs(ball.radius / radius - 1) < 0.03
 
 
+@pytest.fixture(scope="module")
+def near_table():
+    """Photographs of a mirror ball and a matte ball under lamps 20 radii away, and the lamps' places."""
+    lamps = np.asarray(BALLS[0].centre) + 20 * BALLS[0].radius * LIGHTS
+    return photographs(Scene(spheres=BALLS, texture=0.3, near=True), lamps), lamps
+
+
+def test_a_mirror_ball_under_near_lamps_is_as_large_as_its_outline_not_as_its_shadow(near_table):
+    images, lamps = near_table
+    (ball,) = searched(images, ("mirror",))
+    middle, radius = circle_of(BALLS[0])
+    assert np.hypot(*(ball.centre - middle)) < 0.01 * radius and abs(ball.radius / radius - 1) < 0.01
+    assert ball.inverse[0] == pytest.approx(1 / 20, rel=0.1) and ball.inverse[1] < 0.005
+    placed = as_ball(ball, EMPTY.camera, "ball", None)
+    request = Request("mirror", inverse=ball.inverse[0] / placed.radius)
+    result = run_steps(calibration_steps([lambda i=i: i for i in images], [placed], request))
+    off = degrees([light.light.vector for light in result.lights], lamps - BALLS[0].centre)
+    assert off.mean() < 0.7 and off.max() < 1.5
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_the_fall_off_of_light_over_the_table_shows_the_lamps_distance(table, near_table, near):
+    images, lamps = near_table if near else (table, None)
+    stack = np.stack([image[..., :3].mean(axis=-1) for image in images])
+    clipped = np.stack([image[..., 3] == 0 for image in images])
+    centre = np.asarray(BALLS[1].centre)
+    ball = Ball("b", EMPTY.camera, centre, BALLS[1].radius, circle_of(BALLS[1])[1], (0.0, 0.0))
+    below = shadow.Table(np.array([0.0, 0.0, 1.0]), 1.0)
+    away = lamps - centre if near else np.full((len(LIGHTS), 1), np.inf)
+    distances = np.linalg.norm(away, axis=-1)
+    inverse, error = falloff.inverse_distance(stack, clipped, ball, unit(away) if near else LIGHTS, below)
+    assert inverse == pytest.approx(np.mean(BALLS[1].radius / distances), rel=0.1, abs=0.002) and error < 0.005
+
+
+@pytest.mark.parametrize(
+    ("inverse", "error", "near", "warned"),
+    [(0.03, 0.001, False, True), (0.03, 0.001, True, False), (0.03, 0.02, False, False), (0.01, 1e-4, False, False)],
+)
+def test_a_warning_says_that_lamps_are_near_where_they_count_as_distant(inverse, error, near, warned):
+    ball = FoundBall("mirror", np.zeros((3, 2)), 30.0, 1.0, 0.9, inverse=(inverse, error))
+    warnings = near_lamps([ball], SimpleNamespace(near=near), EMPTY.camera)
+    assert bool(warnings) == warned and all("about 33 ball radii" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_ball_on_black_cloth_is_found_by_a_shadow_below_the_noise(kind):
+    sphere = Sphere(kind, place(EMPTY, 1.4, 0.4, 0.35), 0.35, 0.6)
+    scene = Scene(spheres=(sphere,), discs=((-1.0, 0.0, 0.9, 0.8),), albedo=0.006)
+    (ball,) = searched(photographs(scene, LIGHTS, noise=0.006), (kind,))
+    middle, radius = circle_of(sphere)
+    assert np.hypot(*(ball.centre - middle)) < 0.03 * radius and abs(ball.radius / radius - 1) < 0.03
+    assert ball.shadow > 0.85
+
+
 def test_two_photographs_are_too_few(table):
     with pytest.raises(InputError, match="needs 3 photographs"):
         searched(table[:2])
@@ -92,7 +151,7 @@ def test_only_the_true_lights_agree_with_the_shadow(table):
     assert shadow.agreement(stack, ball, LIGHTS * (-1, -1, 1))[0] < 0.2  # those of a bowl
     assert shadow.agreement(stack, ball, np.roll(LIGHTS, 1, axis=0))[0] < 0.4
     assert shadow.agreement(np.full_like(stack, 0.5), ball, LIGHTS)[0] == 0
-    assert shadow.agreement(np.full_like(stack, 0.005), ball, LIGHTS) is None
+    assert shadow.agreement(np.full_like(stack, 0.0005), ball, LIGHTS) is None
 
 
 def test_a_faint_outline_in_all_photographs_outweighs_a_strong_edge_in_one():

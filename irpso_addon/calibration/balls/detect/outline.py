@@ -35,7 +35,7 @@ def fitted(edges: Edges, x: float, y: float, radius: float, rounds: int = 3) -> 
     for _ in range(rounds):
         x, y, radius = _agreed(edges, x, y, radius, shift)
         shift /= 3
-    return _measured(edges, x, y, radius)
+    return measured(edges, x, y, radius)
 
 
 def _profiles(
@@ -80,7 +80,7 @@ def _agreed(edges: Edges, x: float, y: float, radius: float, shift: float) -> tu
     return x + float(dx[best]), y + float(dy[best]), radius + float(dr[best])
 
 
-def _measured(edges: Edges, x: float, y: float, radius: float) -> Outline:
+def measured(edges: Edges, x: float, y: float, radius: float) -> Outline:
     """Return the outline with the highest contrast of each direction close to a circle."""
     reach, step = max(0.04 * radius, 1.5), 0.2
     direction, away, clear = _profiles(edges, x, y, radius, _half(radius), step)

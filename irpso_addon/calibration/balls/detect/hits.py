@@ -1,0 +1,187 @@
+"""Circles that prove to be balls: their test, and the measurement of their place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ....core.errors import InputError
+from ..ball import SMALL, Ball, fit_ball, outline_of_circle
+from ..mirror import reflected
+from . import evidence
+from .falloff import inverse_distance
+from .outline import Outline, fitted, measured
+from .pictures import Pictures
+from .shadow import Table, agreement
+
+_LEAST_SUPPORT = 0.3
+_TESTED = 60
+_LEAST_SHARE = 0.6  # of the photographs: each shows a light
+_LEAST_MOVED = 0.12
+_LEAST_FIT = 0.93
+_LEAST_SHADOW = 0.75
+_DOUBT = 0.15  # more agreement with the shadow, where photographs show no light, or directions no edge
+PROMISING = 0.3  # agreement with the shadow that a better outline may raise
+_SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # without a shadow
+_STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizon is a circle inside the outline
+_SHADOW_STEPS = (0.06, 0.03, 0.015, 0.01)  # of the radius
+_SCAN = (0.85, 1.08, 1.16, 1.25)  # of the radius
+_CLIMBED = 2  # circles of one ball
+_MEASURABLE = 0.6  # of 15 pixels: a first circle may be as much too small
+_SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels
+
+
+@dataclass(frozen=True)
+class Hit:
+    """A ball in ``pictures``, whose pixel coordinates its outline and evidence have."""
+
+    pictures: Pictures
+    outline: Outline
+    kind: str
+    ball: Ball
+    seen: evidence.Evidence
+    shadow: float | None
+    table: Table | None = None
+    inverse: tuple[float, float] = (0.0, np.inf)
+
+    @property
+    def score(self) -> float:
+        """How sure the ball is."""
+        return self.outline.support + 2 * (0.5 if self.shadow is None else self.shadow)
+
+    @property
+    def circle(self) -> np.ndarray:
+        """(3,) centre and radius of the outline, in pixels of the photographs."""
+        middle = self.pictures.in_photograph(np.array([self.outline.x, self.outline.y]))
+        return np.append(middle, self.outline.radius * self.pictures.block)
+
+
+def distinct(outlines: Sequence[Outline]) -> list[Outline]:
+    """Return the best supported outlines, each circle once."""
+    kept: list[Outline] = []
+    for outline in sorted(outlines, key=lambda o: -o.support):
+        if outline.support < _LEAST_SUPPORT or len(kept) == _TESTED:
+            break
+        if not any(_same(outline, other) for other in kept):
+            kept.append(outline)
+    return kept
+
+
+def _same(one: Outline, other: Outline) -> bool:
+    near = max(0.02 * other.radius, 0.3)
+    return bool(np.hypot(one.x - other.x, one.y - other.y) < near and abs(one.radius - other.radius) < near)
+
+
+def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: float) -> list[Hit]:
+    """Return a hit for each kind of ball that an outline may be of."""
+    try:
+        ball = fit_ball(outline_of_circle(outline.x, outline.y, outline.radius), pictures.camera)
+    except InputError:
+        return []
+    hits = []
+    for kind in kinds:
+        of_kind = evidence.of_mirror if kind == "mirror" else evidence.of_matte
+        seen = of_kind(pictures.values, pictures.clipped, ball)
+        if seen.share < _LEAST_SHARE or seen.moved < _LEAST_MOVED or seen.fit < _LEAST_FIT:
+            continue
+        wanted = least if seen.share >= _SURE_SHARE else least + _DOUBT
+        shadow_agrees = agreement(pictures.values, ball, seen.lights, noise=pictures.noise)
+        if shadow_agrees is None:
+            sure = seen.share >= _SURE_SHARE and seen.moved >= _SURE_MOVED and seen.fit >= _SURE_FIT
+            if sure and outline.support >= _SURE_SUPPORT:
+                hits.append(Hit(pictures, outline, kind, ball, seen, None))
+        elif shadow_agrees[0] >= wanted:
+            hits.append(Hit(pictures, outline, kind, ball, seen, *shadow_agrees))
+    return hits
+
+
+def improved(pictures: Pictures, circle: np.ndarray, kind: str, whole: Pictures) -> list[Hit]:
+    """Return balls near a circle (3,) of the photographs: circles that edges outline and whose shadow agrees.
+
+    whole: pictures of all the table, for the lamps' distance. A mirror ball's circle is the one at which its shadow
+    agrees best: a mirror shows at its rim what lies behind it, so that the visible edge lies up to 3 % inside the
+    outline, and on black cloth it is that of the reflected cloth, up to a fifth inside.
+    """
+    x, y = (circle[:2] - pictures.origin) / pictures.block
+    radius = circle[2] / pictures.block
+    old = [fitted(pictures.steady, x, y, radius), *(fitted(pictures.strong, x, y, f * radius) for f in _STARTS)]
+    outlines = distinct(old)
+    if kind == "mirror":
+        outlines = [measured(pictures.steady, x, y, radius), *outlines]
+    least = PROMISING if kind == "mirror" else _LEAST_SHADOW
+    hits = [hit for outline in outlines for hit in tested(pictures, outline, [kind], least)]
+    hits = [_with_distance(hit, whole) for hit in hits]
+    if kind == "mirror":
+        best = sorted(hits, key=lambda hit: -hit.score)[:_CLIMBED]
+        hits = [_measured_by_shadow(_scanned(hit)) if _measurable(hit) else hit for hit in best]
+    return [hit for hit in hits if hit.shadow is None or hit.shadow >= _wanted(hit)]
+
+
+def _measurable(hit: Hit) -> bool:
+    """Return whether a shadow can show the radius; calibration uses no ball of fewer pixels."""
+    return hit.table is not None and hit.outline.radius > _MEASURABLE * SMALL
+
+
+def _wanted(hit: Hit) -> float:
+    """Return the least agreement with the shadow. The lights of a circle of few pixels fit many a shadow."""
+    doubtful = hit.seen.share < _SURE_SHARE or hit.outline.support < _LEAST_SUPPORT
+    return _LEAST_SHADOW + doubtful * _DOUBT + (hit.outline.radius < SMALL) * _SMALL_DOUBT
+
+
+def _with_distance(hit: Hit, whole: Pictures) -> Hit:
+    """Return a hit with the lamps' distance, if it has a table."""
+    if hit.table is None:
+        return hit
+    size = hit.ball.radius_px * hit.pictures.block / whole.block
+    ball = replace(hit.ball, camera=whole.camera, radius_px=size)
+    return replace(hit, inverse=inverse_distance(whole.values, whole.clipped, ball, hit.seen.lights, hit.table))
+
+
+def _scanned(hit: Hit) -> Hit:
+    """Return a hit with the radius and the table, of a few radii and all tables, at which its shadow agrees best."""
+    found = [hit]
+    for factor in _SCAN:
+        x, y, radius = hit.outline.x, hit.outline.y, factor * hit.outline.radius
+        ball = fit_ball(outline_of_circle(x, y, radius), hit.pictures.camera, measured=False)
+        lights = _from_centre(ball, hit.seen.pixels, hit.inverse[0])
+        agrees = agreement(hit.pictures.values, ball, lights, None, None, hit.inverse[0], hit.pictures.noise)
+        if agrees is not None:
+            outline = measured(hit.pictures.steady, x, y, radius)
+            found.append(replace(hit, outline=outline, ball=ball, shadow=agrees[0], table=agrees[1]))
+    return max(found, key=lambda h: h.shadow or 0.0)
+
+
+def _measured_by_shadow(hit: Hit) -> Hit:
+    """Return a mirror ball's hit with the circle at which its shadow agrees best.
+
+    The shadow is as wide as the ball, and wider under near lamps. One coordinate after the other moves to the top of a
+    parabola.
+    """
+    pictures = hit.pictures
+    circle, table, inverse = np.array([hit.outline.x, hit.outline.y, hit.outline.radius]), hit.table, hit.inverse[0]
+    for step in _SHADOW_STEPS:
+        for axis in (2, 0, 1, 2):
+            moves = step * hit.outline.radius * np.arange(-1, 2)
+            heights = []
+            for move in moves:
+                x, y, radius = circle + move * np.eye(3)[axis]
+                ball = fit_ball(outline_of_circle(x, y, radius), pictures.camera, measured=False)
+                lights = _from_centre(ball, hit.seen.pixels, inverse)
+                agrees = agreement(pictures.values, ball, lights, table, hit.ball, inverse, pictures.noise)
+                heights.append((-1.0, table) if agrees is None else agrees)
+            low, middle, high = (height for height, _ in heights)
+            bend = 2 * middle - low - high
+            circle[axis] += np.clip(0.5 * (high - low) / bend, -1, 1) * moves[2] if bend > 0 else 0.0
+            table = max(heights, key=lambda h: h[0])[1]
+    x, y, radius = circle.tolist()
+    outline = Outline(x, y, radius, hit.outline.support, outline_of_circle(x, y, radius))
+    return replace(hit, outline=outline, shadow=max(height for height, _ in heights))
+
+
+def _from_centre(ball: Ball, pixels: np.ndarray, inverse: float) -> np.ndarray:
+    """Return the unit directions (K, 3), from a mirror ball's centre, to lamps that it shows at pixels (K, 2)."""
+    point, direction, _ = reflected(ball, pixels)
+    direction = direction + inverse * (point - ball.centre) / ball.radius
+    return direction / np.linalg.norm(direction, axis=-1, keepdims=True)

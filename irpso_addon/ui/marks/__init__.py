@@ -1,0 +1,1 @@
+"""Operators that mark things in a photograph, in an Image editor."""

@@ -1,0 +1,147 @@
+"""Operators that mark a card or a color chart in photographs: a click on each corner, in an Image editor."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator
+
+import bpy
+import numpy as np
+from bpy.props import FloatVectorProperty
+
+from ...blender.images import decode
+from ...capture.images.image import ImageRef, ImageStore
+from ..common.file_paths import absolute
+from ..common.polls import usable
+from ..overlay.paint import HALO, Painter
+from .marking import Marking
+
+_COLOUR = (1.0, 0.75, 0.2, 1.0)
+_HELP = "Click the four corners of {}; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
+
+
+class _CornerMarking(Marking):
+    """Mixin of an operator: four corners are clicked in a photograph."""
+
+    bl_options = {"INTERNAL", "UNDO"}
+
+    corners: FloatVectorProperty(
+        name="Corners", description="X and Y of four corners, in pixels from the upper left corner of the photographs",
+        size=8, min=0,
+    )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there are photographs in files."""
+        settings = context.scene.irpso
+        there = settings.source == "FILES" and settings.capture_path
+        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+
+    def execute(self, context):
+        """Take ``corners``, in any order."""
+        self._take(context.scene.irpso, np.reshape(self.corners, (4, 2)))
+        return {"FINISHED"}
+
+    def invoke(self, context, event):
+        """Show a photograph and wait for clicks."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        self._points: list[np.ndarray] = []
+        return self.begin(context)
+
+    def confirmed(self, context) -> bool:
+        """Take four corners."""
+        if len(self._points) < 4:
+            self.report({"INFO"}, f"{len(self._points)} of 4 corners are marked; click the others")
+            return False
+        height = self._size[1]
+        corners = np.array(self._points) * self._size
+        self._take(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
+        return True
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        """Store corners (4, 2), in pixels from the upper left."""
+        raise NotImplementedError
+
+    def handles(self) -> dict[Hashable, np.ndarray]:
+        """Return the corners."""
+        return dict(enumerate(self._points))
+
+    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+        """Take hold of a corner, or set a new one."""
+        if handle is None and len(self._points) < 4:
+            self._points.append(place)
+            return len(self._points) - 1
+        return handle
+
+    def moved(self, handle: Hashable, place: np.ndarray) -> None:
+        """Move a corner."""
+        self._points[int(str(handle))] = place
+
+    def removed(self) -> None:
+        """Remove the last corner."""
+        self._points = self._points[:-1]
+
+    def drawn(self, painter: Painter) -> None:
+        """Draw the corners and the outline over the picture."""
+        if not self._points:
+            return
+        points = np.array([self.pixel(point) for point in self._points])
+        outline = around(points) if len(points) == 4 else points
+        closed = np.concatenate([outline, outline[:1]]) if len(points) > 2 else outline
+        if len(closed) > 1:
+            painter.curve(closed, HALO, 4.0)
+            painter.curve(closed, _COLOUR, 1.5)
+        painter.rings(points, HALO, 7.0, 4.0)
+        painter.rings(points, _COLOUR, 7.0, 1.5)
+
+
+def take_corners(settings, corners: np.ndarray) -> None:
+    """Store the corners (4, 2) of a card, in any order, in pixels from the upper left: as crop or as corners."""
+    ordered = around(corners * (1, -1)) * (1, -1)
+    settings.corners = ordered.ravel().tolist()
+    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+    settings.crop = [int(value) for value in (*low, *(high - low))]
+    if settings.framing == "FILE":
+        settings.framing = "CORNERS"
+
+
+def around(points: np.ndarray) -> np.ndarray:
+    """Return points (4, 2), y up, clockwise around their middle, the upper left one first."""
+    away = points - points.mean(axis=0)
+    ordered = points[np.argsort(-np.arctan2(away[:, 1], away[:, 0]))]
+    return np.roll(ordered, -int((ordered[:, 1] - ordered[:, 0]).argmax()), axis=0)
+
+
+class IRPSO_OT_mark_card(_CornerMarking, bpy.types.Operator):
+    """Click the four corners of the card in a photograph, in an Image editor. Backspace removes the last one, a corner
+    can be dragged, Enter ends, Esc cancels"""
+
+    bl_idname = "irpso.mark_card"
+    bl_label = "Mark in Photograph"
+    help_text = _HELP.format("the card")
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        take_corners(settings, corners)
+
+
+class IRPSO_OT_mark_chart(_CornerMarking, bpy.types.Operator):
+    """Click the four corners of the 24 patches of a color chart in its photograph, in an Image editor, in any order
+    around it. Backspace removes the last one, a corner can be dragged, Enter ends, Esc cancels"""
+
+    bl_idname = "irpso.mark_chart"
+    bl_label = "Mark Chart in Photograph"
+    help_text = _HELP.format("the chart's patches")
+
+    def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
+        """Yield the chart's own photograph, where it has one."""
+        if not settings.chart_photograph:
+            yield from super().radiances(settings, most)
+            return
+        image = ImageRef(absolute(settings.chart_photograph, "Chart"), colour_space=settings.colour_space)
+        yield ImageStore(decode).samples(image).rgba[..., :3]
+
+    def _take(self, settings, corners: np.ndarray) -> None:
+        settings.chart_corners = (around(corners * (1, -1)) * (1, -1)).ravel().tolist()
+
+
+CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_mark_chart)

@@ -1,0 +1,205 @@
+"""Marks in a photograph: an Image editor that shows it, handles that the mouse drags, and their drawing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterable, Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...blender.images import decode
+from ...capture.bounds import without_bounds
+from ...capture.spec import build_capture
+from ...core.encode import srgb_from_linear
+from ...core.errors import InputError
+from ...gpu.viewport import Drawing
+from ..common import failures
+from ..overlay import handlers
+from ..overlay.paint import Painter
+from ..session.scene_capture import spec_of
+
+_PICTURE = "IRPSO Photograph"
+_MOST_PIXELS = 1600  # of the shown picture's longer side
+_PICTURES = 3  # photographs whose brightest values are shown
+_BRIGHT = 99.0  # percentile that is shown white
+_REACH = 20.0  # pixels at scale 1 within which a click takes hold of a handle
+
+
+class Marking:
+    """The modal part of an operator that marks things in a photograph. Enter ends, Esc cancels.
+
+    Places are in parts of the picture, from its lower left corner.
+    """
+
+    help_text = ""
+    _size: np.ndarray  # (2,) of the photographs, in pixels
+
+    def confirmed(self, context) -> bool:
+        """Take the marks; return whether the operator ends."""
+        raise NotImplementedError
+
+    def handles(self) -> dict[Hashable, np.ndarray]:
+        """Return the places (2,) that a click takes hold of."""
+        raise NotImplementedError
+
+    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+        """Take hold of a handle, or click beside all; return the handle that moves with the mouse."""
+        raise NotImplementedError
+
+    def moved(self, handle: Hashable, place: np.ndarray) -> None:
+        """Move a handle."""
+        raise NotImplementedError
+
+    def removed(self) -> None:
+        """Remove the last mark, if that is possible."""
+
+    def drawn(self, painter: Painter) -> None:
+        """Draw the marks."""
+        raise NotImplementedError
+
+    def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
+        """Yield the photographs, (H, W, 3), of which the brightest values are shown; at most ``most``."""
+        capture = build_capture(spec_of(settings), decode)
+        count = len(capture.observations)
+        for index in sorted({round(k * (count - 1) / max(most - 1, 1)) for k in range(most)}):
+            yield without_bounds(capture.observations[index].read())[..., :3]
+
+    def begin(self, context, readers: int = _PICTURES) -> set[str]:
+        """Show the brightest values of some photographs and wait for the mouse."""
+        try:
+            picture, self._size = _picture(self.radiances(context.scene.irpso, readers))
+        except InputError as error:
+            return failures.refused(self, error)
+        self._area = _shown_in_editor(context, picture)
+        if self._area is None:
+            self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")
+            return {"CANCELLED"}
+        self._held: Hashable | None = None
+        self._drawing = Drawing()
+        self._handle: Any = bpy.types.SpaceImageEditor.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
+        context.window.cursor_modal_set("CROSSHAIR")
+        context.workspace.status_text_set(self.help_text)
+        context.window_manager.modal_handler_add(self)
+        handlers.redraw()
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        """Place, move and remove marks. Blender handles all other events."""
+        with failures.reported("Marking"):
+            return self._handled(context, event)
+        return self._leave(context, {"CANCELLED"})
+
+    def cancel(self, context):
+        """End when the window or the file is closed."""
+        self._leave(context, {"CANCELLED"})
+
+    def _handled(self, context, event):
+        if self._area not in list(context.screen.areas):
+            return self._leave(context, {"CANCELLED"})
+        if event.value == "PRESS" and event.type in {"ESC", "RIGHTMOUSE"}:
+            return self._leave(context, {"CANCELLED"})
+        if event.value == "PRESS" and event.type in {"RET", "NUMPAD_ENTER"}:
+            return self._leave(context, {"FINISHED"}) if self.confirmed(context) else {"RUNNING_MODAL"}
+        if event.value == "PRESS" and event.type == "BACK_SPACE":
+            self.removed()
+            return self._again()
+        if event.type == "MOUSEMOVE" and self._held is not None:
+            self.moved(self._held, np.clip(self._place(event), 0, 1))
+            return self._again()
+        if event.type == "LEFTMOUSE" and event.value == "RELEASE" and self._held is not None:
+            self._held = None
+            return self._again()
+        if event.type == "LEFTMOUSE" and event.value in {"PRESS", "DOUBLE_CLICK"} and self._is_over_picture(event):
+            return self._pressed(context, event)
+        return {"PASS_THROUGH"}
+
+    def _pressed(self, context, event):
+        clicked = np.array([event.mouse_x - self._region.x, event.mouse_y - self._region.y], float)
+        near = {key: float(np.linalg.norm(self.pixel(place) - clicked)) for key, place in self.handles().items()}
+        closest = min(near, key=lambda key: near[key], default=None)
+        reached = closest is not None and near[closest] <= _REACH * context.preferences.system.ui_scale
+        self._held = self.taken(closest if reached else None, np.clip(self._place(event), 0, 1))
+        return self._again()
+
+    def _again(self):
+        self._area.tag_redraw()
+        return {"RUNNING_MODAL"}
+
+    @property
+    def _region(self):
+        return next(region for region in self._area.regions if region.type == "WINDOW")
+
+    def _is_over_picture(self, event) -> bool:
+        inside = [
+            region.type
+            for region in self._area.regions
+            if 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
+        ]
+        return inside == ["WINDOW"]  # a sidebar may lie over the picture
+
+    def _place(self, event) -> np.ndarray:
+        region = self._region
+        return np.array(region.view2d.region_to_view(event.mouse_x - region.x + 0.5, event.mouse_y - region.y + 0.5))
+
+    def pixel(self, place: np.ndarray) -> np.ndarray:
+        """Return the region's pixel (2,) that shows a place."""
+        return np.array(self._region.view2d.view_to_region(*place, clip=False), float)
+
+    def _draw(self) -> None:
+        with failures.reported("Marking"):
+            if bpy.context.area != self._area:
+                return
+            painter = Painter(self._drawing, bpy.context.preferences.system.ui_scale)
+            self.drawn(painter)
+            painter.flush()
+
+    def _leave(self, context, result):
+        if self._handle is not None:
+            bpy.types.SpaceImageEditor.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
+            self._drawing.close()
+            handlers.redraw()
+        if context.window is not None:
+            context.window.cursor_modal_restore()
+            context.workspace.status_text_set(None)
+        return result
+
+
+def _picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
+    """Return an image of the brightest values of photographs, and their size in pixels (2,). Raises InputError."""
+    shown: np.ndarray = np.zeros(())
+    size = np.zeros(2)
+    for radiance in radiances:
+        size = np.array(radiance.shape[1::-1], float)
+        step = math.ceil(max(radiance.shape) / _MOST_PIXELS)
+        shown = np.maximum(shown, np.nan_to_num(radiance[::step, ::step]))
+    shown = srgb_from_linear(np.clip(shown / max(float(np.percentile(shown, _BRIGHT)), 1e-6), 0, 1))
+    height, width = shown.shape[:2]
+    if (former := bpy.data.images.get(_PICTURE)) is not None:
+        bpy.data.images.remove(former)
+    image = bpy.data.images.new(_PICTURE, width, height)
+    image.pixels.foreach_set(np.concatenate([shown, np.ones((height, width, 1))], axis=-1).astype(np.float32).ravel())
+    image.update()
+    return image, size
+
+
+def _shown_in_editor(context, picture):
+    """Return an Image editor that shows the picture, made by a split where there is none; None where that fails."""
+    areas = list(context.screen.areas)
+    area = next((area for area in areas if area.type == "IMAGE_EDITOR"), None)
+    if area is None:
+        largest = max(areas, key=lambda area: area.width * area.height)
+        with context.temp_override(area=largest):
+            bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
+        area = next((area for area in context.screen.areas if area not in areas), None)
+        if area is None:
+            return None
+        area.type = "IMAGE_EDITOR"
+    space = area.spaces.active
+    space.mode, space.image = "VIEW", picture
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with context.temp_override(area=area, region=region):
+        bpy.ops.image.view_all(fit_view=True)
+    return area
