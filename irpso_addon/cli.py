@@ -234,6 +234,9 @@ def _add_calibrate(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--inside-out", action="store_true",
                      help="with --ball none: the other of two answers, if the relief looks inside out")  # fmt: skip
     add.add_argument(
+        "--flat", action="store_true", help="with --ball none: the subject is flat, and lamps stand near it"
+    )
+    add.add_argument(
         "--blend", metavar="FILE", help="with --ball none: Blender file with the subject's mesh, whose shape is known"
     )
     _add_mesh(add)

@@ -24,6 +24,7 @@ from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
 from ..core.steps import run_steps
 from ..gpu import context, probe
+from ..pipeline.flat_card import FlatCard, flat_card_steps
 from ..pipeline.known_shape import KnownShape, known_shape_steps
 from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
@@ -41,8 +42,10 @@ def run(options: Namespace) -> dict:
     keys = _camera(options)
     if NONE in (options.ball or []):
         _check_ballless(options)
+        if options.flat:
+            return _by_falloff(options, keys)
         return _by_shape(options, keys) if options.blend else _by_shading(options, keys)
-    for name in ("inside_out", "blend", "object", "slots", "occluder"):
+    for name in ("inside_out", "flat", "blend", "object", "slots", "occluder"):
         if getattr(options, name):
             raise InputError(f"--{name.replace('_', '-')}: goes with --ball none")
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
@@ -76,6 +79,12 @@ def _check_ballless(options: Namespace) -> None:
     for name, usual in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
         if getattr(options, name) != usual:
             raise InputError(f"--{name}: is of balls; leave it out with --ball none")
+    if options.flat and options.blend:
+        raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
+    if options.flat and options.inside_out:
+        raise InputError("--inside-out: a flat card (--flat) has no relief; leave it out")
+    if options.flat and options.lights == "distant":
+        raise InputError("--lights distant: matt shading of a flat card does not tell directions; put a ball beside it")
     if options.blend and options.inside_out:
         raise InputError("--inside-out: a mesh (--blend) has one side; leave it out")
     for name in ("object", "slots", "occluder"):
@@ -94,12 +103,27 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
     return _written_without_ball(options, spec, keys, found, line)
 
 
+def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
+    """Find near lights over a flat card and write them. Raises InputError and then writes nothing."""
+    checked_output(Path(options.output))
+    spec, keys = _photographs(options, keys, [])
+    found = _without_ball(options, flat_card_steps(_capture(spec)))
+    if not (keys or spec.views[0].lens):  # the unit of the positions is the assumed width
+        camera = found.capture.cameras[0]
+        keys = {"world_width": camera.width / camera.scale[0]}
+    line = (
+        f"{len(found.lights)} near lights, with their positions, by their fall-off over a flat card;"
+        f" {_errors(found.found.degrees)}, and {found.distance_error:.0%} of their distance"
+    )
+    return _written_without_ball(options, spec, keys, found, line, found.capture.card_distance)
+
+
 def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     """Find distant lights without a ball and write them. Raises InputError and then writes nothing."""
     if options.lights == "near":
         raise InputError(
-            "--lights near: places of lamps need balls or a known shape (--blend); --ball none alone finds directions of"
-            " distant lights"
+            "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
+            " directions of distant lights"
         )
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
@@ -129,11 +153,16 @@ def _without_ball(options: Namespace, steps: Generator[float, None, Found]) -> F
 
 
 def _written_without_ball(
-    options: Namespace, spec: CaptureSpec, keys: dict[str, Any], found: Uncalibrated | KnownShape, line: str
+    options: Namespace,
+    spec: CaptureSpec,
+    keys: dict[str, Any],
+    found: Uncalibrated | KnownShape | FlatCard,
+    line: str,
+    card_distance: float | None = None,
 ) -> dict:
     """Write the lights, print a line and the warnings, and return the answer."""
     report, out = found.report(), Path(options.output)
-    write_lights(spec, keys, found.lights, report, out)
+    write_lights(spec, keys, found.lights, report, out, card_distance)
     if not silent(options):
         lines = [line, *(f"warning: {warning}" for warning in found.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")

@@ -42,11 +42,13 @@ _SHADOW_ROUNDS = 2  # of predicting the shadows from the lights found
 WHITE = 0.8  # albedo of the brightest texels, which sets the scale of the intensities
 _READ = 0.4  # fraction of the work, at the end of reading
 _ONE_LIGHT = Light((0.0, 0.0, 1.0))
-_CLEAR = 0.1  # least determination: 0.56 to 0.99 on pots and heads, 0 on a plane
+# Least determination: 0.52 to 0.99 on pots and heads, 0.2 on a goblet of metal that ended 119° off, 0 on a plane.
+_CLEAR = 0.4
+_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, 0.5 to 0.9 elsewhere
 _MOST_ERROR = 10.0  # degrees
 # Degrees between the mesh's normals and those of the photographs, in the median: 0.5 where a pot's mesh is exact, 8.7
-# where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is moved by 5 % of its width (11°), 15
-# where it is turned by 20° (10°), 20 where it is moved by a quarter of the width (31°).
+# where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is moved by 5 % of its width (11°),
+# 15 where it is turned by 20° (10°), 20 where it is moved by a quarter of the width (31°).
 _DOUBTFUL, _MOST_MISMATCH = 10.0, 18.0
 # Shares of the outline that do not fit. A ball beside its place looks like one under turned lights: only its outline
 # tells. Moved by 5 % of its width, 6 % of its mask are not on the mesh, and lights are 8° off.
@@ -138,7 +140,7 @@ def known_shape_steps(
     steps = count(1)
     found, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
     mismatch = float(np.nanmedian(free_normals(samples, found)))
-    _check_known(mesh, found, determined, mismatch)
+    _check_known(capture, mesh, found, determined, mismatch)
     lights = found.lamps.lights(near, bright_albedo(samples, found) / WHITE)
     shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
     warnings = _warnings(mesh, mismatch, outside)
@@ -165,8 +167,8 @@ def _chosen(domain: Domain, mesh: MeshData, seed: int) -> tuple[np.ndarray, np.n
     rows, columns = rows[seen >= _SEEN], columns[seen >= _SEEN]
     if len(rows) < _FEWEST_TEXELS:
         raise InputError(
-            f"'{mesh.name}': {_SEEN} photographs show only {len(rows)} texels of it, {_FEWEST_TEXELS} are needed to find"
-            " lights; check the cameras' poses, or put a ball into the photographs"
+            f"'{mesh.name}': {_SEEN} photographs show only {len(rows)} texels of it, {_FEWEST_TEXELS} are needed to"
+            " find lights; check the cameras' poses, or put a ball into the photographs"
         )
     order = evenly_facing(domain.bake.normal[rows, columns], np.random.default_rng(seed))
     chosen = np.sort(order[:_TEXELS])
@@ -221,16 +223,22 @@ def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None,
     return (close, True) if far is None or nearer(close, far) else (far, False)
 
 
-def _check_known(mesh: MeshData, found: Found, determined: float, mismatch: float) -> None:
+def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: float, mismatch: float) -> None:
     if not determined >= _CLEAR:
         raise InputError(
-            f"'{mesh.name}': its visible part faces too few directions to tell lights from albedo; put a ball beside it,"
-            " or if it is flat, use --flat without --blend"
+            f"'{mesh.name}': its visible part faces too few directions to tell lights from albedo; put a ball beside"
+            " it, or if it is flat, use --flat without --blend"
         )
     if not mismatch <= _MOST_MISMATCH:
         raise InputError(
             f"'{mesh.name}': the photographs' shading contradicts the mesh, whose normals are off by {mismatch:.0f}° in"
             " the median; check that mesh and cameras are in one place and unit, or put a ball into the photographs"
+        )
+    worst = int(found.explained.argmin())
+    if not found.explained[worst] >= _EXPLAINED:
+        raise InputError(
+            f"'{capture.observations[worst].name}': matt shading of '{mesh.name}' explains only"
+            f" {found.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
         )
     if not found.degrees.mean() <= _MOST_ERROR:
         raise InputError(
@@ -265,8 +273,8 @@ def _warnings(mesh: MeshData, mismatch: float, outside: float) -> tuple[str, ...
     lines = []
     if outside > _LOOSE:
         lines.append(
-            f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; where the mesh is not in its place,"
-            " lights are off by more than their standard errors"
+            f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; where the mesh is not in its"
+            " place, lights are off by more than their standard errors"
         )
     if mismatch > _DOUBTFUL:
         lines.append(

@@ -23,7 +23,7 @@ _LEAST_WIDTH = 2e-3
 _SETTLED = 1e-5  # largest step of a lamp, in radians or in a logarithm
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e6
 _NEAREST = 0.95  # largest size / distance: no lamp is inside the subject
-_FAR_TRUST = 10.0  # prior deviation of size / distance: it decides where the photographs tell nothing
+_TRUST = 10.0  # prior deviation of size / distance, and of each step: they decide where the photographs tell nothing
 _STRENGTH_TRUST = 1e-3  # of the sum of the logarithms of the strengths: the free scale
 SIGNIFICANT = 3.0  # standard errors: least 1 / distance of near lights, as of balls
 _BRIGHT = 95.0  # percentile of the albedos
@@ -55,14 +55,15 @@ class Samples:
 class Found:
     """Lamps that fit. errors: (K, FREE) standard errors of their parameters (delete-a-group jackknife, Efron 1982).
 
-    lamps: the fitted. misfit: robust deviation of the samples, as a fraction of a texel's usual radiance. weight: (K,
-    T) of the samples at the end.
+    misfit: robust deviation of the samples, as a fraction of a texel's usual radiance. weight: (K, T) of the samples at
+    the end. explained: (K,) share of each photograph's squared radiance that has this weight.
     """
 
     lamps: Lamps
     errors: np.ndarray
     misfit: float
     weight: np.ndarray
+    explained: np.ndarray
 
     @property
     def degrees(self) -> np.ndarray:
@@ -118,10 +119,10 @@ def linear_lamps(samples: Samples, centre: np.ndarray, size: float) -> tuple[Lam
     return lamps, clear
 
 
-def fit_steps(samples: Samples, lamps: Lamps, near: bool) -> Generator[None, None, Found]:
+def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAREST) -> Generator[None, None, Found]:
     """Yield after each round; return the lamps that fit from a start: Levenberg–Marquardt, albedos eliminated.
 
-    near: whether distances are free. A sample counts where the lamp stands above the surface; highlights, shadows that
+    near: whether distances are free, up to ``nearest`` of size / distance. A sample counts where the lamp stands above the surface; highlights, shadows that
     the weights do not know and what else is off have little weight (Cauchy).
     """
     samples = samples.scaled()
@@ -133,10 +134,11 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool) -> Generator[None, Non
         diagonal = np.maximum(np.diag(matrix.sum(axis=0)), 1e-9)
         before = equations.cost(lamps, weight, width)
         while damping < _MOST_DAMPING:
-            damped = matrix.sum(axis=0) + equations.prior(lamps, width) + damping * np.diag(diagonal)
+            damped = matrix.sum(axis=0) + equations.prior(width) + damping * np.diag(diagonal)
             pull = right.sum(axis=0) - equations.pull(lamps, width)
             steps = equations.spread(np.linalg.solve(damped, pull))
-            other = _kept(lamps.moved(steps))
+            other = lamps.moved(steps)
+            other = replace(other, inverses=np.clip(other.inverses, -nearest, nearest))
             if equations.cost(other, weight, width) <= before:
                 break
             damping *= 10
@@ -148,7 +150,9 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool) -> Generator[None, Non
         yield
         if np.abs(steps).max() < _SETTLED:
             break
-    return Found(lamps, equations.errors(lamps, weight, width), width / _WIDTH, weight)
+    bright = samples.weight * samples.values**2
+    explained = (weight * samples.values**2).sum(axis=1) / np.maximum(bright.sum(axis=1), 1e-12)
+    return Found(lamps, equations.errors(lamps, weight, width), width / _WIDTH, weight, explained)
 
 
 def free_normals(samples: Samples, found: Found) -> np.ndarray:
@@ -204,10 +208,6 @@ def _width(residual: np.ndarray, weight: np.ndarray) -> float:
     return max(_WIDTH * 1.4826 * float(np.median(some)) if len(some) else 0.0, _LEAST_WIDTH)
 
 
-def _kept(lamps: Lamps) -> Lamps:
-    return replace(lamps, inverses=np.clip(lamps.inverses, -_NEAREST, _NEAREST))
-
-
 class _Equations:
     """Normal equations of the lamps, with the texels' albedos eliminated."""
 
@@ -237,11 +237,11 @@ class _Equations:
         s = self._samples
         shading, _ = lamps.shading(s.points, s.normals)
         residual = s.values - self._albedo(shading, weight) * shading
-        far = (width / _WIDTH / _FAR_TRUST) ** 2 * (lamps.inverses**2).sum() if 2 in self._free else 0.0
+        far = (width / _WIDTH / _TRUST) ** 2 * (lamps.inverses**2).sum() if 2 in self._free else 0.0
         return float((weight * residual**2).sum() + far)
 
     def reduced(self, lamps: Lamps, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (G, n, n) and (G, n): the reduced equations of each group of texels; n free parameters of all lamps."""
+        """Return (G, n, n) and (G, n): the reduced equations of each group of texels, in all n free parameters."""
         s = self._samples
         shading, _ = lamps.shading(s.points, s.normals)
         albedo = self._albedo(shading, weight)
@@ -261,22 +261,19 @@ class _Equations:
             rights[group] = np.einsum("ktp,kt->kp", slopes[:, part], (weight * residual)[:, part]).ravel()
         return matrices, rights
 
-    def prior(self, lamps: Lamps, width: float) -> np.ndarray:
-        """Return (n, n): strengths keep their scale, and lamps are far where nothing tells."""
+    def prior(self, width: float) -> np.ndarray:
+        """Return (n, n): strengths keep their scale, and where nothing tells lamps stay, far away."""
         each, size = len(self._free), len(self._free) * self._count
-        matrix = np.zeros((size, size))
-        strengths = np.arange(self._count) * each + each - 1
         noise = (width / _WIDTH) ** 2
+        matrix = noise / _TRUST**2 * np.eye(size)
+        strengths = np.arange(self._count) * each + each - 1
         matrix[np.ix_(strengths, strengths)] += max(noise, 1e-9) / _STRENGTH_TRUST**2
-        if 2 in self._free:
-            distances = strengths - 1
-            matrix[distances, distances] += noise / _FAR_TRUST**2
         return matrix
 
     def pull(self, lamps: Lamps, width: float) -> np.ndarray:
         """Return (n,) the gradient of the prior."""
         steps = np.zeros((self._count, FREE))
-        steps[:, 2] = (width / _WIDTH / _FAR_TRUST) ** 2 * lamps.inverses
+        steps[:, 2] = (width / _WIDTH / _TRUST) ** 2 * lamps.inverses
         return steps[:, self._free].ravel()
 
     def spread(self, steps: np.ndarray) -> np.ndarray:
@@ -288,7 +285,7 @@ class _Equations:
     def errors(self, lamps: Lamps, weight: np.ndarray, width: float) -> np.ndarray:
         """Return (K, FREE) standard errors: what a step without each group of texels would be."""
         matrices, rights = self.reduced(lamps, weight)
-        held = self.prior(lamps, width)
+        held = self.prior(width)
         whole, right = matrices.sum(axis=0) + held, rights.sum(axis=0) - self.pull(lamps, width)
         answers = []
         for group in range(GROUPS):
