@@ -61,7 +61,8 @@ def write_lights(
 ) -> None:
     """Write a table and a report of lights that no ball shows: into a new folder, or as OUT.toml. All or nothing.
 
-    keys: of the cameras. lights: one for each photograph. card_distance: of a card in the lights' unit. Raises InputError where writing fails.
+    keys: of the cameras. lights: one for each photograph. card_distance: of a card, in the lights' unit. Raises
+    InputError where writing fails.
     """
     cameras = dict.fromkeys(range(len(spec.views)), keys) if keys else {}
     by_number = dict(enumerate(lights))

@@ -18,7 +18,7 @@ from ..capture.types import Capture, Light, triple
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from ..geometry.build import check_card
-from .known_shape import WHITE, light_rows
+from .known_shape import WHITE, check_explained, light_rows
 
 FEWEST = 6  # photographs
 _PIXELS = 6000  # of the reduced card, about: relief and texture are averaged
@@ -70,7 +70,8 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     """
     if len(capture.observations) < FEWEST:
         raise InputError(
-            f"{len(capture.observations)} photographs are too few to find lights over a flat card; take {FEWEST} or more"
+            f"{len(capture.observations)} photographs are too few to find lights over a flat card; take {FEWEST} or"
+            " more"
         )
     camera = capture.cameras[0]
     capture = replace(capture, card_distance=capture.card_distance or _one_wide(camera))
@@ -86,6 +87,7 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     found = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
     even = yield from map_steps(even_steps(samples, found.lamps), lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
     _check_known(found, even)
+    check_explained(capture, found, "the card")
     lights = found.lamps.lights(near=True, scale=bright_albedo(samples, found) / WHITE)
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
     shots = tuple(
@@ -102,7 +104,7 @@ def _one_wide(camera: Camera) -> float:
 
 
 def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Samples, np.ndarray]]:
-    """Return some pixels' samples, in the camera's axes, and their directions to the camera; yield the fraction read."""
+    """Return some pixels' samples, in the camera's axes, and directions to the camera; yield the fraction read."""
     camera = replace(capture.cameras[0], matrix=np.eye(4))
     points = camera.points(capture.card_distance or 1.0)
     places = np.flatnonzero(capture.masks[0] & np.isfinite(points).all(axis=-1))
@@ -132,8 +134,8 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
 def _check_known(found: Found, even: Found) -> None:
     if not nearer(found, even):
         raise InputError(
-            "the card does not show that its lamps are near and apart: distant ones light it evenly, and nothing in matt"
-            " shading tells their directions; put a ball into the photographs"
+            "the card does not show that its lamps are near and apart: distant ones light it evenly, and nothing in"
+            " matt shading tells their directions; put a ball into the photographs"
         )
     degrees, distance = float(found.degrees.mean()), float(found.distance_errors.mean())
     if degrees > _MOST_DEGREES or distance > _MOST_DISTANCE:

@@ -42,8 +42,7 @@ _SHADOW_ROUNDS = 2  # of predicting the shadows from the lights found
 WHITE = 0.8  # albedo of the brightest texels, which sets the scale of the intensities
 _READ = 0.4  # fraction of the work, at the end of reading
 _ONE_LIGHT = Light((0.0, 0.0, 1.0))
-# Least determination: 0.52 to 0.99 on pots and heads, 0.2 on a goblet of metal that ended 119° off, 0 on a plane.
-_CLEAR = 0.4
+_CLEAR = 0.2  # least determination: 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
 _EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, 0.5 to 0.9 elsewhere
 _MOST_ERROR = 10.0  # degrees
 # Degrees between the mesh's normals and those of the photographs, in the median: 0.5 where a pot's mesh is exact, 8.7
@@ -234,16 +233,21 @@ def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: flo
             f"'{mesh.name}': the photographs' shading contradicts the mesh, whose normals are off by {mismatch:.0f}° in"
             " the median; check that mesh and cameras are in one place and unit, or put a ball into the photographs"
         )
-    worst = int(found.explained.argmin())
-    if not found.explained[worst] >= _EXPLAINED:
-        raise InputError(
-            f"'{capture.observations[worst].name}': matt shading of '{mesh.name}' explains only"
-            f" {found.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
-        )
+    check_explained(capture, found, f"'{mesh.name}'")
     if not found.degrees.mean() <= _MOST_ERROR:
         raise InputError(
             f"'{mesh.name}': parts of it tell lights that differ by {found.degrees.mean():.0f}°: they cannot be found"
             " from its shading; put a ball into the photographs"
+        )
+
+
+def check_explained(capture: Capture, found: Found, subject: str) -> None:
+    """Raise InputError that names the photograph whose light the fit does not find."""
+    worst = int(found.explained.argmin())
+    if not found.explained[worst] >= _EXPLAINED:
+        raise InputError(
+            f"'{capture.observations[worst].name}': matt shading of {subject} explains only"
+            f" {found.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
         )
 
 

@@ -24,10 +24,10 @@ def falloff_steps(samples: Samples, views: np.ndarray, centre: np.ndarray, size:
     views: (T, 3) unit directions to the camera: samples near the mirror direction, where gloss adds its own light, do
     not count.
 
-    The logarithm of a lamp's light is −1.5 log(|x − f|² + h²) and a constant, with foot f and height h: the ratio of two
-    photographs is one of two quadratics, which tells both, unless lamps are so far that nothing but its gradient is
-    left. Several starts; the one that explains the photographs best counts. The standard errors include how far the lamps
-    differ from those that all samples tell.
+    The logarithm of a lamp's light is −1.5 log(|x − f|² + h²) and a constant, with foot f and height h: the ratio of
+    two photographs is one of two quadratics, which tells both, unless lamps are so far that nothing but its gradient
+    is left. Several starts; the one that explains the photographs best counts. The standard errors include how far the
+    lamps differ from those that all samples tell.
     """
     best: Found | None = None
     for start in _starts(samples, centre, size):

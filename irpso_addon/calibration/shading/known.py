@@ -17,6 +17,7 @@ GROUPS = 8  # of texels, for the errors
 _FACING = 0.1  # least cosine to the light of a sample that counts
 _DARK = 0.1  # of a texel's and photograph's usual radiance: shadow, before the lights are known
 _GLARE = 1.5  # of the same: highlight
+_NARROW = 0.03  # mean square of a component of the normals below which lights are hardly determined: 10°
 _LINEAR_ROUNDS, _ROUNDS, _INNER = 12, 60, 3
 _WIDTH = 2.0  # deviations at which a sample's weight is a half (Cauchy)
 _LEAST_WIDTH = 2e-3
@@ -91,19 +92,22 @@ def linear_lamps(samples: Samples, centre: np.ndarray, size: float) -> tuple[Lam
     """Return distant lamps, and how well the texels determine them: 0 (not at all) to 1.
 
     With the inverse albedo β of a texel, β I = n·L is linear in β and in all L: the lights are the eigenvector of one
-    3K × 3K matrix, without a start, robustly reweighted. Texels that face one way leave more than one eigenvector.
+    3K × 3K matrix, without a start, robustly reweighted. A few facets leave more than one eigenvector, and normals in
+    one plane, or all alike, leave what is across it.
     """
     values, normals = samples.scaled().values, samples.normals
     first = samples.weight * _plausible(values, samples.weight > 0)
     weight = first
     count = len(values)
     products = np.einsum("ti,tj->tij", normals, normals).reshape(-1, 9)
-    for _ in range(_LINEAR_ROUNDS):
+    for number in range(_LINEAR_ROUNDS):
         own = (weight @ products).reshape(count, 3, 3) + 1e-9 * np.eye(3)
         root = np.linalg.inv(np.linalg.cholesky(own))
         norm = np.sqrt(np.maximum((weight * values**2).sum(axis=0), 1e-12))
         cross = np.einsum("kij,kt,tj->kit", root, weight * values / norm, normals, optimize=True).reshape(3 * count, -1)
         size_of, vectors = np.linalg.eigh(cross @ cross.T)
+        if number == 0:  # later rounds leave out what contradicts the one answer that they follow
+            clear = float(1 - (1 - size_of[-1]) / max(1 - size_of[-2], 1e-12))
         lights = np.einsum("kji,kj->ki", root, vectors[:, -1].reshape(count, 3))
         shading = lights @ normals.T
         if (weight * values * shading).sum() < 0:
@@ -114,16 +118,21 @@ def linear_lamps(samples: Samples, centre: np.ndarray, size: float) -> tuple[Lam
         facing = shading > _FACING * np.linalg.norm(lights, axis=-1, keepdims=True)
         weight = first * facing / (1 + (residual / _width(residual, first * facing)) ** 2)
     strength = np.maximum(np.linalg.norm(lights, axis=-1), 1e-12)
-    clear = float(1 - (1 - size_of[-1]) / max(1 - size_of[-2], 1e-12))
+    clear *= min(1.0, _narrowness(normals) / _NARROW)
     lamps = Lamps(centre, size, lights / strength[:, None], np.zeros(count), strength / np.exp(np.log(strength).mean()))
     return lamps, clear
+
+
+def _narrowness(normals: np.ndarray) -> float:
+    """Return the mean square of the normals' component in the direction where it is least: 0 in one plane."""
+    return float(np.linalg.eigvalsh(normals.T @ normals / len(normals))[0])
 
 
 def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAREST) -> Generator[None, None, Found]:
     """Yield after each round; return the lamps that fit from a start: Levenberg–Marquardt, albedos eliminated.
 
-    near: whether distances are free, up to ``nearest`` of size / distance. A sample counts where the lamp stands above the surface; highlights, shadows that
-    the weights do not know and what else is off have little weight (Cauchy).
+    near: whether distances are free, up to ``nearest`` of size / distance. A sample counts where the lamp stands above
+    the surface; highlights, shadows that the weights do not know and what else is off have little weight (Cauchy).
     """
     samples = samples.scaled()
     equations = _Equations(samples, near)

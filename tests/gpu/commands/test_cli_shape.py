@@ -1,6 +1,7 @@
-"""``calibrate --ball none --blend``: lights over a mesh of known shape, through the public command."""
+"""``calibrate --ball none`` with ``--blend`` or ``--flat``: lights over a known shape, through the public command."""
 
 import json
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -10,7 +11,8 @@ from irpso_addon.blender.scenes.scene import camera_from_object, empty_blend
 from irpso_addon.capture.read import read_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
-from tests.builders.command_line import dome_lights, run_cli
+from tests.builders.command_line import dome_lights, run_cli, smooth_maps
+from tests.builders.near_card import DISTANCE, near_card
 
 LAMPS, SIDE = 8, 72
 STRENGTHS = np.exp(0.3 * np.random.default_rng(3).standard_normal(LAMPS))
@@ -90,10 +92,33 @@ def test_a_mesh_that_is_elsewhere_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_near_lights_of_a_flat_card_are_found(tmp_path):
+    shape = 40, 60
+    values = smooth_maps(shape, {}, seed=3) | {"normal": np.broadcast_to((0.0, 0.0, 1.0), (*shape, 3))}
+    capture, _ = near_card(values=values)
+    unlit = tuple(replace(shot, light=Light((0.0, 0.0, 1.0))) for shot in capture.observations)
+    write_capture(replace(capture, observations=unlit, card_distance=None), tmp_path / "capture")
+    code, _, err = run_cli(
+        "calibrate", tmp_path / "capture", "--ball", "none", "--flat", "-o", tmp_path / "out", "--quiet"
+    )
+    assert (code, err) == (0, "")
+    found = read_capture(tmp_path / "out")
+    # Nothing tells the unit: it is the width of the picture.
+    unit = DISTANCE / found.card_distance
+    assert 2 * np.tan(np.radians(15)) * found.card_distance == pytest.approx(1)
+    for light, shot in zip((o.light for o in found.observations), capture.observations, strict=True):
+        assert np.linalg.norm(unit * np.array(light.vector) - shot.light.vector) < 0.02 * 260
+    power = [light.light.intensity[0] for light in found.observations]
+    assert np.std(np.log(power)) < 0.03
+
+
 def test_options_of_meshes_need_a_mesh(tmp_path):
     for options, said in (
         (("--ball", "none", "--object", "Sphere"), "--object: is for meshes"),
         (("--blend", "x.blend"), "--blend: goes with --ball none"),
+        (("--flat",), "--flat: goes with --ball none"),
+        (("--ball", "none", "--flat", "--blend", "x.blend"), "--flat and --blend"),
+        (("--ball", "none", "--flat", "--lights", "distant"), "--lights distant: matt shading of a flat card"),
         (("--ball", "none", "--blend", "x.blend", "--inside-out"), "--inside-out: a mesh"),
     ):
         code, _, err = run_cli("calibrate", tmp_path, *options, "-o", tmp_path / "out")
