@@ -30,7 +30,7 @@ def _card():
 
 
 def _photographed(points, normals, far, gloss=0.0, noise=0.002):
-    """Return samples under COUNT lamps at ``far`` (K,) from the centre, infinite for distant ones; places, strengths."""
+    """Return samples under COUNT lamps at ``far`` (K,), infinite for distant ones; their directions, strengths."""
     directions, strengths = lamps(COUNT, uneven=0.3)
     rng = np.random.default_rng(2)
     albedo = rng.uniform(0.1, 0.8, len(points))
