@@ -106,14 +106,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument("capture", help="folder, .lp file, capture.toml, or .blend whose lights have photographs")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result")
     add.add_argument("--blend", metavar="FILE", help="Blender file with the mesh (default: the subject is a flat card)")
-    add.add_argument("--object", metavar="NAME", help="mesh object in FILE")
-    add.add_argument(
-        "--slots",
-        metavar="A,B",
-        help="recover only these material slots, by name or by number from 0; each: all, one by one",
-    )
-    add.add_argument("--occluder", action="append", default=[], metavar="NAME",
-                     help="object in FILE that hides and shades the mesh; may be repeated")  # fmt: skip
+    _add_mesh(add, "; each: all, one by one")
     add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile: N or WxH (default 512)")
     add.add_argument("--no-shadows", dest="shadows", action="store_false",
                      help="do not predict the shadows that the mesh casts on itself")  # fmt: skip
@@ -241,6 +234,13 @@ def _add_calibrate(commands: argparse._SubParsersAction) -> None:
                      " be repeated")  # fmt: skip
     add.add_argument("--inside-out", action="store_true",
                      help="with --ball none: the other of two answers, if the relief looks inside out")  # fmt: skip
+    add.add_argument(
+        "--flat", action="store_true", help="with --ball none: the subject is flat, and lamps stand near it"
+    )
+    add.add_argument(
+        "--blend", metavar="FILE", help="with --ball none: Blender file with the subject's mesh, whose shape is known"
+    )
+    _add_mesh(add)
     add.add_argument("--kind", default="auto", choices=("auto", "mirror", "matte"),
                      help="kind of all balls (default auto, for balls that are searched)")  # fmt: skip
     add.add_argument("--fov", type=float, metavar="DEGREES", help="the camera's full angle over the image's width")
@@ -257,6 +257,13 @@ def _add_calibrate(commands: argparse._SubParsersAction) -> None:
                      help="albedo of matte balls (default: intensities are relative to the first light)")  # fmt: skip
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_common(add)
+
+
+def _add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:
+    add.add_argument("--object", metavar="NAME", help="mesh object in FILE")
+    add.add_argument("--slots", metavar="A,B", help=f"use only these material slots, by name or by number from 0{more}")
+    add.add_argument("--occluder", action="append", default=[], metavar="NAME",
+                     help="object in FILE that hides and shades the mesh; may be repeated")  # fmt: skip
 
 
 def _add_develop(commands: argparse._SubParsersAction) -> None:

@@ -92,11 +92,16 @@ def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str
 
 
 def calibrated_table(
-    spec: CaptureSpec, cameras: Mapping[int, Mapping[str, Any]], lights: Mapping[int, Light | None], folder: Path
+    spec: CaptureSpec,
+    cameras: Mapping[int, Mapping[str, Any]],
+    lights: Mapping[int, Light | None],
+    folder: Path,
+    card_distance: float | None = None,
 ) -> str:
     """Return the text of a capture.toml in ``folder``: the spec's, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot. Everything else of a capture.toml
+    cameras: camera index → keys. lights: shot index → light; None removes the shot. card_distance: written where it is
+    given and the source has neither it nor ``card_width``. Everything else of a capture.toml
     stays, except comments. Image paths become relative to ``folder``.
     """
     if spec.kind == "capture table":
@@ -104,6 +109,8 @@ def calibrated_table(
         home = spec.source.parent
     else:
         source, home = _as_table(spec), Path(".")
+    if card_distance is not None and not {table.CARD_DISTANCE, "card_width"} & set(source):
+        source = {**source, table.CARD_DISTANCE: card_distance}
     source = {**source, "camera": [dict(row) for row in source.get("camera", [])]}
     for number, keys in cameras.items():
         if number < len(source["camera"]):

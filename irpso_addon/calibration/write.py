@@ -52,15 +52,22 @@ def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any]
 
 
 def write_lights(
-    spec: CaptureSpec, keys: Mapping[str, Any], lights: Sequence[Light], report: dict[str, Any], out: Path
+    spec: CaptureSpec,
+    keys: Mapping[str, Any],
+    lights: Sequence[Light],
+    report: dict[str, Any],
+    out: Path,
+    card_distance: float | None = None,
 ) -> None:
     """Write a table and a report of lights that no ball shows: into a new folder, or as OUT.toml. All or nothing.
 
-    keys: of the camera. lights: one for each photograph. Raises InputError where writing fails.
+    keys: of the cameras. lights: one for each photograph. card_distance: of a card, in the lights' unit. Raises
+    InputError where writing fails.
     """
-    cameras, by_number = {0: keys} if keys else {}, dict(enumerate(lights))
+    cameras = dict.fromkeys(range(len(spec.views)), keys) if keys else {}
+    by_number = dict(enumerate(lights))
     text = json.dumps(report, indent=1) + "\n"
-    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder), text)
+    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder, card_distance), text)
 
 
 def _write(

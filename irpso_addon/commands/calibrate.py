@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from collections.abc import Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,26 +17,37 @@ from ..calibration.photographs import camera_keys, lens_of_files, read_photograp
 from ..calibration.write import checked_output, write_calibration, write_lights
 from ..capture.framing import framed
 from ..capture.spec import CaptureSpec, build_capture
+from ..capture.types import Capture
 from ..core.errors import InputError
+from ..core.optional import present
 from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
 from ..core.steps import run_steps
 from ..gpu import context, probe
-from ..pipeline.uncalibrated import uncalibrated_steps
+from ..pipeline.flat_card import FlatCard, flat_card_steps
+from ..pipeline.known_shape import KnownShape, known_shape_steps
+from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
+from .options.job import subject_of
 from .options.values import numbers_of_text, positive, silent
 
 NONE = "none"  # in place of a ball
 _SHOWN_WARNINGS = 12
+
+Found = TypeVar("Found")
 
 
 def run(options: Namespace) -> dict:
     """Find the lights and write them. Raises InputError and then writes nothing."""
     keys = _camera(options)
     if NONE in (options.ball or []):
-        return _by_shading(options, keys)
-    if options.inside_out:
-        raise InputError("--inside-out: goes with --ball none")
+        _check_ballless(options)
+        if options.flat:
+            return _by_falloff(options, keys)
+        return _by_shape(options, keys) if options.blend else _by_shading(options, keys)
+    for name in ("inside_out", "flat", "blend", "object", "slots", "occluder"):
+        if getattr(options, name):
+            raise InputError(f"--{name.replace('_', '-')}: goes with --ball none")
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
@@ -60,37 +72,105 @@ def run(options: Namespace) -> dict:
     }
 
 
-def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find distant lights without a ball and write them. Raises InputError and then writes nothing."""
+def _check_ballless(options: Namespace) -> None:
+    """Raise InputError for an option that contradicts --ball none."""
     if options.ball != [NONE]:
         raise InputError("--ball none: finds lights without a ball; omit the other --ball")
     for name, usual in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
         if getattr(options, name) != usual:
             raise InputError(f"--{name}: is of balls; leave it out with --ball none")
-    if options.lights == "near":
-        raise InputError("--lights near: places of lamps need balls; --ball none finds directions of distant lights")
-    out = checked_output(Path(options.output))
+    if options.flat and options.blend:
+        raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
+    if options.flat and options.inside_out:
+        raise InputError("--inside-out: a flat card (--flat) has no relief; leave it out")
+    if options.flat and options.lights == "distant":
+        raise InputError("--lights distant: matt shading of a flat card does not tell directions; put a ball beside it")
+    if options.blend and options.inside_out:
+        raise InputError("--inside-out: a mesh (--blend) has one side; leave it out")
+    for name in ("object", "slots", "occluder"):
+        if getattr(options, name) and not options.blend:
+            raise InputError(f"--{name}: is for meshes: give --blend FILE")
+
+
+def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
+    """Find lights over a mesh and write them. Raises InputError and then writes nothing."""
+    checked_output(Path(options.output))
+    mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
-    bar = ProgressBar("calibrate", silent(options))
+    found = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
+    kind = "near lights, with their positions," if found.near else "distant lights"
+    line = f"{len(found.lights)} {kind} by the shading of '{mesh.name}'; {_errors(found.found.degrees)}"
+    return _written_without_ball(options, spec, keys, found, line)
+
+
+def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
+    """Find near lights over a flat card and write them. Raises InputError and then writes nothing."""
+    checked_output(Path(options.output))
+    spec, keys = _photographs(options, keys, [])
+    found = _without_ball(options, flat_card_steps(_capture(spec)))
+    if not (keys or spec.views[0].lens):  # the unit of the positions is the assumed width
+        camera = found.capture.cameras[0]
+        keys = {"world_width": camera.width / camera.scale[0]}
+    line = (
+        f"{len(found.lights)} near lights, with their positions, by their fall-off over a flat card;"
+        f" {_errors(found.found.degrees)}, and {found.distance_error:.0%} of their distance"
+    )
+    return _written_without_ball(options, spec, keys, found, line, found.capture.card_distance)
+
+
+def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
+    """Find distant lights without a ball and write them. Raises InputError and then writes nothing."""
+    if options.lights == "near":
+        raise InputError(
+            "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
+            " directions of distant lights"
+        )
+    checked_output(Path(options.output))
+    spec, keys = _photographs(options, keys, [])
+    steps = uncalibrated_steps(_capture(spec), load_model(DEFAULT_MODEL), inside_out=options.inside_out)
+    found = _without_ball(options, steps)
+    turned = f"; its material then turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
+    line = (
+        f"{len(found.lights)} distant lights by shading; parts of the subject agree to"
+        f" {found.first.errors.mean():.1f}°{turned}"
+    )
+    return _written_without_ball(options, spec, keys, found, line)
+
+
+def _capture(spec: CaptureSpec) -> Capture:
     probe.probe()
     context.ensure()
-    capture = framed(build_capture(spec, decode), spec.framing)
-    steps = uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=options.inside_out)
+    return framed(build_capture(spec, decode), spec.framing)
+
+
+def _without_ball(options: Namespace, steps: Generator[float, None, Found]) -> Found:
+    """Return what the steps find, with a progress bar."""
+    bar = ProgressBar("calibrate", silent(options))
     found = run_steps(steps, lambda part: bar.show(part, "shading"))
     bar.show(1.0, "done")
     bar.close()
-    lights, report = found.lights, found.report()
-    write_lights(spec, keys, lights, report, out)
+    return found
+
+
+def _written_without_ball(
+    options: Namespace,
+    spec: CaptureSpec,
+    keys: dict[str, Any],
+    found: Uncalibrated | KnownShape | FlatCard,
+    line: str,
+    card_distance: float | None = None,
+) -> dict:
+    """Write the lights, print a line and the warnings, and return the answer."""
+    report, out = found.report(), Path(options.output)
+    write_lights(spec, keys, found.lights, report, out, card_distance)
     if not silent(options):
-        turned = f"; its material then turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
-        lines = [
-            f"{len(lights)} distant lights by shading; parts of the subject agree to {found.first.errors.mean():.1f}°"
-            + turned,
-            *(f"warning: {warning}" for warning in found.warnings),
-            f"written to {out}",
-        ]
+        lines = [line, *(f"warning: {warning}" for warning in found.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")
-    return {"output": str(out), **report, "photographs": len(lights), "lights": len(lights)}
+    return {"output": str(out), **report, "photographs": len(found.lights), "lights": len(found.lights)}
+
+
+def _errors(degrees: np.ndarray) -> str:
+    return f"standard error: median {np.median(degrees):.2f}°, largest {degrees.max():.2f}°"
 
 
 def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:
@@ -130,10 +210,7 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
     result = found.result
     errors = [light.error for light in result.lights if light.light is not None]
     camera = result.views[0].ball.camera
-    lines = [
-        f"{len(errors)} lights of {len(found.names)} photographs, {result.how}",
-        f"standard error: median {np.median(errors):.2f}°, largest {max(errors):.2f}°",
-    ]
+    lines = [f"{len(errors)} lights of {len(found.names)} photographs, {result.how}", _errors(np.array(errors))]
     for ball in found.found:
         x, y = ball.centre[0], camera.height - ball.centre[1]
         sure = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"

@@ -90,7 +90,10 @@ def uncalibrated_steps(
     disagreement = float(first.errors.mean())
     apart = f"parts of the subject tell lights that differ by {disagreement:.0f}°"
     if not disagreement <= _MOST_ERROR:
-        raise InputError(f"{apart}: they cannot be found from its shading; put a ball into the photographs")
+        raise InputError(
+            f"{apart}: they cannot be found from its shading; put a ball into the photographs, or if it is flat and"
+            " lamps stood near it, use --flat"
+        )
     if inside_out:
         first = replace(first, directions=first.directions * (-1, -1, 1))
     strength = first.intensities * float(np.percentile(values.max(axis=0), _BRIGHT)) / _WHITE

@@ -1,1 +1,1 @@
-"""Lights without a ball: distant lights from the shading of a subject with relief."""
+"""Lights without a ball: from the shading of a subject with relief, of a known shape, or of a flat card."""

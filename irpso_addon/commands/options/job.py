@@ -63,7 +63,7 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
         parse_memory(options.memory)
     _check_mesh_options(options)
     _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
-    subject, mesh, name = _subject(options, opened)
+    subject, mesh, name = subject_of(options, opened)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
     derived_maps_of(options).check(model)
     fixed = fixed_from_options(options.fixed, model, tiles)
@@ -157,8 +157,8 @@ def _is_scene(path: str) -> bool:
     return Path(path).suffix.lower() == ".blend"
 
 
-def _subject(options: Namespace, opened: bool) -> tuple[Any, MeshData | None, str]:
-    """Return the object, its mesh, and the name of the result; for a card None, None and ""."""
+def subject_of(options: Namespace, opened: bool = False) -> tuple[Any, MeshData | None, str]:
+    """Return the object of --blend, its mesh, and the name of the result; for a card None, None and ""."""
     if not options.blend:
         empty_blend()
         return None, None, ""

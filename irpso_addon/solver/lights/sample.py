@@ -59,7 +59,7 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     radiance = np.where(seen[..., 3:] > 0, seen[..., :3], 0).astype(np.float64)
     factors, normals = relative_intensities(radiance, seen[..., 3].astype(np.float64), vectors, irradiance)
     world = np.einsum("tc,tcd->td", normals, domain.bake.frames((rows, columns)))
-    order = np.sort(_spread(world, rng)[:count])
+    order = np.sort(evenly_facing(world, rng)[:count])
     part = _gathered(domain, stack[:, order], rows[order], columns[order])
     return LightSample(part, factors, rows[order], columns[order])
 
@@ -82,7 +82,7 @@ def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:
     return np.flatnonzero(wanted & (seen.sum(axis=0) >= 3))
 
 
-def _spread(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def evenly_facing(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Indices in an order in which every prefix holds about equally many texels of each normal."""
     cells = np.floor((normals + 1) * (_CELLS / 2)).clip(0, _CELLS - 1).astype(int) @ (1, _CELLS, _CELLS**2)
     shuffled = rng.permutation(len(cells))

@@ -1,0 +1,145 @@
+"""Near lights of a flat card, by their fall-off over it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from ..calibration.shading.flat import even_steps, falloff_steps
+from ..calibration.shading.known import Found, Samples, bright_albedo, cells, nearer
+from ..capture.bounds import without_bounds
+from ..capture.camera import Camera
+from ..capture.framing import Framing, framed
+from ..capture.types import Capture, Light, triple
+from ..core.errors import InputError
+from ..core.steps import map_steps
+from ..geometry.build import check_card
+from .known_shape import WHITE, check_explained, light_rows
+
+FEWEST = 6  # photographs
+_PIXELS = 6000  # of the reduced card, about: relief and texture are averaged
+_TEXELS = 1500  # that are used
+_FEWEST_TEXELS, _FEWEST_LIT = 300, 100
+_LEAST_SCALE = 0.02
+_READ = 0.2  # fraction of the work
+_MOST_DEGREES, _MOST_DISTANCE = 8.0, 0.25  # mean standard errors: of directions, and of distances as fractions
+_UP = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class FlatCard:
+    """Near lights found over a card. capture: with them, and with ``card_distance`` in their unit. found: the fit."""
+
+    capture: Capture
+    found: Found
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def lights(self) -> list[Light]:
+        """The light of each photograph."""
+        return [shot.light for shot in self.capture.observations]
+
+    @property
+    def distance_error(self) -> float:
+        """Mean standard error of the lamps' distances, as a fraction."""
+        return float(self.found.distance_errors.mean())
+
+    def report(self) -> dict[str, Any]:
+        """Return the table of the report."""
+        return {
+            "kind": "flat",
+            "near": True,
+            "how": "by the fall-off of near lights over a flat card",
+            "card_distance": self.capture.card_distance,
+            "misfit": round(self.found.misfit, 5),
+            "lights": light_rows(self.capture, self.found, near=True),
+            "warnings": list(self.warnings),
+        }
+
+
+def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, FlatCard]:
+    """Yield the fraction done; return the near lights of a flat card's capture, whose own lights do not count.
+
+    The card faces its one camera, at the capture's ``card_distance``, or else where its picture is 1 wide: then
+    positions are in widths of the picture. All intensities have a common free factor. Raises InputError where the
+    photographs do not determine the lights: distant ones light a card alike everywhere.
+    """
+    if len(capture.observations) < FEWEST:
+        raise InputError(
+            f"{len(capture.observations)} photographs are too few to find lights over a flat card; take {FEWEST} or"
+            " more"
+        )
+    camera = capture.cameras[0]
+    capture = replace(capture, card_distance=capture.card_distance or _one_wide(camera))
+    mask = check_card(capture)
+    scale = min(1.0, float(np.sqrt(_PIXELS / mask.sum())))
+    small = framed(capture, Framing(scale=max(scale, _LEAST_SCALE)))
+    samples, views = yield from map_steps(_samples(small, seed), lambda part: _READ * part)
+    _check_lit(capture, samples)
+    middle = samples.points.mean(axis=0)
+    size = float(np.linalg.norm(samples.points - middle, axis=-1).max())
+    steps = count(1)
+    fitting = falloff_steps(samples, views, middle, size)
+    found = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
+    even = yield from map_steps(even_steps(samples, found.lamps), lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
+    _check_known(found, even)
+    check_explained(capture, found, "the card")
+    lights = found.lamps.lights(near=True, scale=bright_albedo(samples, found) / WHITE)
+    places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
+    shots = tuple(
+        replace(shot, light=replace(light, vector=triple(place)))
+        for shot, light, place in zip(capture.observations, lights, places, strict=True)
+    )
+    return FlatCard(replace(capture, observations=shots), found)
+
+
+def _one_wide(camera: Camera) -> float:
+    """Return the distance at which a perspective camera's picture is 1 wide; else the width of the picture."""
+    width = camera.width / camera.scale[0]
+    return 1 / width if camera.perspective else width
+
+
+def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Samples, np.ndarray]]:
+    """Return some pixels' samples, in the camera's axes, and directions to the camera; yield the fraction read."""
+    camera = replace(capture.cameras[0], matrix=np.eye(4))
+    points = camera.points(capture.card_distance or 1.0)
+    places = np.flatnonzero(capture.masks[0] & np.isfinite(points).all(axis=-1))
+    chosen = np.sort(np.random.default_rng(seed).permutation(places)[:_TEXELS])
+    points = points.reshape(-1, 3)[chosen]
+    values, weights = [], []
+    for number, shot in enumerate(capture.observations):
+        pixels = without_bounds(shot.read()).reshape(-1, 4)[chosen].astype(np.float64)
+        weights.append(pixels[:, 3])
+        values.append(np.where(pixels[:, 3] > 0, pixels[:, :3].mean(axis=-1), 0))
+        yield (number + 1) / len(capture.observations)
+    normals = np.broadcast_to(_UP, points.shape)
+    views = -points / np.linalg.norm(points, axis=-1, keepdims=True) if camera.perspective else normals
+    return Samples(np.stack(values), np.stack(weights), points, normals, cells(points, seed)), views
+
+
+def _check_lit(capture: Capture, samples: Samples) -> None:
+    lit = ((samples.weight > 0) & (samples.values > 0)).sum(axis=1)
+    if samples.values.shape[1] < _FEWEST_TEXELS or lit.min() < _FEWEST_LIT:
+        number = int(lit.argmin())
+        raise InputError(
+            f"'{capture.observations[number].name}': shows only {lit[number]} lit pixels of the card, {_FEWEST_LIT} are"
+            f" needed to find its light, and the card needs {_FEWEST_TEXELS}"
+        )
+
+
+def _check_known(found: Found, even: Found) -> None:
+    if not nearer(found, even):
+        raise InputError(
+            "the card does not show that its lamps are near and apart: distant ones light it evenly, and nothing in"
+            " matt shading tells their directions; put a ball into the photographs"
+        )
+    degrees, distance = float(found.degrees.mean()), float(found.distance_errors.mean())
+    if degrees > _MOST_DEGREES or distance > _MOST_DISTANCE:
+        raise InputError(
+            f"the fall-off over the card tells its lamps only to {degrees:.0f}° and {distance:.0%} of their distance:"
+            " it is not matt, flat or large enough; bring the lamps nearer, or put a ball into the photographs"
+        )

@@ -1,0 +1,288 @@
+"""Lights from the photographs of a mesh, by matt shading over its known normals."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from ..calibration.shading.known import (
+    Found,
+    Samples,
+    bright_albedo,
+    cells,
+    fit_steps,
+    free_normals,
+    linear_lamps,
+    nearer,
+)  # fmt: skip
+from ..calibration.shading.lamps import Lamps
+from ..capture.bounds import without_bounds
+from ..capture.types import Capture, Light
+from ..core.errors import InputError
+from ..core.steps import map_steps
+from ..geometry.build import loading_steps, mesh_steps
+from ..geometry.domain import Domain
+from ..geometry.light.shadows import ShadowCaster, texel_size
+from ..geometry.surface.bake import bake_camera, surface_bake, uv_coverage
+from ..geometry.surface.mesh import MeshData
+from ..solver.lights.sample import evenly_facing
+
+FEWEST = 4  # photographs
+KINDS = ("auto", "distant", "near")
+_COVERED = 40_000  # texels of the mesh, about: one camera sees a third
+_SIDES = 64, 1024  # texels, least and most, along a side of the domain
+_TEXELS = 2500  # that are used; twice as many change lights by less than their errors
+_SEEN = 3  # photographs that show a texel, at least
+_FEWEST_TEXELS, _FEWEST_LIT = 300, 50  # those that are used, and those that one photograph lights
+_SHADOW_ROUNDS = 2  # of predicting the shadows from the lights found
+WHITE = 0.8  # albedo of the brightest texels, which sets the scale of the intensities
+_READ = 0.4  # fraction of the work, at the end of reading
+_ONE_LIGHT = Light((0.0, 0.0, 1.0))
+_CLEAR = 0.2  # least determination: 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
+_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, 0.5 to 0.9 elsewhere
+_MOST_ERROR = 10.0  # degrees
+# Degrees between the mesh's normals and those of the photographs, in the median: 0.5 where a pot's mesh is exact, 8.7
+# where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is moved by 5 % of its width (11°),
+# 15 where it is turned by 20° (10°), 20 where it is moved by a quarter of the width (31°).
+_DOUBTFUL, _MOST_MISMATCH = 10.0, 18.0
+# Shares of the outline that do not fit. A ball beside its place looks like one under turned lights: only its outline
+# tells. Moved by 5 % of its width, 6 % of its mask are not on the mesh, and lights are 8° off.
+_LOOSE, _MISPLACED = 0.04, 0.2
+_BLACK = 0.02  # of what bright texels show
+
+
+@dataclass(frozen=True)
+class KnownShape:
+    """Lights found over a mesh. capture: with them. found: their fit. near: whether they have positions.
+
+    determined: 0 to 1 (``linear_lamps``). mismatch: degrees, median angle between the mesh's normals and those that the
+    photographs have under the lights. texels: how many were used.
+    """
+
+    capture: Capture
+    found: Found
+    near: bool
+    determined: float
+    mismatch: float
+    texels: int
+    warnings: tuple[str, ...]
+
+    @property
+    def lights(self) -> list[Light]:
+        """The light of each photograph."""
+        return [shot.light for shot in self.capture.observations]
+
+    def report(self) -> dict[str, Any]:
+        """Return the table of the report."""
+        rows = light_rows(self.capture, self.found, self.near)
+        return {
+            "kind": "shape",
+            "near": self.near,
+            "how": "by the shading of the mesh",
+            "texels": self.texels,
+            "determined": round(self.determined, 4),
+            "misfit": round(self.found.misfit, 5),
+            "normals_differ_degrees": round(self.mismatch, 3),
+            "lights": rows,
+            "warnings": list(self.warnings),
+        }
+
+
+def light_rows(capture: Capture, found: Found, near: bool) -> list[dict[str, Any]]:
+    """Return the report's row of each light, with its standard errors."""
+    rows = []
+    strengths, distances = found.errors[:, 3], found.distance_errors
+    for number, shot in enumerate(capture.observations):
+        row = {
+            "name": shot.name,
+            "position" if near else "direction": list(shot.light.vector),
+            "intensity": list(shot.light.intensity),
+            "error_degrees": round(float(found.degrees[number]), 3),
+            "strength_error": round(float(strengths[number]), 4),
+        }
+        rows.append({**row, "distance_error": round(float(distances[number]), 4)} if near else row)
+    return rows
+
+
+def known_shape_steps(
+    capture: Capture, mesh: MeshData, kind: str = "auto", seed: int = 0
+) -> Generator[float, None, KnownShape]:
+    """Yield the fraction done; return the lights of a capture whose subject is a mesh; its own lights do not count.
+
+    The mesh lies in the capture's world, which one or several cameras see. Albedo is unknown at each texel. The mesh's
+    shadows are found with the lights, in rounds. All intensities have a common free factor. kind: of KINDS; "auto":
+    near where the fall-off proves it (``nearer``). Raises InputError where photographs and mesh do not determine the
+    lights, or contradict each other.
+    """
+    if len(capture.observations) < FEWEST:
+        raise InputError(
+            f"{len(capture.observations)} photographs are too few to find lights over a mesh; take {FEWEST} or more"
+        )
+    unlit = tuple(replace(shot, light=_ONE_LIGHT) for shot in capture.observations)
+    domain = yield from _read(replace(capture, observations=unlit, card_distance=None), mesh)
+    outside = max(_outside_mesh(capture, mesh), _black(domain))
+    if outside > _MISPLACED:
+        raise InputError(
+            f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; check that mesh and cameras are in"
+            " one place and unit, and that masks show the mesh alone"
+        )
+    rows, columns = _chosen(domain, mesh, seed)
+    samples = _samples(domain, rows, columns, seed)
+    _check_lit(capture, samples)
+    bake = surface_bake(domain.bake)
+    caster = ShadowCaster(mesh, bake, texel_size(mesh, bake))
+    fitting = _fit(samples, caster, rows * domain.shape[1] + columns, kind)
+    steps = count(1)
+    found, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
+    mismatch = float(np.nanmedian(free_normals(samples, found)))
+    _check_known(capture, mesh, found, determined, mismatch)
+    lights = found.lamps.lights(near, bright_albedo(samples, found) / WHITE)
+    shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
+    warnings = _warnings(mesh, mismatch, outside)
+    return KnownShape(
+        replace(capture, observations=shots), found, near, determined, mismatch, len(rows), warnings
+    )  # fmt: skip
+
+
+def _read(capture: Capture, mesh: MeshData) -> Generator[float, None, Domain]:
+    """Return the domain of a mesh without shadows; yield the fraction done."""
+    covered = int(uv_coverage(mesh, *mesh.domain_size(256, 256)).sum())
+    side = int(np.clip(256 * np.sqrt(_COVERED / max(covered, 1)), *_SIDES))
+    steps = mesh_steps(capture, mesh, *mesh.domain_size(side, side), shadows=False)
+    total, made = loading_steps(capture, on_mesh=True), count(1)
+    return (yield from map_steps(steps, lambda _: _READ * min(1.0, next(made) / total)))
+
+
+def _chosen(domain: Domain, mesh: MeshData, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of texels that some photographs show, with normals as widely spread as can be."""
+    rows, columns = np.nonzero(domain.solvable)
+    seen = np.zeros(len(rows), int)
+    for layer in domain.stack.layers():
+        seen += layer[rows, columns, 3] > 0
+    rows, columns = rows[seen >= _SEEN], columns[seen >= _SEEN]
+    if len(rows) < _FEWEST_TEXELS:
+        raise InputError(
+            f"'{mesh.name}': {_SEEN} photographs show only {len(rows)} texels of it, {_FEWEST_TEXELS} are needed to"
+            " find lights; check the cameras' poses, or put a ball into the photographs"
+        )
+    order = evenly_facing(domain.bake.normal[rows, columns], np.random.default_rng(seed))
+    chosen = np.sort(order[:_TEXELS])
+    return rows[chosen], columns[chosen]
+
+
+def _samples(domain: Domain, rows: np.ndarray, columns: np.ndarray, seed: int) -> Samples:
+    stack = without_bounds(domain.stack.texels(rows, columns)).astype(np.float64)
+    values = np.where(stack[..., 3] > 0, stack[..., :3].mean(axis=-1), 0)
+    points, normals = (a[rows, columns].astype(np.float64) for a in (domain.bake.position, domain.bake.normal))
+    return Samples(values, stack[..., 3], points, normals, cells(points, seed))
+
+
+def _check_lit(capture: Capture, samples: Samples) -> None:
+    lit = ((samples.weight > 0) & (samples.values > 0)).sum(axis=1)
+    if lit.min() < _FEWEST_LIT:
+        number = int(lit.argmin())
+        raise InputError(
+            f"'{capture.observations[number].name}': shows only {lit[number]} lit texels of the mesh, {_FEWEST_LIT} are"
+            " needed to find its light; leave the photograph out"
+        )
+
+
+def _fit(
+    samples: Samples, caster: ShadowCaster, texels: np.ndarray, kind: str
+) -> Generator[None, None, tuple[Found, bool, float]]:
+    """Yield often; return the lamps, whether they are near, and how well the texels determine them."""
+    centre = samples.points.mean(axis=0)
+    size = float(np.linalg.norm(samples.points - centre, axis=-1).max())
+    lamps, determined = linear_lamps(samples, centre, size)
+    shaded = samples
+    for number in range(_SHADOW_ROUNDS + 1):
+        found, near = yield from _of_kind(shaded, lamps, kind)
+        lamps = found.lamps
+        if number < _SHADOW_ROUNDS:
+            weights = []
+            for light in lamps.lights(near):
+                weights.append(caster.weights(light, texels))
+                yield
+            shaded = replace(samples, weight=samples.weight * np.stack(weights))
+    return found, near, determined
+
+
+def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None, tuple[Found, bool]]:
+    """Return the fit of near or distant lamps, and which it is."""
+    far = None
+    if kind != "near":
+        far = yield from fit_steps(samples, replace(lamps, inverses=np.zeros(len(lamps.inverses))), near=False)
+        if kind == "distant":
+            return far, False
+    close = yield from fit_steps(samples, lamps, near=True)
+    return (close, True) if far is None or nearer(close, far) else (far, False)
+
+
+def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: float, mismatch: float) -> None:
+    if not determined >= _CLEAR:
+        raise InputError(
+            f"'{mesh.name}': its visible part faces too few directions to tell lights from albedo; put a ball beside"
+            " it, or if it is flat, use --flat without --blend"
+        )
+    if not mismatch <= _MOST_MISMATCH:
+        raise InputError(
+            f"'{mesh.name}': the photographs' shading contradicts the mesh, whose normals are off by {mismatch:.0f}° in"
+            " the median; check that mesh and cameras are in one place and unit, or put a ball into the photographs"
+        )
+    check_explained(capture, found, f"'{mesh.name}'")
+    if not found.degrees.mean() <= _MOST_ERROR:
+        raise InputError(
+            f"'{mesh.name}': parts of it tell lights that differ by {found.degrees.mean():.0f}°: they cannot be found"
+            " from its shading; put a ball into the photographs"
+        )
+
+
+def check_explained(capture: Capture, found: Found, subject: str) -> None:
+    """Raise InputError that names the photograph whose light the fit does not find."""
+    worst = int(found.explained.argmin())
+    if not found.explained[worst] >= _EXPLAINED:
+        raise InputError(
+            f"'{capture.observations[worst].name}': matt shading of {subject} explains only"
+            f" {found.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
+        )
+
+
+def _outside_mesh(capture: Capture, mesh: MeshData) -> float:
+    """Return the share of the masks that the mesh does not cover; 0 where no camera has a mask."""
+    missed = masked = 0
+    for camera, mask in zip(capture.cameras, capture.masks, strict=True):
+        if not mask.all():
+            covered = bake_camera(mesh, camera).coverage
+            missed, masked = missed + int((mask & ~covered).sum()), masked + int(mask.sum())
+    return missed / max(masked, 1)
+
+
+def _black(domain: Domain) -> float:
+    """Return the share of the mesh's visible texels that are black in all photographs: they show what is behind it."""
+    seen, bright = np.zeros(domain.shape, bool), np.zeros(domain.shape)
+    for layer in domain.stack.layers():
+        shown = layer[..., 3] > 0
+        seen |= shown
+        bright = np.maximum(bright, np.where(shown, layer[..., :3].mean(axis=-1), 0))
+    if not seen.any():
+        return 0.0
+    return float((bright[seen] < _BLACK * np.percentile(bright[seen], 90)).mean())
+
+
+def _warnings(mesh: MeshData, mismatch: float, outside: float) -> tuple[str, ...]:
+    lines = []
+    if outside > _LOOSE:
+        lines.append(
+            f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; where the mesh is not in its"
+            " place, lights are off by more than their standard errors"
+        )
+    if mismatch > _DOUBTFUL:
+        lines.append(
+            f"the normals of '{mesh.name}' differ from those of the photographs by {mismatch:.0f}° in the median: it"
+            " lacks detail, or is not in its place; lights share what is common to these errors"
+        )
+    return tuple(lines)
