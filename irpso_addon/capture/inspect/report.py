@@ -158,7 +158,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         (sum(light.distant for light in lights), "distant"),
         (sum(not light.distant for light in lights), "near"),
         (sum(light.cone is not None for light in lights), "with a cone"),
-        (sum(light.cosine for light in lights), "falling with the cosine"),
+        (sum(light.cosine > 0 for light in lights), "falling with the cosine"),
     )
     facts = [
         ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),

@@ -11,13 +11,14 @@ from bpy.props import FloatVectorProperty
 
 from ...blender.images import decode
 from ...capture.bounds import without_bounds
+from ...capture.frame.find import find_corners
 from ...capture.spec import build_capture
 from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
 from ...gpu.viewport import Drawing
 from ..common import failures
 from ..common.polls import usable
-from ..session.scene_capture import spec_of
+from ..session.scene_capture import knows_distance, spec_of
 from . import handlers
 from .paint import HALO, Painter
 
@@ -46,9 +47,7 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Whether there are photographs in files."""
-        settings = context.scene.irpso
-        there = settings.source == "FILES" and settings.capture_path
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return _has_photographs(cls, context)
 
     def execute(self, context):
         """Take ``corners``, in any order, for those of the card."""
@@ -176,6 +175,39 @@ class IRPSO_OT_mark_card(bpy.types.Operator):
         return result
 
 
+def _has_photographs(operator, context) -> bool:
+    settings = context.scene.irpso
+    there = settings.source == "FILES" and settings.capture_path
+    return usable(operator, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+
+
+class IRPSO_OT_find_corners(bpy.types.Operator):
+    """Find the card in its photographs: by printed markers around it, or as the one rectangle that shows"""
+
+    bl_idname = "irpso.find_corners"
+    bl_label = "Find Corners"
+    bl_options = {"INTERNAL", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there are photographs in files."""
+        return _has_photographs(cls, context)
+
+    def execute(self, context):
+        """Read some photographs and store the corners."""
+        settings = context.scene.irpso
+        try:
+            found = find_corners(build_capture(spec_of(settings), decode))
+        except InputError as error:
+            return failures.refused(self, error)
+        take_corners(settings, np.array(found.corners))
+        settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()  # a sheet has its own upper left
+        if found.width and settings.near_lights and not knows_distance(settings):
+            settings.card_width = found.width
+        self.report({"INFO"}, f"Corners: {found}")
+        return {"FINISHED"}
+
+
 def take_corners(settings, corners: np.ndarray) -> None:
     """Store the corners (4, 2) of a card, in any order, in pixels from the upper left: as crop or as corners."""
     ordered = around(corners * (1, -1)) * (1, -1)
@@ -234,4 +266,4 @@ def _shown_in_editor(context, picture):
     return area
 
 
-CLASSES = (IRPSO_OT_mark_card,)
+CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_find_corners)
