@@ -95,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_response(commands)
     _add_sample(commands)
     _add_markers(commands)
+    _add_handheld(commands)
     _add_demo(commands)
     add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
     _add_common(add)
@@ -322,6 +323,21 @@ def _add_markers(commands: argparse._SubParsersAction) -> None:
     add.add_argument("-o", "--output", required=True, metavar="SHEET", help="the file: .pdf or .png")
     add.add_argument("--paper", choices=("A4", "letter"), default="A4", help="size of the paper (default A4)")
     add.add_argument("--count", type=int, choices=(4, 8), default=8, help="number of markers (default 8)")
+    _add_common(add)
+
+
+def _add_handheld(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser(
+        "handheld", help="find cameras and lights of photographs taken by hand, with the phone's flash", epilog=_EPILOG
+    )
+    add.add_argument("photographs", metavar="PHOTOS", help="folder of photographs, 30 or more, of one flat card")
+    add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="new folder")
+    add.add_argument("--fov", type=float, metavar="DEGREES",
+                     help="the camera's full angle over the image's width (default: by EXIF, and solved)")  # fmt: skip
+    add.add_argument("--flash-offset", metavar="X,Y,Z",
+                     help="place of the flash from the lens in millimetres: to the right, up, toward you (default: found"
+                     " by the brightness)")  # fmt: skip
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_common(add)
 
 

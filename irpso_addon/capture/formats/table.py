@@ -57,7 +57,7 @@ def _framing(table: dict[str, Any], where: str) -> Framing:
     elif "corners" in table:
         points = table["corners"]
         if not isinstance(points, list) or not all(map(_is_point, points)):
-            raise CaptureError(f"{where}: corners must be \"auto\", or a list of four points [x, y]", "value")
+            raise CaptureError(f'{where}: corners must be "auto", or a list of four points [x, y]', "value")
         given["corners"] = tuple(tuple(map(float, point)) for point in points)
     if "card_width" in given and CARD_DISTANCE in table:
         raise CaptureError(f"{where}: give one of card_width and {CARD_DISTANCE}", "value")

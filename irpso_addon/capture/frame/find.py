@@ -129,5 +129,3 @@ def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) 
 
 def _points(corners: np.ndarray) -> Corners:
     return tuple((float(x), float(y)) for x, y in corners)
-
-

@@ -68,6 +68,14 @@ class Sheet:
         """(4, 2) corners of the field, clockwise from its upper left one, in millimetres."""
         return np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]) * np.array(self.field) / 2
 
+    @property
+    def white(self) -> np.ndarray:
+        """(N, 2) places of bare paper, between the markers of each long and short side, in millimetres."""
+        corners = [np.mean(places, axis=0) for places in list(self.markers.values())[:4]]
+        return np.array([
+            (1 - share) * corners[k] + share * corners[(k + 1) % 4] for k in range(4) for share in (0.28, 0.72)
+        ])  # fmt: skip
+
 
 SHEETS = tuple(
     Sheet(paper, count, first)

@@ -201,7 +201,10 @@ class IRPSO_OT_find_corners(bpy.types.Operator):
         except InputError as error:
             return failures.refused(self, error)
         take_corners(settings, np.array(found.corners))
-        settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()  # a sheet has its own upper left
+        settings.framing, settings.corners = (
+            "CORNERS",
+            np.ravel(found.corners).tolist(),
+        )  # a sheet has its own upper left
         if found.width and settings.near_lights and not knows_distance(settings):
             settings.card_width = found.width
         self.report({"INFO"}, f"Corners: {found}")
