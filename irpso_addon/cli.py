@@ -133,7 +133,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--corners", metavar="auto|X1,Y1,…,X4,Y4",
                      help="corners of a flat rectangle, clockwise from its upper left one: it is recovered as seen"
-                     " straight from the front; auto: found by printed markers, or as the one rectangle that shows")  # fmt: skip
+                     " straight from the front; auto: by printed markers, or the one rectangle that shows")  # fmt: skip
     add.add_argument(
         "--scale", type=float, metavar="S", help="size of the pictures, 0.25 for a quick preview (default 1)"
     )
@@ -335,8 +335,8 @@ def _add_handheld(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--fov", type=float, metavar="DEGREES",
                      help="the camera's full angle over the image's width (default: by EXIF, and solved)")  # fmt: skip
     add.add_argument("--flash-offset", metavar="X,Y,Z",
-                     help="place of the flash from the lens in millimetres: to the right, up, toward you (default: found"
-                     " by the brightness)")  # fmt: skip
+                     help="place of the flash from the lens in millimetres: to the right, up, toward you (default:"
+                     " found by the brightness)")  # fmt: skip
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_common(add)
 

@@ -37,8 +37,9 @@ class Framing:
     """What is used of pictures. Pixels count from the upper left corner, to the right and down.
 
     crop: x, y, width, height. corners: (x, y) of a flat rectangle's four, clockwise as seen; the first becomes the
-    upper left one; AUTO: those of printed markers' field, or of the one rectangle that shows. scale: of the pictures' size, above 0 and up to 1. card_width: of the card that is then shown, in
-    the unit of the lights' positions. Raises CaptureError where they contradict each other.
+    upper left one; AUTO: those of printed markers' field, or of the one rectangle that shows. scale: of the pictures'
+    size, above 0 and up to 1. card_width: of the card that is then shown, in the unit of the lights' positions.
+    Raises CaptureError where they contradict each other.
     """
 
     crop: tuple[float, float, float, float] | None = None

@@ -29,7 +29,8 @@ class Light:
     with the inverse square), so that a white Lambertian texel facing the light has radiance 1. For a
     directed near light it is the intensity along the axis. axis: (3,) the unit direction in which it shines. cone:
     half-angle in degrees, with no light outside it (a spot). cosine: its light falls with this power of the cosine of
-    the angle to the axis: 0 not at all, 1 like a flat emitter's, more like a phone's flash. Raises InputError if these contradict each other.
+    the angle to the axis: 0 not at all, 1 like a flat emitter's, more like a phone's flash. Raises InputError if these
+    contradict each other.
     """
 
     vector: tuple[float, float, float]

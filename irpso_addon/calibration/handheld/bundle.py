@@ -48,7 +48,8 @@ def seen(bundle: Bundle, views: Views) -> np.ndarray:
 def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) -> Bundle:
     """Return the bundle of the least robust reprojection error.
 
-    lens: standard deviation of the focal length from that of ``bundle``, a share; then k1 is free, too. 0 keeps both. relief: standard deviation of the points' heights above z = 0, whose
+    lens: standard deviation of the focal length from that of ``bundle``, a share; then k1 is free, too; 0 keeps both.
+    relief: standard deviation of the points' heights above z = 0, whose
     places are then free, too; None keeps all points.
     """
     first = bundle
@@ -121,12 +122,12 @@ def _normal_equations(
     left[6 * count :, 6 * count :] = np.einsum("mai,m,maj->ij", by_lens, weight, by_lens)
     right[: 6 * count], right[6 * count :] = sides.ravel(), np.einsum("mai,m,ma->i", by_lens, weight, error)
     if lens:
-        for at, spread, off in (
+        for place, spread, off in (
             (-2, lens * first.focal, bundle.focal - first.focal),
             (-1, _LIKELY_RADIAL, bundle.radial - first.radial),
         ):
-            left[at, at] += 1 / spread**2
-            right[at] += off / spread**2
+            left[place, place] += 1 / spread**2
+            right[place] += off / spread**2
     if relief is None:
         return left, right, None
     by_point = by_local @ bundle.rotations[k]
@@ -139,8 +140,9 @@ def _normal_equations(
     shared = np.zeros((size, total, 3))
     rows = 6 * k[:, None] + np.arange(6)
     np.add.at(shared, (rows, views.point[:, None]), np.einsum("mai,m,maj->mij", by_pose, weight, by_point))
-    for n in range(free):
-        np.add.at(shared[6 * count + n], views.point, np.einsum("ma,m,maj->mj", by_lens[..., n], weight, by_point))
+    for part in range(free):
+        by_part = np.einsum("ma,m,maj->mj", by_lens[..., part], weight, by_point)
+        np.add.at(shared[6 * count + part], views.point, by_part)
     return left, right, (own, side, shared)
 
 

@@ -15,6 +15,7 @@ _ROUNDS = 8
 _SCALE = 0.08  # of the logarithm of radiance, of the Cauchy loss
 _GROUPS = 8  # of photographs, one of which is left out at a time: the jackknife's standard error
 _LEAST_SAMPLES = 4  # of a place
+_LEAST_MATTE = 0.1  # of the places that a photograph must show off the mirror direction, else all of it count
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,8 @@ def _usable(samples: Samples) -> np.ndarray:
     cosine = eyes[..., 2] / np.linalg.norm(eyes, axis=-1)
     good = np.isfinite(samples.radiance) & (samples.radiance > 0)
     matte = good & (cosine < np.cos(np.radians(_OFF_MIRROR)))
-    # Without photographs from the side highlights are all there is.
-    return matte if (matte.sum(axis=0) >= _LEAST_SAMPLES).mean() > 0.5 else good
+    # A photograph from straight above shows the card near the mirror direction alone, and has a strength, too.
+    return np.where(matte.sum(axis=1, keepdims=True) >= _LEAST_MATTE * good.shape[1], matte, good)
 
 
 def _fit(

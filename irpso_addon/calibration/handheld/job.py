@@ -21,7 +21,7 @@ from .tracks import Tracks, feature_tracks, marker_tracks
 ENOUGH, FEWEST = 30, 8  # photographs
 _WORKING = 1600  # pixels of the longer side in which points are searched
 _GRID = 28  # places along a side of the card, for the flash
-_BLURRED = 0.35  # of the median sharpness
+_BLURRED = 0.6  # of the median sharpness
 _SPREAD = {"known": 0.5, "likely": 0.06, "unknown": 0.5}  # of the focal length where it is solved: a share
 _ONE_PLACE = 6.0  # degrees between views, seen from the card: root mean square
 _RELIEF = 0.01  # of the cameras' distance: standard deviation of the heights of features
@@ -79,7 +79,8 @@ def handheld_steps(
     """Yield the share that is done; return cameras and flash of photographs, each of its own camera.
 
     capture: its cameras have the size and the focal length of the photographs and no pose; all focal lengths are one.
-    lens: "known" keeps the focal length; "likely" (EXIF's, which is rounded) and "unknown" solve it. flash_offset: (3,) millimetres, with markers only.
+    lens: "known" keeps the focal length; "likely" (EXIF's, which is rounded) and "unknown" solve it. flash_offset:
+    (3,) millimetres, with markers only.
     Raises InputError where photographs are too few, blurred, without points, from one place or of another lens.
     """
     _check_count(len(capture.observations), "")
@@ -90,7 +91,8 @@ def handheld_steps(
     warnings = [f"left out as blurred: {_listed(names, range(len(names)), blurred)}"] if blurred else []
     _check_count(len(sharp), f"; blurred: {_listed(names, range(len(names)), blurred)}")
     yield 0.5
-    tracks = _tracks([read.codes[n] for n in sharp], flash_offset is not None)
+    tracks, more = _tracks([read.codes[n] for n in sharp], flash_offset is not None)
+    warnings += more
     lost = [n for n in range(len(sharp)) if n not in tracks.used]
     _check_count(len(tracks.used), f"; too little of the card is recognised in {_listed(names, sharp, lost)}")
     yield 0.75
@@ -166,23 +168,25 @@ def _reduced(image: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _sharpness(codes: np.ndarray) -> float:
-    """Return the energy of the finest details over that of details twice as large."""
+    """Return the energy of the finest details over that of larger ones, in the direction in which it is least.
+
+    A shaken photograph is sharp across its motion.
+    """
     image = codes.astype(np.float32)
 
-    def energy(step: int) -> float:
-        curved = image[step:-step, step:-step] * 4
-        curved = curved - image[2 * step :, step:-step] - image[: -2 * step, step:-step]
-        curved = curved - image[step:-step, 2 * step :] - image[step:-step, : -2 * step]
-        # The weaker of two directions would tell motion; the whole tells defocus, too.
+    def energy(step: int, x: int, y: int) -> float:
+        part = [np.roll(image, (sign * step * y, sign * step * x), axis=(0, 1)) for sign in (-1, 1)]
+        curved = (2 * image - part[0] - part[1])[step:-step, step:-step]
         return float((curved**2).mean())
 
-    return energy(1) / max(energy(4), 1e-6)
+    return min(energy(1, x, y) / max(energy(4, x, y), 1e-6) for x, y in ((1, 0), (0, 1), (1, 1), (1, -1)))
 
 
-def _tracks(codes: list[np.ndarray], needs_markers: bool) -> Tracks:
+def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[str]]:
+    """Return points by markers, else by features, and warnings. Raises InputError where there are neither."""
     tracks = marker_tracks(codes)
     if tracks is not None and len(tracks.used) >= max(FEWEST, len(codes) // 2):
-        return tracks
+        return tracks, []
     if needs_markers:
         raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
     found = feature_tracks(codes)
@@ -191,7 +195,12 @@ def _tracks(codes: list[np.ndarray], needs_markers: bool) -> Tracks:
             "the photographs show neither printed markers nor enough features of one flat card; lay a sheet of `irpso"
             " markers` around it"
         )
-    return found
+    if tracks is None:
+        return found, []
+    return found, [
+        f"three printed markers or more show in only {len(tracks.used)} of {len(codes)} photographs, so that features of"
+        " the card are used, and lengths have no unit"
+    ]
 
 
 def _solved(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str) -> tuple[Bundle, np.ndarray]:
@@ -266,7 +275,8 @@ def _field(sheet: Sheet | None, bundle: Bundle, cameras: Sequence[Camera]) -> tu
     if sheet is not None:
         width, height = sheet.field
         return -width / 2, -height / 2, width / 2, height / 2
-    there = sum(_shows(camera, bundle.points[:, :2]).astype(int) for camera in cameras) >= _SHOWN * len(cameras)
+    shown = np.stack([_shows(camera, bundle.points[:, :2]) for camera in cameras])
+    there = shown.mean(axis=0) >= _SHOWN
     if there.sum() < FEWEST:
         raise InputError("no part of the card is in most of the photographs; keep it in the middle of all of them")
     (x0, y0), (x1, y1) = np.percentile(bundle.points[there, :2], [_TRIMMED, 100 - _TRIMMED], axis=0)

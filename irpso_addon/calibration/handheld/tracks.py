@@ -5,6 +5,7 @@ Pixels count from the UPPER left corner of a photograph, to the right and down.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,6 +24,7 @@ _FEWEST = 25  # matches that follow one homography
 _HUBS = 2  # photographs that are tried as the one that all others are matched to
 _TRACKS = 500  # points that are kept, those that most photographs show
 _LEAST_VIEWS = 3
+_LEAST_MARKERS = 3  # of a photograph: two, side by side, tell no tilt
 _VIAS = 10  # photographs that one which does not match the hub is matched to
 _SMALL = 900  # pixels of the longer side below which pictures are enlarged
 
@@ -60,20 +62,21 @@ class Tracks:
 def marker_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
     """Return the corners of the markers that photographs (H, W) uint8 show, row 0 at the TOP; None for fewer than two
     photographs with a sheet. Raises InputError without OpenCV."""
-    seen = {number: found for number, picture in enumerate(codes) if (found := seen_markers(picture)) is not None}
+    found = [seen_markers(picture) for picture in codes]
+    seen = {n: one for n, one in enumerate(found) if one is not None and len(one.numbers) >= _LEAST_MARKERS}
     if len(seen) < 2:
         return None
-    sheets = [found.sheet for found in seen.values()]
+    sheets = [one.sheet for one in seen.values()]
     sheet = max(sheets, key=sheets.count)
-    seen = {number: found for number, found in seen.items() if found.sheet == sheet}
+    seen = {n: one for n, one in seen.items() if one.sheet == sheet}
     order = list(sheet.markers)
     plane = np.concatenate([sheet.markers[number] for number in order])
     point = [
-        np.concatenate([4 * order.index(marker) + np.arange(4) for marker in found.numbers]) for found in seen.values()
+        np.concatenate([4 * order.index(marker) + np.arange(4) for marker in one.numbers]) for one in seen.values()
     ]
     return Tracks(
         np.repeat(list(seen), [len(p) for p in point]), np.concatenate(point),
-        np.concatenate([found.pixels for found in seen.values()]), plane, tuple(seen), sheet,
+        np.concatenate([one.pixels for one in seen.values()]), plane, tuple(seen), sheet,
     )  # fmt: skip
 
 
@@ -84,7 +87,7 @@ def feature_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
     """
     cv2 = opencv("finding features of the card")
     places, marks = _features(cv2, codes)
-    reach, count = _PARALLAX * float(np.hypot(*codes[0].shape)), len(codes)
+    reach, count = _PARALLAX * math.hypot(*codes[0].shape), len(codes)
 
     def matched(number: int, vias: Sequence[int], plane: Sequence[np.ndarray]) -> _Match | None:
         """Match a photograph to others; plane: for each of them, where its features lie in the hub's picture."""

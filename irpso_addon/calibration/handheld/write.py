@@ -1,4 +1,4 @@
-"""Output of a hand-held calibration: a capture.toml with a camera and a near light for each photograph, and a report."""
+"""Output of a hand-held calibration: a capture.toml with a camera and a near light a photograph, and a report."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,13 +116,13 @@ def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) 
             "corners",
         )
     own = [found for found in (fitted(picture, first) for picture in codes) if found is not None]
-    diagonal = float(np.hypot(*codes[0].shape))
+    diagonal = math.hypot(*codes[0].shape)
     middle = np.median(own, axis=0) if own else first
     near = [found for found in own if np.linalg.norm(found - middle, axis=1).max() < _APART * diagonal]
     if len(near) < _AGREE * len(codes):
         raise CaptureError(
-            f"corners auto: a rectangle shows in '{name}', and only {len(near)} of {len(codes)} photographs agree on it;"
-            f" {_REMEDY}",
+            f"corners auto: a rectangle shows in '{name}', and only {len(near)} of {len(codes)} photographs agree on"
+            f" it; {_REMEDY}",
             "corners",
         )
     return Found(_points(np.mean(near, axis=0)), len(near), len(codes))

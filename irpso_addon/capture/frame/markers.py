@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from .homography import homography, mapped
 from .sheet import DICTIONARY, SHEETS, Sheet
 
 _FEWEST = 2  # markers: eight corners on two places of the sheet
+_SMALL = 900  # pixels of the longer side below which a picture is enlarged
 _OFF = 0.01  # of the picture's diagonal: how far a corner may lie from where the others say it is
 
 
@@ -37,12 +39,16 @@ def seen_markers(codes: np.ndarray) -> Seen | None:
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     settings.adaptiveThreshWinSizeMax = 53
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
-    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers(np.ascontiguousarray(codes))
+    height, width = codes.shape
+    larger = 2 if max(height, width) < _SMALL else 1  # its search for corners looks five pixels around
+    shown = cv2.resize(codes, (width * larger, height * larger), interpolation=cv2.INTER_CUBIC)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers(shown)
     if numbers is None:
         return None
     # OpenCV's pixels count from the middle of the first one.
     found = {
-        int(number): places[0].astype(float) + 0.5 for number, places in zip(numbers.ravel(), corners, strict=True)
+        int(number): (places[0].astype(float) + 0.5) / larger
+        for number, places in zip(numbers.ravel(), corners, strict=True)
     }
     sheet = max(SHEETS, key=lambda sheet: len(found.keys() & sheet.markers.keys()))
     shared = sorted(found.keys() & sheet.markers.keys())
@@ -51,6 +57,6 @@ def seen_markers(codes: np.ndarray) -> Seen | None:
     plane = np.concatenate([sheet.markers[number] for number in shared])
     pixels = np.concatenate([found[number] for number in shared])
     off = np.linalg.norm(mapped(homography(plane, pixels), plane) - pixels, axis=1)
-    if off.max() > _OFF * np.hypot(*codes.shape):
+    if off.max() > _OFF * math.hypot(*codes.shape):
         return None  # not a flat sheet, or other markers of the same numbers
     return Seen(sheet, plane, pixels, tuple(shared))

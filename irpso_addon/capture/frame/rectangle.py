@@ -6,6 +6,7 @@ left one.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -59,17 +60,18 @@ def fitted(codes: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
 
     A side's line is the total least squares through the places of the steepest steps across it, without outliers.
     """
-    reach = max(_REACH * float(np.hypot(*codes.shape)), 3.0)
+    reach = max(_REACH * math.hypot(*codes.shape), 3.0)
     shown = codes.astype(np.float32) / 255
     for span in (reach, max(reach / 3, 2.5)):
-        lines = [_side(shown, outline[k], outline[(k + 1) % 4], span) for k in range(4)]
-        if any(line is None for line in lines):
+        sides = [_side(shown, outline[k], outline[(k + 1) % 4], span) for k in range(4)]
+        lines = [line for line in sides if line is not None]
+        if len(lines) < 4:
             return None
         corners = [np.cross(lines[k - 1], lines[k]) for k in range(4)]
         if any(abs(corner[2]) < 1e-9 for corner in corners):
             return None
         outline = np.array([corner[:2] / corner[2] for corner in corners])
-    inside = _BORDER * np.hypot(*codes.shape)
+    inside = _BORDER * math.hypot(*codes.shape)
     size = np.array(codes.shape[::-1])
     return outline if ((outline > inside) & (outline < size - inside)).all() else None
 
@@ -169,7 +171,7 @@ def _area(outline: np.ndarray) -> float:
 
 
 def _same(a: np.ndarray, b: np.ndarray, size: tuple[int, int]) -> bool:
-    return float(np.linalg.norm(a - b, axis=1).max()) < _SAME * float(np.hypot(*size))
+    return float(np.linalg.norm(a - b, axis=1).max()) < _SAME * math.hypot(*size)
 
 
 def _within(inner: np.ndarray, outer: np.ndarray) -> bool:

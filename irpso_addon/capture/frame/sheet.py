@@ -135,10 +135,11 @@ def sheet_picture(sheet: Sheet, dpi: float) -> Image.Image:
             end[axis] += np.sign(corner[axis]) * _QUIET / 2
             draw.line((*place(corner), *place(end)), 0, max(1, round(0.2 * scale)))
     font = ImageFont.load_default(2.4 * scale)
-    middle, low = -(width / 2 - _EDGE - SIDE / 2) / 2, -height / 2 + _EDGE  # between two markers of the lower edge
-    draw.line((*place((middle - _RULER / 2, low)), *place((middle + _RULER / 2, low))), 0, max(1, round(0.3 * scale)))
-    for line, text in enumerate(reversed(_caption(sheet))):
-        draw.text(place((middle, low + 2.0 + 4.0 * line)), text, 0, font, "ms")
+    middle = -(width / 2 - _EDGE - SIDE / 2) / 2  # between two markers of the lower edge
+    base = _EDGE - height / 2
+    draw.line((*place((middle - _RULER / 2, base)), *place((middle + _RULER / 2, base))), 0, max(1, round(0.3 * scale)))
+    for number, text in enumerate(reversed(_caption(sheet))):
+        draw.text(place((middle, base + 2.0 + 4.0 * number)), text, 0, font, "ms")
     return picture
 
 

@@ -169,7 +169,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
         facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
-        if part is not capture:
+        if seen is not camera:
             facts.append(("used", f"{seen.width}×{seen.height} of that"))
     if part.card_distance is not None and len(part.cameras) == 1:
         width, height = places.card_size(part.cameras[0], part.card_distance)

@@ -12,7 +12,6 @@ from irpso_addon.capture.read import read_spec
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.cli import build_parser
 from irpso_addon.core.errors import InputError
-
 from tests.builders.flat_scene import from_upper_left, looking_camera, seen_plane, texture
 
 _AROUND = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
