@@ -23,8 +23,8 @@ class Flash:
     """offset: (3,) of the flash from the lens, in the camera's axes. error: (2,) its standard error, x and y.
 
     beam: power of the cosine to the camera's axis with which its light falls, the lens's vignetting included.
-    gains: (K,) its strength in each photograph, of mean logarithm 0. strength: intensity at distance 1 that gives the
-    places their albedo. albedo: (P,) radiance of each place over irradiance, for strength 1.
+    gains: (K,) its strength in each photograph, of mean logarithm 0. albedo: (P,) radiance of each place over the
+    irradiance of a flash of intensity 1; NaN where too few photographs show it.
     """
 
     offset: np.ndarray
@@ -115,7 +115,6 @@ def _fit(
         left_over = centred((log - now)[:, None])[:, 0]
         weighted = matrix * weight[:, None]
         square = weighted.T @ matrix + 1e-9 * len(log) * np.eye(matrix.shape[1])
-        # A hand's flash shines alike in all photographs, as far as these do not say otherwise.
         answer = np.linalg.solve(square, weighted.T @ left_over)
         beam += float(answer[0])
         if free:

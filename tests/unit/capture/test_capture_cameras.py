@@ -200,7 +200,11 @@ def test_a_capture_with_distortion_spots_and_flat_lamps_comes_back(tmp_path):
             "light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cone_degrees = 0",
             "light_cone_degrees must be",
         ),
-        ("", 'light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cosine = "yes"', "must be true, false or a power"),
+        (
+            "",
+            'light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cosine = "yes"',
+            "must be true, false or a power",
+        ),
     ],
 )
 def test_invalid_distortion_and_cones_are_reported(tmp_path, camera, light, words):
