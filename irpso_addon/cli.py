@@ -95,6 +95,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_response(commands)
     _add_rig(commands)
     _add_sample(commands)
+    _add_markers(commands)
+    _add_handheld(commands)
     _add_demo(commands)
     add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
     _add_common(add)
@@ -123,9 +125,9 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--crop", metavar="X,Y,W,H", help="part of a card's pictures, in pixels from the upper left corner"
     )
-    add.add_argument("--corners", metavar="X1,Y1,…,X4,Y4",
+    add.add_argument("--corners", metavar="auto|X1,Y1,…,X4,Y4",
                      help="corners of a flat rectangle, clockwise from its upper left one: it is recovered as seen"
-                     " straight from the front")  # fmt: skip
+                     " straight from the front; auto: by printed markers, or the one rectangle that shows")  # fmt: skip
     add.add_argument(
         "--scale", type=float, metavar="S", help="size of the pictures, 0.25 for a quick preview (default 1)"
     )
@@ -336,6 +338,29 @@ def _add_sample(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--size", metavar="WxH", help="size of the photographs in pixels (default 640x480)")
     add.add_argument("--seed", type=_seed, default=0, metavar="S",
                      help="seed of the lamp's places and of the noise (default 0)")  # fmt: skip
+    _add_common(add)
+
+
+def _add_markers(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("markers", help="write a sheet of markers to print and to lay around a card")
+    add.add_argument("-o", "--output", required=True, metavar="SHEET", help="the file: .pdf or .png")
+    add.add_argument("--paper", choices=("A4", "letter"), default="A4", help="size of the paper (default A4)")
+    add.add_argument("--count", type=int, choices=(4, 8), default=8, help="number of markers (default 8)")
+    _add_common(add)
+
+
+def _add_handheld(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser(
+        "handheld", help="find cameras and lights of photographs taken by hand, with the phone's flash", epilog=_EPILOG
+    )
+    add.add_argument("photographs", metavar="PHOTOS", help="folder of photographs, 30 or more, of one flat card")
+    add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="new folder")
+    add.add_argument("--fov", type=float, metavar="DEGREES",
+                     help="the camera's full angle over the image's width (default: by EXIF, and solved)")  # fmt: skip
+    add.add_argument("--flash-offset", metavar="X,Y,Z",
+                     help="place of the flash from the lens in millimetres: to the right, up, toward you (default:"
+                     " found by the brightness)")  # fmt: skip
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_common(add)
 
 

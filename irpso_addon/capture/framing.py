@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from .bounds import bounded, weight_and_clipped
 from .camera import Camera
 from .distortion import undistorted
 from .errors import CaptureError
+from .frame.find import Found, find_corners
 from .types import Capture
+
+AUTO = "auto"  # corners that are found in the photographs
 
 Point = tuple[float, float]
 _SQUARE = 10.0  # degrees: how far the angle between two sides may be from a right one, with the lens as given
@@ -33,19 +37,20 @@ class Framing:
     """What is used of pictures. Pixels count from the upper left corner, to the right and down.
 
     crop: x, y, width, height. corners: (x, y) of a flat rectangle's four, clockwise as seen; the first becomes the
-    upper left one. scale: of the pictures' size, above 0 and up to 1. card_width: of the card that is then shown, in
-    the unit of the lights' positions. Raises CaptureError where they contradict each other.
+    upper left one; AUTO: those of printed markers' field, or of the one rectangle that shows. scale: of the pictures'
+    size, above 0 and up to 1. card_width: of the card that is then shown, in the unit of the lights' positions.
+    Raises CaptureError where they contradict each other.
     """
 
     crop: tuple[float, float, float, float] | None = None
-    corners: tuple[Point, Point, Point, Point] | None = None
+    corners: tuple[Point, Point, Point, Point] | Literal["auto"] | None = None
     scale: float = 1.0
     card_width: float | None = None
 
     def __post_init__(self) -> None:
         if self.crop and not all(float(value).is_integer() for value in self.crop):
             raise CaptureError("crop: give four whole numbers, x, y, width and height", "value")
-        if self.corners and len(self.corners) != 4:
+        if self.corners and self.corners != AUTO and len(self.corners) != 4:
             raise CaptureError(f"corners: give four, not {len(self.corners)}", "value")
         if self.crop and self.corners:
             raise CaptureError("crop and corners: give one of them", "value")
@@ -60,10 +65,12 @@ def framed(capture: Capture, framing: Framing) -> Capture:
 
     A framed pixel is the weighted mean of what it shows; it is a lower bound where a part of it is clipped. A scale
     applies to all cameras, the others to a capture of one. Raises CaptureError where the part is none of the picture,
-    or the corners are not a rectangle's under the camera's lens.
+    the corners are not a rectangle's under the camera's lens, or are not found.
     """
     if framing == Framing():
         return capture
+    if framing.corners == AUTO:
+        framing, _ = with_found_corners(capture, framing)
     part = next((name for name in ("crop", "corners", "card_width") if getattr(framing, name)), None)
     if part and len(capture.cameras) != 1:
         raise CaptureError(f"{part}: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", part)
@@ -80,6 +87,19 @@ def framed(capture: Capture, framing: Framing) -> Capture:
     return replace(
         capture, observations=observations, masks=masks, cameras=tuple(v.camera for v in views), card_distance=distance
     )
+
+
+def with_found_corners(capture: Capture, framing: Framing) -> tuple[Framing, Found]:
+    """Return the framing with corners found in the photographs, and how: see ``find_corners``.
+
+    Printed markers also give the card's width, in millimetres, where neither it nor the card's distance is known.
+    """
+    found = find_corners(capture)
+    first, second, third, fourth = found.corners
+    width = framing.card_width
+    if width is None and capture.card_distance is None and capture.cameras[0].perspective:
+        width = found.width
+    return replace(framing, corners=(first, second, third, fourth), card_width=width), found
 
 
 @dataclass(frozen=True)

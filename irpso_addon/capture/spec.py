@@ -34,7 +34,7 @@ class ObservationSpec:
     camera: int = 0
     axis: tuple[float, ...] | None = None
     cone: float | None = None
-    cosine: bool = False
+    cosine: float = 0.0
 
 
 @dataclass(frozen=True)

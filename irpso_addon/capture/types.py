@@ -28,8 +28,9 @@ class Light:
     intensity: (3,) linear RGB; 1 is an irradiance of π at normal incidence (at distance 1 from a near light, falling
     with the inverse square), so that a white Lambertian texel facing the light has radiance 1. For a
     directed near light it is the intensity along the axis. axis: (3,) the unit direction in which it shines. cone:
-    half-angle in degrees, with no light outside it (a spot). cosine: whether its light falls with the cosine of the
-    angle to the axis, like a flat emitter's. Raises InputError if these contradict each other.
+    half-angle in degrees, with no light outside it (a spot). cosine: its light falls with this power of the cosine of
+    the angle to the axis: 0 not at all, 1 like a flat emitter's, more like a phone's flash. Raises InputError if these
+    contradict each other.
     """
 
     vector: tuple[float, float, float]
@@ -37,13 +38,15 @@ class Light:
     distant: bool = True
     axis: tuple[float, float, float] | None = None
     cone: float | None = None
-    cosine: bool = False
+    cosine: float = 0.0
 
     def __post_init__(self) -> None:
         if self.axis is None and (self.cone is not None or self.cosine):
             raise CaptureError("a light with a cone or a cosine has an axis; give the direction in which it shines")
         if self.axis is not None and self.distant:
             raise CaptureError("a distant light has no axis and no cone; give its position, or leave them out")
+        if not 0 <= self.cosine < math.inf:
+            raise CaptureError("a light's cosine is a power of 0 or more")
         if self.cone is not None and not 0 < self.cone <= 180:
             raise CaptureError("a light's cone is a half-angle above 0 and up to 180 degrees")
 
@@ -53,7 +56,7 @@ class Light:
             return np.ones(points.shape[:-1])
         away: np.ndarray = points - np.asarray(self.vector, np.float64)
         cosine = away @ np.asarray(self.axis) / np.maximum(np.linalg.norm(away, axis=-1), 1e-300)
-        share = np.maximum(cosine, 0) if self.cosine else np.ones_like(cosine)
+        share = np.maximum(cosine, 0) ** self.cosine if self.cosine else np.ones_like(cosine)
         # 5e-7 degrees of tolerance: points on the cone's border within rounding are inside.
         border = -1.0 if self.cone is None else math.cos(math.radians(min(self.cone + 5e-7, 180)))
         return np.where(cosine >= border, share, 0.0)

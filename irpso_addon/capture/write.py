@@ -116,7 +116,7 @@ def _emission(light: Light) -> Iterator[str]:
     if light.cone is not None:
         yield f"light_cone_degrees = {_numbers(light.cone)}"
     if light.cosine:
-        yield "light_cosine = true"
+        yield f"light_cosine = {'true' if light.cosine == 1 else _numbers(light.cosine)}"
 
 
 def _camera(camera: Camera) -> Iterator[str]:

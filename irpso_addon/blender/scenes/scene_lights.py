@@ -69,13 +69,13 @@ def _directed(light: Light, obj: Any, axes: np.ndarray, where: str) -> Light:
     axis = tuple(map(float, -axes[:, 2] / np.linalg.norm(axes[:, 2])))
     if EMISSION in obj:
         cone, cosine = obj[EMISSION]
-        return replace(light, axis=axis, cone=float(cone) or None, cosine=bool(cosine))
+        return replace(light, axis=axis, cone=float(cone) or None, cosine=float(cosine))
     if data.type == "AREA":
         if data.spread < math.pi - _EVEN:
             raise InputError(
                 f"{where} has a Spread of {math.degrees(data.spread):.0f}°, which is not supported; set it to 180°"
             )
-        return replace(light, axis=axis, cosine=True)
+        return replace(light, axis=axis, cosine=1.0)
     scales = np.linalg.norm(axes, axis=0)
     if data.use_square or np.ptp(scales) > _EVEN * scales.max():
         raise InputError(f"{where} has a cone that is not round; turn Square off, and scale it evenly")

@@ -57,8 +57,9 @@ def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) ->
             setattr(data, name, value)
     data.energy = _POWER[data.type](strongest)
     _set_shape(data, light)
-    both = light.cosine and light.cone is not None
-    _keep(obj, EMISSION, (light.cone or 0.0, float(light.cosine)) if both or (light.cone or 0) > _WIDEST_SPOT else ())
+    # What no lamp of Blender's is: a cone and a cosine, another power of it, a very wide cone.
+    unlike = (light.cosine and light.cone is not None) or light.cosine not in (0, 1) or (light.cone or 0) > _WIDEST_SPOT
+    _keep(obj, EMISSION, (light.cone or 0.0, light.cosine) if unlike else ())
     vector = Vector(light.vector)
     backward = vector if light.distant else -Vector(light.axis or (0, 0, -1))
     obj.rotation_mode = "QUATERNION"

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import CaptureError
-from ..framing import Framing
+from ..framing import AUTO, Framing
 from ..spec import CaptureSpec, ObservationSpec
 from ..types import triple
 from .cameras import Views
@@ -56,10 +56,12 @@ def _framing(table: dict[str, Any], where: str) -> Framing:
     given: dict[str, Any] = {key: number(table, key, where) for key in ("scale", "card_width") if key in table}
     if "crop" in table:
         given["crop"] = vector(table, "crop", 4, where)
-    if "corners" in table:
+    if table.get("corners") == AUTO:
+        given["corners"] = AUTO
+    elif "corners" in table:
         points = table["corners"]
         if not isinstance(points, list) or not all(map(_is_point, points)):
-            raise CaptureError(f"{where}: corners must be a list of four points [x, y]", "value")
+            raise CaptureError(f'{where}: corners must be "auto", or a list of four points [x, y]', "value")
         given["corners"] = tuple(tuple(map(float, point)) for point in points)
     if "card_width" in given and CARD_DISTANCE in table:
         raise CaptureError(f"{where}: give one of card_width and {CARD_DISTANCE}", "value")
@@ -94,8 +96,8 @@ def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Observat
     return ObservationSpec(name, image, light, where, intensity, distant, camera, *_emission(row, distant, where))
 
 
-def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[float, ...] | None, float | None, bool]:
-    """Return axis, cone in degrees and whether the light falls with the cosine to the axis."""
+def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[float, ...] | None, float | None, float]:
+    """Return axis, cone in degrees and the power of the cosine to the axis with which the light falls."""
     given = [key for key in _EMISSION if key in row]
     if given and distant:
         raise CaptureError(f"{where}: {given[0]} is for a light_position; a distant light has none", "value")
@@ -106,6 +108,6 @@ def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[flo
     if cone is not None and cone > 180:
         raise CaptureError(f"{where}: light_cone_degrees is the angle from the axis, 180 at most", "value")
     cosine = row.get("light_cosine", False)
-    if not isinstance(cosine, bool):
-        raise CaptureError(f"{where}: light_cosine must be true or false", "value")
-    return axis, cone, cosine
+    if not isinstance(cosine, bool) and not (is_number(cosine) and cosine >= 0):
+        raise CaptureError(f"{where}: light_cosine must be true, false or a power of 0 or more", "value")
+    return axis, cone, float(cosine)

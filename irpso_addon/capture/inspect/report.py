@@ -165,7 +165,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         (sum(light.distant for light in lights), "distant"),
         (sum(not light.distant for light in lights), "near"),
         (sum(light.cone is not None for light in lights), "with a cone"),
-        (sum(light.cosine for light in lights), "falling with the cosine"),
+        (sum(light.cosine > 0 for light in lights), "falling with the cosine"),
     )
     facts = [
         ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),
@@ -176,7 +176,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
         facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
-        if part is not capture:
+        if seen is not camera:
             facts.append(("used", f"{seen.width}×{seen.height} of that"))
     if part.card_distance is not None and len(part.cameras) == 1:
         width, height = places.card_size(part.cameras[0], part.card_distance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from ...blender.mesh import extract_mesh
 from ...blender.occluders import named_occluders, with_occluders
 from ...blender.scenes.scene import empty_blend, mesh_object, open_blend
 from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
-from ...capture.framing import Framing, framed
+from ...capture.framing import AUTO, Framing, framed, with_found_corners
 from ...capture.inspect.damage import naming_remedy
 from ...capture.inspect.sufficiency import check_normal
 from ...capture.read import read_capture, read_spec
@@ -41,6 +42,7 @@ from .values import (
     held_out_list,
     positive,
     schedule_from_options,
+    silent,
     size_option,
 )
 
@@ -143,14 +145,23 @@ def _capture(options: Namespace) -> Capture:
     """Return the capture; a scene's cameras and lights are read from the open file."""
     if _is_scene(options.capture):
         capture = capture_of_open_file(options.colour_space, options.skip_damaged)
-        return framed(capture, Framing(**framing_from_options(options)))
+        return _framed(capture, Framing(**framing_from_options(options)), options)
     if options.distance and options.card_width:
         raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)
-    changes = framing_from_options(options)
-    framing = replace(read_spec(options.capture).framing, **changes) if changes else None
-    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged, framing)
+    framing = replace(read_spec(options.capture).framing, **framing_from_options(options))
+    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged, Framing())
+    capture = _framed(replace(capture, card_distance=distance or capture.card_distance), framing, options)
     return replace(capture, card_distance=distance or capture.card_distance)
+
+
+def _framed(capture: Capture, framing: Framing, options: Namespace) -> Capture:
+    """Return the chosen part of the pictures; corners that are found are printed."""
+    if framing.corners == AUTO:
+        framing, found = with_found_corners(capture, framing)
+        if not silent(options):
+            sys.stdout.write(f"corners: {found}\n")
+    return framed(capture, framing)
 
 
 def _is_scene(path: str) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...capture.framing import AUTO
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
 from ...reflectance.model import Parameter, ReflectanceModel
@@ -49,8 +50,10 @@ def framing_from_options(options: Namespace) -> dict[str, Any]:
     if options.crop is not None:
         numbers = _numbers("--crop", options.crop, 4, "X,Y,WIDTH,HEIGHT in pixels from the upper left corner")
         changes |= {"crop": numbers, "corners": None}
-    if options.corners is not None:
-        form = "X1,Y1,…,X4,Y4 in pixels from the upper left corner"
+    if options.corners == AUTO:
+        changes |= {"corners": AUTO, "crop": None}
+    elif options.corners is not None:
+        form = "auto, or X1,Y1,…,X4,Y4 in pixels from the upper left corner"
         numbers = _numbers("--corners", options.corners, 8, form)
         changes |= {"corners": tuple(zip(numbers[::2], numbers[1::2], strict=True)), "crop": None}
     for name in ("scale", "card_width"):

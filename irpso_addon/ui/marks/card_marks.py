@@ -9,10 +9,15 @@ import numpy as np
 from bpy.props import FloatVectorProperty
 
 from ...blender.images import decode
+from ...capture.frame.find import find_corners
 from ...capture.images.image import ImageRef, ImageStore
+from ...capture.spec import build_capture
+from ...core.errors import InputError
+from ..common import failures
 from ..common.file_paths import absolute
 from ..common.polls import usable
 from ..overlay.paint import HALO, Painter
+from ..session.scene_capture import knows_distance, spec_of
 from .marking import Marking
 
 _COLOUR = (1.0, 0.75, 0.2, 1.0)
@@ -32,9 +37,7 @@ class _CornerMarking(Marking):
     @classmethod
     def poll(cls, context):
         """Whether there are photographs in files."""
-        settings = context.scene.irpso
-        there = settings.source == "FILES" and settings.capture_path
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return _has_photographs(cls, context)
 
     def execute(self, context):
         """Take ``corners``, in any order."""
@@ -144,4 +147,38 @@ class IRPSO_OT_mark_chart(_CornerMarking, bpy.types.Operator):
         settings.chart_corners = (around(corners * (1, -1)) * (1, -1)).ravel().tolist()
 
 
-CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_mark_chart)
+class IRPSO_OT_find_corners(bpy.types.Operator):
+    """Find the card in its photographs: by printed markers around it, or as the one rectangle that shows"""
+
+    bl_idname = "irpso.find_corners"
+    bl_label = "Find Corners"
+    bl_options = {"INTERNAL", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there are photographs in files."""
+        return _has_photographs(cls, context)
+
+    def execute(self, context):
+        """Read some photographs and store the corners."""
+        settings = context.scene.irpso
+        try:
+            found = find_corners(build_capture(spec_of(settings), decode))
+        except InputError as error:
+            return failures.refused(self, error)
+        take_corners(settings, np.array(found.corners))
+        # A sheet has an upper left corner of its own.
+        settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
+        if found.width and settings.near_lights and not knows_distance(settings):
+            settings.card_width = found.width
+        self.report({"INFO"}, f"Corners: {found}")
+        return {"FINISHED"}
+
+
+def _has_photographs(operator, context) -> bool:
+    settings = context.scene.irpso
+    there = settings.source == "FILES" and settings.capture_path
+    return usable(operator, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+
+
+CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_mark_chart, IRPSO_OT_find_corners)

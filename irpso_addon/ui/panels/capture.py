@@ -186,7 +186,9 @@ class IRPSO_PT_frame(bpy.types.Panel):
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(settings, "framing")
-        column.operator("irpso.mark_card", icon="EYEDROPPER")
+        row = column.row(align=True)
+        row.operator("irpso.mark_card", icon="EYEDROPPER")
+        row.operator("irpso.find_corners", icon="VIEWZOOM")
         if settings.framing == "CROP":
             column.prop(settings, "crop")
         elif settings.framing == "CORNERS":

@@ -21,6 +21,7 @@ DIRECTED = {
     "wide spot": Light(PLACE, (1.0, 1.0, 1.0), False, AXIS, 90.0),
     "wider than Blender's spots": Light(PLACE, (1.0, 1.0, 1.0), False, AXIS, 120.0),
     "flat": Light(PLACE, (0.5, 1.0, 0.25), False, AXIS, None, True),
+    "flash": Light(PLACE, (0.5, 1.0, 0.25), False, AXIS, None, 2.5),
     "flat with a snoot": Light(PLACE, (0.5, 1.0, 0.25), False, AXIS, 33.0, True),
 }
 

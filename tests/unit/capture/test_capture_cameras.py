@@ -158,6 +158,7 @@ def test_a_capture_with_distortion_spots_and_flat_lamps_comes_back(tmp_path):
         Light((1.0, 2.0, 3.0), (1.0, 1.0, 1.0), False, axis, None, True),
         Light((1.0, 2.0, 3.0), (1.0, 1.0, 1.0), False, axis, 80.0, True),
         Light((1.0, 2.0, 3.0), (1.0, 1.0, 1.0), False, axis),
+        Light((1.0, 2.0, 3.0), (1.0, 1.0, 1.0), False, axis, None, 2.5),
         Light((0.0, 0.0, 1.0)),
     )
     camera = Camera(8, 6, (7.0, 7.5), (4.25, 3.0), np.eye(4), True, (-0.1, 1 / 3, 0.001, -0.002, 0.05, 0.0, 1e-9))
@@ -199,7 +200,11 @@ def test_a_capture_with_distortion_spots_and_flat_lamps_comes_back(tmp_path):
             "light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cone_degrees = 0",
             "light_cone_degrees must be",
         ),
-        ("", 'light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cosine = "yes"', "must be true or false"),
+        (
+            "",
+            'light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cosine = "yes"',
+            "must be true, false or a power",
+        ),
     ],
 )
 def test_invalid_distortion_and_cones_are_reported(tmp_path, camera, light, words):

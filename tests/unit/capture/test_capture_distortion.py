@@ -110,6 +110,8 @@ def test_a_spot_gives_nothing_outside_its_cone_and_a_flat_lamp_falls_with_the_co
     assert Light(place, (1, 1, 1), False, down, 30.0).share(points).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
     flat = Light(place, (1, 1, 1), False, down, None, True).share(points)
     np.testing.assert_allclose(flat, np.maximum(np.cos(angles), 0), atol=1e-15)
+    flash = Light(place, (1, 1, 1), False, down, None, 2.5).share(points)
+    np.testing.assert_allclose(flash, np.maximum(np.cos(angles), 0) ** 2.5, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -117,6 +119,7 @@ def test_a_spot_gives_nothing_outside_its_cone_and_a_flat_lamp_falls_with_the_co
     [
         ({"distant": False, "cone": 20.0}, "has an axis"),
         ({"distant": False, "cosine": True}, "has an axis"),
+        ({"distant": False, "axis": (0, 0, -1), "cosine": -1.0}, "a power of 0 or more"),
         ({"axis": (0, 0, -1)}, "a distant light has no axis"),
         ({"distant": False, "axis": (0, 0, -1), "cone": 0.0}, "above 0"),
         ({"distant": False, "axis": (0, 0, -1), "cone": float("nan")}, "above 0"),

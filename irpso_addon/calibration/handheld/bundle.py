@@ -1,0 +1,192 @@
+"""Bundle adjustment: poses, lens and points that explain where photographs show the points (Triggs et al. 2000).
+
+Levenberg–Marquardt with a robust (Cauchy) loss; points are eliminated by the Schur complement. Axes and poses are those
+of ``poses``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+_SCALE = 1.0  # pixels, of the Cauchy loss
+_ITERATIONS = 60
+_LIKELY_RADIAL = 0.1  # standard deviation of k1: cameras correct most of it themselves
+_ENOUGH = 1e-7  # relative decrease of the loss
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """rotations: (K, 3, 3), shifts: (K, 3) of the photographs. points: (P, 3). focal: pixels. radial: k1 of the lens.
+
+    centres: (K, 2) principal points, pixels from the upper left corner.
+    """
+
+    rotations: np.ndarray
+    shifts: np.ndarray
+    points: np.ndarray
+    focal: float
+    radial: float
+    centres: np.ndarray
+
+
+@dataclass(frozen=True)
+class Views:
+    """Where photographs show points: (M,) photograph, (M,) point, (M, 2) pixels from the upper left corner."""
+
+    photograph: np.ndarray
+    point: np.ndarray
+    pixels: np.ndarray
+
+
+def seen(bundle: Bundle, views: Views) -> np.ndarray:
+    """Return (M, 2) the pixels at which a bundle predicts the views."""
+    return _projected(bundle, views)[0]
+
+
+def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) -> Bundle:
+    """Return the bundle of the least robust reprojection error.
+
+    lens: standard deviation of the focal length from that of ``bundle``, a share; then k1 is free, too; 0 keeps both.
+    relief: standard deviation of the points' heights above z = 0, whose
+    places are then free, too; None keeps all points.
+    """
+    first = bundle
+    loss, damping = _loss(bundle, views, lens, relief, first), 1e-4
+    for _ in range(_ITERATIONS):
+        left, right, eliminated = _normal_equations(bundle, views, lens, relief, first)
+        for _ in range(8):
+            new = _stepped(bundle, left, right, eliminated, damping, lens)
+            tried = _loss(new, views, lens, relief, first)
+            if tried < loss:
+                break
+            damping *= 6
+        else:
+            return bundle
+        gain, bundle, loss, damping = (loss - tried) / loss, new, tried, max(damping / 6, 1e-9)
+        if gain < _ENOUGH:
+            break
+    return bundle
+
+
+def _projected(bundle: Bundle, views: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return pixels (M, 2), places in the camera's axes (M, 3), in the picture (M, 2), and points turned (M, 3)."""
+    k = views.photograph
+    turned = np.einsum("mij,mj->mi", bundle.rotations[k], bundle.points[views.point])
+    local = turned + bundle.shifts[k]
+    plane = local[:, :2] / np.maximum(local[:, 2:], 1e-9)
+    gain = 1 + bundle.radial * (plane**2).sum(axis=1, keepdims=True)
+    return bundle.focal * gain * plane + bundle.centres[k], local, plane, turned
+
+
+def _loss(bundle: Bundle, views: Views, lens: float, relief: float | None, first: Bundle) -> float:
+    square = ((seen(bundle, views) - views.pixels) ** 2).sum(axis=1) / _SCALE**2
+    total = float(np.log1p(square).sum())
+    if lens:
+        total += ((bundle.focal / first.focal - 1) / lens) ** 2
+        total += ((bundle.radial - first.radial) / _LIKELY_RADIAL) ** 2
+    return total if relief is None else total + float(((bundle.points[:, 2] / relief) ** 2).sum())
+
+
+def _normal_equations(
+    bundle: Bundle, views: Views, lens: float, relief: float | None, first: Bundle
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray] | None]:
+    """Return the left and right side for poses (6 each) and lens, and what belongs to the points, if they are free."""
+    pixels, local, plane, turned = _projected(bundle, views)
+    error = pixels - views.pixels
+    weight = 1 / (1 + (error**2).sum(axis=1) / _SCALE**2)
+    k, count, free = views.photograph, len(bundle.shifts), 2 if lens else 0
+    radius = (plane**2).sum(axis=1)
+    by_plane = bundle.focal * (
+        (1 + bundle.radial * radius)[:, None, None] * np.eye(2) + 2 * bundle.radial * plane[:, :, None] * plane[:, None]
+    )
+    by_local = np.zeros((len(k), 2, 3))
+    by_local[:, 0, 0] = by_local[:, 1, 1] = 1 / local[:, 2]
+    by_local[:, :, 2] = -plane / local[:, 2:]
+    by_local = by_plane @ by_local
+    by_pose = np.concatenate([by_local @ -_cross(turned), by_local], axis=2)
+    by_lens = np.stack([(1 + bundle.radial * radius)[:, None] * plane, bundle.focal * radius[:, None] * plane], axis=-1)
+    by_lens = by_lens[..., :free]
+    size = 6 * count + free
+    left, right = np.zeros((size, size)), np.zeros(size)
+    blocks = np.zeros((count, 6, 6))
+    np.add.at(blocks, k, np.einsum("mai,m,maj->mij", by_pose, weight, by_pose))
+    sides = np.zeros((count, 6))
+    np.add.at(sides, k, np.einsum("mai,m,ma->mi", by_pose, weight, error))
+    mixed = np.zeros((count, 6, free))
+    np.add.at(mixed, k, np.einsum("mai,m,maj->mij", by_pose, weight, by_lens))
+    for n in range(count):
+        at = slice(6 * n, 6 * n + 6)
+        left[at, at], left[at, 6 * count :], left[6 * count :, at] = blocks[n], mixed[n], mixed[n].T
+    left[6 * count :, 6 * count :] = np.einsum("mai,m,maj->ij", by_lens, weight, by_lens)
+    right[: 6 * count], right[6 * count :] = sides.ravel(), np.einsum("mai,m,ma->i", by_lens, weight, error)
+    if lens:
+        for place, spread, off in (
+            (-2, lens * first.focal, bundle.focal - first.focal),
+            (-1, _LIKELY_RADIAL, bundle.radial - first.radial),
+        ):
+            left[place, place] += 1 / spread**2
+            right[place] += off / spread**2
+    if relief is None:
+        return left, right, None
+    by_point = by_local @ bundle.rotations[k]
+    total = len(bundle.points)
+    own, side = np.zeros((total, 3, 3)), np.zeros((total, 3))
+    np.add.at(own, views.point, np.einsum("mai,m,maj->mij", by_point, weight, by_point))
+    np.add.at(side, views.point, np.einsum("mai,m,ma->mi", by_point, weight, error))
+    own[:, 2, 2] += 1 / relief**2
+    side[:, 2] += bundle.points[:, 2] / relief**2
+    shared = np.zeros((size, total, 3))
+    rows = 6 * k[:, None] + np.arange(6)
+    np.add.at(shared, (rows, views.point[:, None]), np.einsum("mai,m,maj->mij", by_pose, weight, by_point))
+    for part in range(free):
+        by_part = np.einsum("ma,m,maj->mj", by_lens[..., part], weight, by_point)
+        np.add.at(shared[6 * count + part], views.point, by_part)
+    return left, right, (own, side, shared)
+
+
+def _stepped(
+    bundle: Bundle,
+    left: np.ndarray,
+    right: np.ndarray,
+    eliminated: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
+    damping: float,
+    lens: float,
+) -> Bundle:
+    """Return the bundle after one damped step."""
+    damped = left + damping * np.diag(np.diag(left) + 1e-9)
+    moved = bundle.points
+    if eliminated is None:
+        step = -np.linalg.solve(damped, right)
+    else:
+        own, side, shared = eliminated
+        own = own + damping * own * np.eye(3) + 1e-12 * np.eye(3)
+        inverse = np.linalg.inv(own)
+        held = np.einsum("cpi,pij->cpj", shared, inverse)
+        flat, held_flat = shared.reshape(len(left), -1), held.reshape(len(left), -1)
+        step = -np.linalg.solve(damped - held_flat @ flat.T, right - held_flat @ side.ravel())
+        back = -np.einsum("pij,pj->pi", inverse, side + np.einsum("c,cpi->pi", step, shared))
+        moved = bundle.points + back
+    count = len(bundle.shifts)
+    poses = step[: 6 * count].reshape(count, 6)
+    rotations = _turns(poses[:, :3]) @ bundle.rotations
+    new = replace(bundle, rotations=rotations, shifts=bundle.shifts + poses[:, 3:], points=moved)
+    if not lens:
+        return new
+    return replace(new, focal=bundle.focal + float(step[-2]), radial=bundle.radial + float(step[-1]))
+
+
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) matrices of cross products with vectors (N, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=1)
+
+
+def _turns(vectors: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) rotations by vectors (N, 3) (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
+    cross = _cross(vectors)
+    safe = np.maximum(angle, 1e-12)
+    return np.eye(3) + np.sin(angle) / safe * cross + (1 - np.cos(angle)) / safe**2 * (cross @ cross)

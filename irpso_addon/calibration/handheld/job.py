@@ -1,0 +1,215 @@
+"""One hand-held calibration, from photographs to cameras and lights."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...capture.frame.sheet import Sheet
+from ...capture.types import Capture
+from ...core.errors import InputError
+from ...core.steps import map_steps
+from .cameras import Placed, placed_cameras
+from .flash import Flash, Samples, flash_of
+from .pictures import picture_steps
+from .tracks import Tracks, feature_tracks, marker_tracks
+
+Box = tuple[float, float, float, float]
+ENOUGH, FEWEST = 30, 8  # photographs
+_GRID = 28  # places along a side of the card, for the flash
+_BLURRED = 0.6  # of the median sharpness
+_ONE_PLACE = 6.0  # degrees between views, seen from the card: root mean square
+_WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a sheet
+_UNEVEN = 0.08  # standard deviation of the logarithm of the strengths above which exposures differ
+_UNSURE = 0.02  # of the distance: standard error of the flash's place that makes it useless
+_TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
+_SHOWN = 0.6  # of the photographs that must show a place of a card without a sheet
+
+
+@dataclass(frozen=True)
+class Handheld:
+    """cameras: of the photographs ``numbers``; the card lies in z = 0. field: (x0, y0, x1, y1) what is recovered.
+
+    error: median reprojection error in pixels of the photographs. intensities: (K,) of the flash, at distance 1.
+    views: root mean square angle between the views, in degrees. sheet: of the markers, None for features.
+    """
+
+    numbers: tuple[int, ...]
+    cameras: tuple[Camera, ...]
+    flash: Flash
+    intensities: np.ndarray
+    field: Box
+    error: float
+    views: float
+    sheet: Sheet | None
+    warnings: tuple[str, ...]
+
+    @property
+    def lamps(self) -> np.ndarray:
+        """(K, 3) places of the flash."""
+        return np.stack([camera.matrix[:3, :3] @ self.flash.offset + camera.position for camera in self.cameras])
+
+
+def handheld_steps(
+    capture: Capture, lens: str = "likely", flash_offset: np.ndarray | None = None
+) -> Generator[float, None, Handheld]:
+    """Yield the share that is done; return cameras and flash of photographs, each of its own camera.
+
+    capture: its cameras have the size and the focal length of the photographs and no pose; all focal lengths are one.
+    lens: "known" keeps the focal length; "likely" (EXIF's, which is rounded) and "unknown" solve it. flash_offset:
+    (3,) millimetres, with markers only.
+    Raises InputError where photographs are too few, blurred, without points, from one place or of another lens.
+    """
+    _check_count(len(capture.observations), "")
+    pictures = yield from map_steps(picture_steps(capture), lambda share: 0.5 * share)
+    names = np.array([shot.name for shot in capture.observations])
+    sharp = np.flatnonzero(pictures.sharp >= _BLURRED * np.median(pictures.sharp))
+    blurred = _listed(np.delete(names, sharp))
+    _check_count(len(sharp), f"; blurred: {blurred}")
+    yield 0.5
+    tracks, warnings = _tracks([pictures.codes[n] for n in sharp], flash_offset is not None)
+    _check_count(len(tracks.used), f"; too little of the card is in {_listed(np.delete(names[sharp], tracks.used))}")
+    yield 0.75
+    placed = placed_cameras(tracks, [capture.cameras[n] for n in sharp], pictures.factor, lens)
+    numbers = sharp[list(placed.tracks.used)]
+    lost = _listed(names[np.setdiff1d(sharp, numbers)])
+    _check_count(len(numbers), f"; the card is not recognised well in {lost}")
+    field, cameras = _in_unit(_field(tracks.sheet, placed), placed.cameras, tracks.sheet)
+    angle = _view_angle(cameras)
+    if angle < _ONE_PLACE:
+        raise InputError(
+            f"the photographs are all from one place: their views differ by {angle:.1f}°; the flash moves with the"
+            " lens, so go around the card, from straight above to 50° from the side"
+        )
+    yield 0.85
+    places = _places(field, tracks.sheet)
+    radiance = [
+        _sampled(pictures.radiance[n], camera, places) for n, camera in zip(numbers.tolist(), cameras, strict=True)
+    ]
+    samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(radiance))
+    flash, intensities, more = _flash(samples, flash_offset, tracks.sheet)
+    told = (
+        f"left out as blurred: {blurred}" if blurred else "",
+        f"left out, because the card is not recognised well in it: {lost}" if lost else "",
+        f"{len(numbers)} photographs are used; {ENOUGH} or more are better" if len(numbers) < ENOUGH else "",
+    )
+    return Handheld(
+        tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.sheet,
+        (*filter(None, told), *warnings, *more),
+    )  # fmt: skip
+
+
+def _check_count(count: int, why: str) -> None:
+    if count < FEWEST:
+        raise InputError(f"{count} photographs can be used, {FEWEST} are needed and {ENOUGH} are better{why}")
+
+
+def _listed(names: np.ndarray) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[str]]:
+    """Return points by markers, else by features, and warnings. Raises InputError where there are neither."""
+    tracks = marker_tracks(codes)
+    if tracks is not None and len(tracks.used) >= max(FEWEST, len(codes) // 2):
+        return tracks, []
+    if needs_markers:
+        raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
+    found = feature_tracks(codes)
+    if found is None or len(found.used) < 2:
+        raise InputError(
+            "the photographs show neither printed markers nor enough features of one flat card; lay a sheet of `irpso"
+            " markers` around it"
+        )
+    if tracks is None:
+        return found, []
+    return found, [
+        f"three printed markers or more show in only {len(tracks.used)} of {len(codes)} photographs, so that features"
+        " of the card are used, and lengths have no unit"
+    ]
+
+
+def _field(sheet: Sheet | None, placed: Placed) -> Box:
+    """Return what is recovered: the sheet's field, or the box around the features that most photographs show."""
+    if sheet is not None:
+        width, height = sheet.field
+        return -width / 2, -height / 2, width / 2, height / 2
+    shown = np.stack([_shows(camera, placed.points[:, :2]) for camera in placed.cameras])
+    there = shown.mean(axis=0) >= _SHOWN
+    if there.sum() < FEWEST:
+        raise InputError("no part of the card is in most of the photographs; keep it in the middle of all of them")
+    (x0, y0), (x1, y1) = np.percentile(placed.points[there, :2], [_TRIMMED, 100 - _TRIMMED], axis=0)
+    return float(x0), float(y0), float(x1), float(y1)
+
+
+def _shows(camera: Camera, places: np.ndarray) -> np.ndarray:
+    pixels, depth = camera.project(np.concatenate([places, np.zeros((*places.shape[:-1], 1))], axis=-1))
+    return (depth > 0) & (pixels > 0).all(axis=-1) & (pixels < (camera.width, camera.height)).all(axis=-1)
+
+
+def _in_unit(field: Box, cameras: tuple[Camera, ...], sheet: Sheet | None) -> tuple[Box, tuple[Camera, ...]]:
+    """Return field and cameras, without a sheet with the field around the origin and 1 wide."""
+    if sheet is not None:
+        return field, cameras
+    x0, y0, x1, y1 = field
+    scale, middle = 1 / (x1 - x0), np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    moved = []
+    for camera in cameras:
+        matrix = camera.matrix.copy()
+        matrix[:3, 3] = (matrix[:3, 3] - middle) * scale
+        moved.append(replace(camera, matrix=matrix))
+    half = (y1 - y0) / 2 * scale
+    return (-0.5, -half, 0.5, half), tuple(moved)
+
+
+def _view_angle(cameras: Sequence[Camera]) -> float:
+    """Return the root mean square angle, in degrees, of the directions to the cameras from their mean."""
+    away = np.stack([camera.position / np.linalg.norm(camera.position) for camera in cameras])
+    mean = away.mean(axis=0) / np.linalg.norm(away.mean(axis=0))
+    return float(np.degrees(np.sqrt((np.arccos(np.clip(away @ mean, -1, 1)) ** 2).mean())))
+
+
+def _places(field: Box, sheet: Sheet | None) -> np.ndarray:
+    """Return (P, 2) places of the card, a grid; before it those of bare paper, with a sheet."""
+    x0, y0, x1, y1 = field
+    share = (np.arange(_GRID) + 0.5) / _GRID
+    grid = np.stack(np.meshgrid(x0 + share * (x1 - x0), y0 + share * (y1 - y0)), axis=-1).reshape(-1, 2)
+    return grid if sheet is None else np.concatenate([sheet.white, grid])
+
+
+def _sampled(radiance: np.ndarray, camera: Camera, places: np.ndarray) -> np.ndarray:
+    """Return (P,) values of a reduced picture at places of the plane; NaN where it does not show them."""
+    pixels, _ = camera.project(np.insert(places, 2, 0.0, axis=1))
+    height, width = radiance.shape
+    with np.errstate(invalid="ignore"):
+        inside = _shows(camera, places) & np.isfinite(pixels).all(axis=1)
+    at = np.where(inside[:, None], pixels * (width / camera.width, height / camera.height), 0.5)
+    column, row = np.clip(at.astype(int), 0, [width - 1, height - 1]).T
+    return np.where(inside, radiance[row, column], np.nan)
+
+
+def _flash(samples: Samples, offset: np.ndarray | None, sheet: Sheet | None) -> tuple[Flash, np.ndarray, list[str]]:
+    """Return the flash, its intensities (K,), and warnings."""
+    flash, warnings = flash_of(samples, offset), []
+    distance = float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
+    if offset is None and (flash.error > _UNSURE * distance).any():
+        warnings.append("the brightness does not tell the flash's place; it is taken to be the lens's (--flash-offset)")
+        flash = flash_of(samples, np.zeros(3))
+    gains = flash.gains
+    if np.log(gains).std() < _UNEVEN:
+        gains = np.ones_like(gains)
+    else:
+        warnings.append(
+            f"the exposure differs between the photographs, by {np.log(gains).std():.0%} (standard deviation), and is"
+            " divided out; fix it (AE lock) for a common one"
+        )
+    paper = flash.albedo[: len(sheet.white)] if sheet else flash.albedo[:0]
+    if np.isfinite(paper).any():
+        strength = float(np.nanmedian(paper)) / _WHITE
+    else:
+        strength = float(np.nanpercentile(flash.albedo, 95)) / _WHITE
+        warnings.append("the base colour is known up to one factor: its brightest part is taken to reflect 80 %")
+    return flash, strength * gains, warnings

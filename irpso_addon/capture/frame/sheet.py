@@ -1,0 +1,148 @@
+"""The printed frame: ArUco markers around an empty field of known size (Garrido-Jurado et al. 2014).
+
+The markers' numbers tell which sheet they are on, so that a photograph of them tells the field's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.files import check_unused
+from ...core.opencv import opencv
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+DICTIONARY = "DICT_4X4_50"
+PAPERS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}  # millimetres
+COUNTS = (4, 8)  # markers of a sheet
+SIDE = 24.0  # of a marker, millimetres
+_EDGE = 10.0  # from the paper's edge to a marker
+_QUIET = 6.0  # white around a marker
+_DPI = 600
+_INCH = 25.4
+_RULER = 50.0  # millimetres
+_SUFFIXES = (".png", ".pdf")
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A sheet of markers. Millimetres count from the middle of its field, x to the right and y up.
+
+    paper: a key of PAPERS. count: of markers. first: the number of its first marker; the others follow.
+    """
+
+    paper: str
+    count: int
+    first: int
+
+    @property
+    def field(self) -> tuple[float, float]:
+        """Width and height of the field, in millimetres."""
+        width, height = PAPERS[self.paper]
+        inset = 2 * (_EDGE + SIDE + _QUIET)
+        return round(width - inset, 1), round(height - inset, 1)
+
+    @property
+    def name(self) -> str:
+        """What the sheet is called in messages."""
+        return f"{self.count} markers on {self.paper}"
+
+    @property
+    def markers(self) -> dict[int, np.ndarray]:
+        """Number → (4, 2) corners of each marker, clockwise from its upper left one, in millimetres."""
+        width, height = PAPERS[self.paper]
+        x, y = width / 2 - _EDGE - SIDE / 2, height / 2 - _EDGE - SIDE / 2
+        middles = [(-x, y), (x, y), (x, -y), (-x, -y), (0, y), (x, 0), (0, -y), (-x, 0)]
+        around = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]) * SIDE / 2
+        return {self.first + k: around + middle for k, middle in enumerate(middles[: self.count])}
+
+    @property
+    def field_corners(self) -> np.ndarray:
+        """(4, 2) corners of the field, clockwise from its upper left one, in millimetres."""
+        return np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]) * np.array(self.field) / 2
+
+    @property
+    def white(self) -> np.ndarray:
+        """(N, 2) places of bare paper, between the markers of each long and short side, in millimetres."""
+        corners = [np.mean(places, axis=0) for places in list(self.markers.values())[:4]]
+        return np.array([
+            (1 - share) * corners[k] + share * corners[(k + 1) % 4] for k in range(4) for share in (0.28, 0.72)
+        ])  # fmt: skip
+
+
+SHEETS = tuple(
+    Sheet(paper, count, first)
+    for paper, count, first in (("A4", 4, 0), ("A4", 8, 4), ("letter", 4, 12), ("letter", 8, 16))
+)
+
+
+def sheet_of(paper: str, count: int) -> Sheet:
+    """Return the sheet of a paper and a number of markers. Raises InputError where there is none."""
+    for sheet in SHEETS:
+        if (sheet.paper.lower(), sheet.count) == (paper.lower(), count):
+            return sheet
+    raise InputError(f"there is no sheet of {count} markers on {paper}; choose 4 or 8, on {' or '.join(PAPERS)}")
+
+
+def write_sheet(sheet: Sheet, path: Path) -> None:
+    """Write a sheet to print at its true size: .pdf or .png of 600 dots an inch. Raises InputError."""
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"{path}: is neither .pdf nor .png; name the file so")
+    check_unused(path, "choose another name for -o")
+    picture = sheet_picture(sheet, _DPI)
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() == ".pdf":
+            picture.save(partial, "PDF", resolution=_DPI, title=", ".join(_caption(sheet)))
+        else:
+            picture.save(partial, "PNG", dpi=(_DPI, _DPI))
+        partial.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def sheet_picture(sheet: Sheet, dpi: float) -> Image.Image:
+    """Return the sheet as a Pillow picture of one bit a pixel. dpi: dots an inch."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    cv2 = opencv("a sheet of markers")
+    scale = dpi / _INCH
+    width, height = PAPERS[sheet.paper]
+    picture = Image.new("1", (round(width * scale), round(height * scale)), 1)
+    draw = ImageDraw.Draw(picture)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+
+    def place(point: Sequence[float] | np.ndarray) -> tuple[int, int]:
+        return round((point[0] + width / 2) * scale), round((height / 2 - point[1]) * scale)
+
+    for number, corners in sheet.markers.items():
+        (left, top), (right, low) = place(corners[0]), place(corners[2])
+        bits = cv2.aruco.generateImageMarker(dictionary, number, 6)
+        picture.paste(Image.fromarray(bits).resize((right - left, low - top), Image.Resampling.NEAREST), (left, top))
+    for corner in sheet.field_corners:  # ticks that point away from the field
+        for axis in (0, 1):
+            end = corner.copy()
+            end[axis] += np.sign(corner[axis]) * _QUIET / 2
+            draw.line((*place(corner), *place(end)), 0, max(1, round(0.2 * scale)))
+    font = ImageFont.load_default(2.4 * scale)
+    middle = -(width / 2 - _EDGE - SIDE / 2) / 2  # between two markers of the lower edge
+    base = _EDGE - height / 2
+    draw.line((*place((middle - _RULER / 2, base)), *place((middle + _RULER / 2, base))), 0, max(1, round(0.3 * scale)))
+    for number, text in enumerate(reversed(_caption(sheet))):
+        draw.text(place((middle, base + 2.0 + 4.0 * number)), text, 0, font, "ms")
+    return picture
+
+
+def _caption(sheet: Sheet) -> tuple[str, ...]:
+    across, down = sheet.field
+    return f"IRPSO, {sheet.name}", f"field {across:g} x {down:g} mm", f"print at 100 %: the line is {_RULER:g} mm"

@@ -1,0 +1,124 @@
+"""``handheld PHOTOS``: cameras and lights of photographs taken by hand with the phone's flash on."""
+
+from __future__ import annotations
+
+import math
+import sys
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..blender.images import decode
+from ..blender.scenes.card_mesh import CARD, save_card
+from ..calibration.handheld.job import Handheld, handheld_steps
+from ..calibration.handheld.write import report_of, report_text, table_text
+from ..calibration.photographs import read_photographs
+from ..capture.formats.table import TABLE
+from ..capture.images.exif import field_of_view
+from ..capture.images.exr_header import is_exr
+from ..capture.spec import CaptureSpec, build_capture
+from ..capture.types import Capture
+from ..core.errors import InputError
+from ..core.files import check_unused, new_folder
+from ..core.progress_bar import ProgressBar
+from ..core.steps import run_steps
+from .options.values import numbers_of_text, silent
+
+BLEND = "card.blend"
+_REPORT = "report.json"
+_SAME_ZOOM = 0.01  # relative difference of focal lengths
+_TEXELS = 512  # of the shorter side, in the command that is proposed
+
+
+def run(options: Namespace) -> dict:
+    """Find cameras and lights and write them. Raises InputError and then writes nothing."""
+    out = Path(options.output)
+    check_unused(out)
+    spec = _photographs(options)
+    offset = _offset(options.flash_offset)
+    capture, lens = _with_lens(build_capture(spec, decode), spec, options.fov)
+    bar = ProgressBar("handheld", silent(options))
+    found = run_steps(handheld_steps(capture, lens, offset), lambda part: bar.show(part, "photographs"))
+    bar.show(1.0, "done")
+    bar.close()
+    table = table_text(spec, found, out)
+    with new_folder(out) as partial:
+        (partial / TABLE).write_text(table, encoding="utf-8")
+        (partial / _REPORT).write_text(report_text(spec, found), encoding="utf-8")
+        save_card(partial / BLEND, found.field)
+    if not silent(options):
+        sys.stdout.write(_summary(found, out))
+    return {"output": str(out), **report_of(spec, found)}
+
+
+def _photographs(options: Namespace) -> CaptureSpec:
+    """Return the photographs of a folder, each with a camera of its own."""
+    path = Path(options.photographs)
+    if not path.is_dir():
+        raise InputError(f"{path}: is no folder; give the folder of the photographs")
+    spec = read_photographs(path, options.colour_space)
+    if spec.kind != "images":
+        raise InputError(f"{path}: holds a capture with lights; give a folder of photographs alone")
+    view = replace(spec.views[0], mask=None)
+    shots = tuple(replace(shot, camera=number) for number, shot in enumerate(spec.observations))
+    return replace(spec, observations=shots, views=tuple(replace(view, name=shot.name) for shot in shots))
+
+
+def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:
+    """Return the capture with one focal length in all cameras, and how sure it is. Raises InputError."""
+    sizes = [(camera.width, camera.height) for camera in capture.cameras]
+    if fov is not None and not 0 < fov < 180:
+        raise InputError(f"--fov {fov:g}: give the full angle over the image's width, above 0 and below 180")
+    angles: list[float | None] = [fov] * len(sizes)
+    if fov is None:
+        paths = [shot.image.path for shot in spec.observations]
+        angles = [
+            None if is_exr(path) else field_of_view(path.read_bytes(), *size)
+            for path, size in zip(paths, sizes, strict=True)
+        ]
+    width = max(sizes[0])
+    focals = [size[0] / 2 / math.tan(math.radians(angle) / 2)
+              for angle, size in zip(angles, sizes, strict=True) if angle is not None]  # fmt: skip
+    if fov is not None:  # over the width of the first photograph; others may be upright
+        focals = focals[:1]
+    focal = float(np.median(focals)) if focals else float(width)
+    if focals and max(abs(value / focal - 1) for value in focals) > _SAME_ZOOM:
+        raise InputError("the photographs have different focal lengths, as their EXIF says; take all at one zoom")
+    cameras = tuple(
+        replace(camera, scale=(focal, focal), centre=(camera.width / 2, camera.height / 2), perspective=True)
+        for camera in capture.cameras
+    )
+    return replace(capture, cameras=cameras), "known" if fov is not None else "likely" if focals else "unknown"
+
+
+def _offset(text: str | None) -> np.ndarray | None:
+    if text is None:
+        return None
+    numbers = numbers_of_text(text) or []
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise InputError(f"--flash-offset {text}: give X,Y,Z in millimetres: to the right, up, and toward you")
+    return np.array(numbers)
+
+
+def _summary(found: Handheld, out: Path) -> str:
+    unit = " mm" if found.sheet else ""
+    x, y, _ = found.flash.offset
+    x0, y0, x1, y1 = found.field
+    shorter = _TEXELS / min(x1 - x0, y1 - y0)
+    size = f"{round((x1 - x0) * shorter)}x{round((y1 - y0) * shorter)}"
+    by = (
+        found.sheet.name if found.sheet else "features of the card; lengths are in widths of the part that is recovered"
+    )
+    lines: list[Any] = [
+        f"{len(found.cameras)} cameras by {by}",
+        f"points are off by {found.error:.2f} pixels (median); views differ by {found.views:.0f}°",
+        f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
+        f" {found.flash.beam:.1f}",
+        *(f"warning: {warning}" for warning in found.warnings),
+        f"written to {out}; recover it with: irpso recover {out} --blend {out / BLEND} --object {CARD}"
+        f" --resolution {size} -o OUT",
+    ]
+    return "\n".join(lines) + "\n"

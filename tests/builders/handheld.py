@@ -1,0 +1,59 @@
+"""Photographs of a flat card taken by hand with a flash beside the lens, warped and lit by numpy in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from irpso_addon.calibration.handheld.flash import irradiance
+from irpso_addon.capture.frame.sheet import PAPERS, sheet_of, sheet_picture
+from irpso_addon.capture.types import Capture, Light, Observation
+from tests.builders.flat_scene import looking_camera, seen_plane, texture
+
+SIZE, FOCAL = (320, 240), 340.0
+OFFSET, BEAM, STRENGTH = np.array([14.0, -8.0, 0.0]), 2.5, 9e4
+
+
+def hand(count, seed=0, widest=48.0, far=360.0):
+    """Return cameras that go around the plane's origin, some ``far`` away."""
+    random = np.random.default_rng(seed)
+    return [
+        looking_camera(
+            SIZE, FOCAL, random.uniform(0.85, 1.15) * far, widest * np.sqrt((k + 0.5) / count), 137.5 * k,
+            random.uniform(-25, 25), tuple(random.uniform(-15, 15, 2)),
+        )
+        for k in range(count)
+    ]  # fmt: skip
+
+
+def photographs(cameras, value, blurred=()):
+    """Return a capture of pictures under the flash beside each camera; value: places (…, 2) → reflectance."""
+    shots = []
+    for number, camera in enumerate(cameras):
+
+        def lit(places, camera=camera):
+            flat = places.reshape(-1, 2)
+            shade = STRENGTH * irradiance(flat, camera.matrix, OFFSET, BEAM)
+            return (value(flat) * shade).reshape(places.shape[:-1])
+
+        grey = seen_plane(camera, lit)
+        if number in blurred:
+            grey = np.mean([np.roll(grey, step, axis=1) for step in range(-5, 6)], axis=0)
+        picture = np.dstack([grey, grey, grey, np.ones_like(grey)]).astype(np.float32)
+        light = Light((0, 0, 1))
+        shots.append(Observation(f"IMG_{number}", lambda p=picture: p, light, number))
+    blank = tuple(replace(camera, matrix=np.eye(4)) for camera in cameras)
+    return Capture("card", tuple(shots), blank, tuple(np.ones(SIZE[::-1], bool) for _ in cameras))
+
+
+def on_sheet(places):
+    """Return the reflectance of a printed sheet with a textured card in its field, on a black table."""
+    sheet = sheet_of("A4", 8)
+    if not hasattr(on_sheet, "ink"):
+        on_sheet.ink = np.asarray(sheet_picture(sheet, 80).convert("L"), float) / 255
+    size, ink = np.array(PAPERS["A4"]), on_sheet.ink
+    at = np.floor((places * (1, -1) + size / 2) / size * ink.shape[::-1]).astype(int)
+    paper = ((at >= 0) & (at < ink.shape[::-1])).all(axis=-1)
+    at = np.clip(at, 0, np.array(ink.shape[::-1]) - 1)
+    card = (np.abs(places) < np.array(sheet.field) / 2 - 4).all(axis=-1)
+    sheet_value = np.where(paper, 0.03 + 0.77 * ink[at[..., 1], at[..., 0]], 0.01)
+    return np.where(card, 0.2 + 0.5 * texture(3, 10.0)(places), sheet_value)

@@ -1,0 +1,182 @@
+"""Hand-held photographs with a flash: poses, lens, lamp and beam against the truth that made them, in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, seen
+from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
+from irpso_addon.calibration.handheld.job import handheld_steps
+from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plane_of, pose_of
+from irpso_addon.capture.frame.homography import homography, mapped
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.steps import run_steps
+from tests.builders.flat_scene import from_upper_left, texture
+from tests.builders.handheld import BEAM, FOCAL, OFFSET, STRENGTH, hand, on_sheet, photographs
+
+
+def off(found, true):
+    """Return the largest turn in degrees and the largest shift over the distance, of cameras from the true ones."""
+    turns = [np.degrees(np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1)))
+             for a, b in zip(found, true, strict=True)]  # fmt: skip
+    shifts = [np.linalg.norm(a[:3, 3] - b[:3, 3]) / np.linalg.norm(b[:3, 3]) for a, b in zip(found, true, strict=True)]
+    return max(turns), max(shifts)
+
+
+def shifted(camera):
+    """Return (3, 3) from pixels to pixels counted from the middle of the picture, y down."""
+    return np.array([(1, 0, -camera.width / 2), (0, 1, -camera.height / 2), (0, 0, 1.0)])
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    """Return cameras, places (P, 3) of a card with relief, and the exact views from the upper left corner."""
+    cameras = hand(12)
+    places = np.random.default_rng(1).uniform(-60, 60, (70, 3)) * (1, 1, 0.03)
+    pixels = []
+    for camera in cameras:
+        at, _ = camera.project(places)
+        pixels.append(np.stack([at[:, 0], camera.height - at[:, 1]], axis=-1))
+    k, p = np.repeat(np.arange(12), 70), np.tile(np.arange(70), 12)
+    return cameras, places, Views(k, p, np.concatenate(pixels))
+
+
+def test_the_homographies_of_a_plane_of_known_form_tell_focal_length_and_poses():
+    cameras, plane = hand(6), np.random.default_rng(2).uniform(-60, 60, (9, 2))
+    maps = [shifted(camera) @ homography(plane, from_upper_left(camera, plane)) for camera in cameras]
+    assert focal_of(maps) == pytest.approx(FOCAL, rel=1e-6)
+    poses = [pose_of(np.diag([1 / FOCAL, 1 / FOCAL, 1]) @ matrix) for matrix in maps]
+    assert max(off([camera_matrix(*pose) for pose in poses], [c.matrix for c in cameras])) < 1e-5
+
+
+@pytest.mark.parametrize("given", [FOCAL, None])
+def test_the_form_of_an_unknown_plane_follows_from_right_angles_in_all_views(given):
+    cameras, plane = hand(10), np.random.default_rng(2).uniform(-60, 60, (9, 2))
+    pictures = [from_upper_left(camera, plane) for camera in cameras]
+    centre = [np.linalg.inv(shifted(camera)) for camera in cameras]
+    maps = [shifted(c) @ homography(pictures[4], at) @ centre[4] for c, at in zip(cameras, pictures, strict=True)]
+    form, focal, misfit = plane_of(maps, given, 320)
+    assert focal == pytest.approx(FOCAL, rel=1e-3) and misfit < 1e-3
+    rectified = mapped(np.linalg.inv(np.diag([focal, focal, 1]) @ form), mapped(shifted(cameras[4]), pictures[4]))
+    lengths = [np.linalg.norm(a[:, None] - a, axis=-1) for a in (rectified, plane)]
+    ratio = lengths[0][np.triu_indices(9, 1)] / lengths[1][np.triu_indices(9, 1)]
+    assert np.ptp(ratio) < 2e-3 * ratio.mean()
+    turned = rectified - rectified.mean(axis=0)
+    wanted = plane - plane.mean(axis=0)
+    assert np.linalg.det(turned.T @ wanted) > 0, "y is up: nothing is mirrored"
+
+
+def test_bundle_adjustment_finds_cameras_lens_and_relief_from_a_flat_start(cloud):
+    cameras, places, views = cloud
+    noisy = replace(views, pixels=views.pixels + np.random.default_rng(3).normal(0, 0.1, views.pixels.shape))
+    matrices = [c.matrix for c in cameras]
+    flip = np.diag([1.0, -1.0, -1.0])
+    rotations = np.stack([flip @ m[:3, :3].T for m in matrices])
+    shifts = np.stack([-r @ m[:3, 3] for r, m in zip(rotations, matrices, strict=True)])
+    random = np.random.default_rng(4)
+    centres = np.tile([160.0, 120.0], (12, 1))
+    exact = Bundle(rotations, shifts, places, FOCAL, 0.0, centres)
+    np.testing.assert_allclose(seen(exact, views), views.pixels, atol=1e-9)
+    start = replace(
+        exact, points=places * (1, 1, 0), focal=1.04 * FOCAL, shifts=shifts + random.normal(0, 6.0, shifts.shape)
+    )
+    found = adjusted(start, noisy, 0.1, relief=3.0)
+    assert found.focal == pytest.approx(FOCAL, rel=0.01) and abs(found.radial) < 0.03
+    height = np.corrcoef(found.points[:, 2], places[:, 2])[0, 1]
+    assert height > 0.97
+    assert np.median(np.linalg.norm(seen(found, noisy) - noisy.pixels, axis=1)) < 0.15
+
+
+def test_brightness_tells_place_beam_and_strength_of_the_flash():
+    cameras = np.stack([c.matrix for c in hand(24, widest=55)])
+    random = np.random.default_rng(5)
+    places = random.uniform(-60, 60, (200, 2))
+    albedo = random.uniform(0.1, 0.8, 200)
+    gains = np.exp(random.normal(0, 0.2, 24))
+    gains /= np.exp(np.log(gains).mean())
+    exact = np.stack([g * albedo * irradiance(places, c, OFFSET, BEAM) for g, c in zip(gains, cameras, strict=True)])
+    noisy = exact * np.exp(random.normal(0, 0.02, exact.shape))
+    noisy[random.random(exact.shape) < 0.05] *= 3  # highlights
+    found = flash_of(Samples(places, cameras, noisy))
+    np.testing.assert_allclose(found.offset, OFFSET, atol=1.5)
+    assert found.beam == pytest.approx(BEAM, abs=0.1) and (found.error < 1.5).all()
+    np.testing.assert_allclose(found.gains, gains, rtol=0.02)
+    assert np.median(found.albedo / albedo) == pytest.approx(1, abs=0.02)
+
+
+def test_irradiance_falls_with_distance_cosine_and_beam():
+    camera = np.eye(4)
+    camera[2, 3] = 300
+    away = np.array([90.0, 0, -300]) - (14, -8, 0)
+    cosine = 300 / np.linalg.norm(away)
+    wanted = cosine * cosine**BEAM / (away @ away)
+    assert irradiance(np.array([[90.0, 0]]), camera, OFFSET, BEAM)[0] == pytest.approx(wanted)
+
+
+@pytest.fixture(scope="module")
+def on_paper():
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    cameras = hand(9, seed=6, widest=40.0, far=500.0)
+    return cameras, photographs(cameras, on_sheet, blurred=(4,))
+
+
+def test_photographs_of_a_sheet_give_cameras_and_flash_in_millimetres(on_paper):
+    cameras, capture = on_paper
+    found = run_steps(handheld_steps(capture, "known"))
+    assert found.numbers == (0, 1, 2, 3, 5, 6, 7, 8) and "blurred: IMG_4" in found.warnings[0]
+    turn, shift = off([c.matrix for c in found.cameras], [cameras[n].matrix for n in found.numbers])
+    assert found.sheet is not None and turn < 0.8 and shift < 0.012
+    np.testing.assert_allclose(found.flash.offset, OFFSET, atol=3.0)
+    assert found.flash.beam == pytest.approx(BEAM, abs=0.3)
+    np.testing.assert_allclose(found.intensities, STRENGTH, rtol=0.05)
+    np.testing.assert_allclose(found.field, (-65, -108.5, 65, 108.5))
+    given = run_steps(handheld_steps(capture, "known", OFFSET))
+    np.testing.assert_array_equal(given.flash.offset, OFFSET)
+
+
+def test_a_wrong_focal_length_is_refused_with_the_better_one(on_paper):
+    _, capture = on_paper
+    wrong = replace(capture, cameras=tuple(replace(c, scale=(1.5 * FOCAL,) * 2) for c in capture.cameras))
+    with pytest.raises(InputError, match=r"one of 5\d\.\d° over the width"):
+        run_steps(handheld_steps(wrong, "known"))
+
+
+def test_photographs_from_one_place_are_refused():
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    with pytest.raises(InputError, match="all from one place"):
+        run_steps(handheld_steps(photographs(hand(8, widest=4.0, far=500.0), on_sheet), "known"))
+
+
+def test_few_photographs_and_photographs_without_a_card_are_refused(on_paper):
+    _, capture = on_paper
+    with pytest.raises(InputError, match="5 photographs can be used, 8 are needed"):
+        run_steps(handheld_steps(replace(capture, observations=capture.observations[:5])))
+    empty = photographs(hand(8), lambda places: np.full(len(places), 0.4))
+    with pytest.raises(InputError, match="neither printed markers nor enough features"):
+        run_steps(handheld_steps(empty))
+
+
+def test_a_textured_card_without_markers_gives_cameras_up_to_scale_and_place():
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    cameras = hand(9, seed=7, widest=35.0)
+    surface, fine = texture(8, 5.0), texture(9, 12.0)
+
+    def value(places):
+        return np.where((np.abs(places) < 65).all(-1), 0.1 + 0.35 * surface(places) + 0.35 * fine(places), 0.01)
+
+    found = run_steps(handheld_steps(photographs(cameras, value), "known"))
+    assert len(found.cameras) >= 8 and found.sheet is None
+    true = np.stack([cameras[n].matrix for n in found.numbers])
+    own = np.stack([camera.matrix for camera in found.cameras])
+    # The similarity that brings the found places onto the true ones (Umeyama 1991); its rotation is about z.
+    a, b = (m[:, :3, 3] - m[:, :3, 3].mean(axis=0) for m in (own, true))
+    u, s, vt = np.linalg.svd(b.T @ a)
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    scale = s.sum() / (a**2).sum()
+    assert np.degrees(np.arccos(turn[2, 2])) < 0.7
+    assert np.linalg.norm(scale * a @ turn.T - b, axis=1).max() < 6.0
+    turned = own.copy()
+    turned[:, :3, :3], turned[:, :3, 3] = turn @ own[:, :3, :3], true[:, :3, 3]
+    assert off(turned, true)[0] < 1.2
+    assert scale == pytest.approx(130, rel=0.1), "the part that is recovered is the card"
