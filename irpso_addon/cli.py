@@ -94,6 +94,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_develop(commands)
     _add_response(commands)
     _add_rig(commands)
+    _add_frames(commands)
     _add_sample(commands)
     _add_markers(commands)
     _add_handheld(commands)
@@ -328,6 +329,16 @@ def _add_rig(commands: argparse._SubParsersAction) -> None:
                      help="how lamps are matched to photographs (auto: by equal names, else by order)")  # fmt: skip
     add.add_argument("--exposure", choices=("exif",), help="scale photographs of other exposures to the rig's")
     add.add_argument("--half", action="store_true", help="write developed images as 16-bit floats")
+    _add_common(add)
+
+
+def _add_frames(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser(
+        "frames", help="choose photographs from a video of a lamp carried around a subject", epilog=_EPILOG
+    )
+    add.add_argument("video", help="video of a still camera")
+    add.add_argument("-o", "--output", required=True, metavar="FOLDER", help="new folder for the photographs")
+    add.add_argument("--count", type=int, metavar="N", help="most photographs (default 40)")
     _add_common(add)
 
 

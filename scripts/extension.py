@@ -1,6 +1,6 @@
 """Builds the zips that Blender installs, one for each system, with Blender's own tool, under plain Python.
 
-Usage: python scripts/extension.py FOLDER [--without-wheels]
+Usage: python scripts/extension.py FOLDER [--without-wheels | --this-system]
 With the wheels of what Blender has not, a zip works in every supported Blender of its system on its own.
 The same sources give the same bytes.
 """
@@ -112,20 +112,36 @@ def build_all(folder: Path, systems: Iterable[str] = wheels.PLATFORMS) -> dict[s
     return built
 
 
+def optional_lines(package: Path, system: str, pythons: list[str]) -> list[str]:
+    """Return one line for each optional library of a zip: for which of these Pythons it is in it."""
+    with zipfile.ZipFile(package) as archive:
+        held = {tuple(Path(name).name.split("-")[:4]) for name in archive.namelist() if name.endswith(".whl")}
+    lines = []
+    for library in wheels.OPTIONAL:
+        found = [tags for tags in held if tags[0] == library.replace("-", "_")]
+        served = [p for p in pythons if any(t[3] == wheels.STABLE or t[2] == f"cp{p.replace('.', '')}" for t in found)]
+        lines.append(f"{wheels.requirement(library, system)}, Python {', '.join(served) or 'none'}")
+    return lines
+
+
 def main() -> None:
     """Build into the folder named on the command line; say where the zips are, and what no wheel was found for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--without-wheels", action="store_true", help="leave the wheels out: small, needs no network")
+    parser.add_argument("--this-system", action="store_true", help="build the zip of this system alone")
     options = parser.parse_args()
     if options.without_wheels:
         print(build_plain(options.folder))
         return
-    built = build_all(options.folder)
+    systems = [this_platform()] if options.this_system else list(wheels.PLATFORMS)
+    built = build_all(options.folder, systems)
     held = ", ".join(map(wheels.requirement, wheels.LIBRARIES))
-    for package, pythons in built.values():
+    for system, (package, pythons) in built.items():
         print(f"{package}  {package.stat().st_size / 1e6:.1f} MB, {held}, Python {', '.join(pythons)}")
-    for system in wheels.PLATFORMS:
+        for line in optional_lines(package, system, pythons):
+            print(f"  {line}")
+    for system in systems:
         for python in wheels.PYTHONS:
             if python not in built.get(system, (None, []))[1]:
                 print(f"no wheels of {held} exist for {system} with Python {python}")

@@ -25,6 +25,8 @@ import extension
 HERE = Path(__file__).resolve().parent
 # What the bpy wheel needs beside Python's own modules: itself and numpy, which every Blender brings.
 BARE = ("bpy", "numpy", "numpy.libs")
+# The modules of the optional libraries. All have wheels for the Pythons and systems that the tests run on.
+OPTIONAL = ("rawpy", "pillow_heif", "cv2")
 TIMEOUT = 300  # seconds; it takes ten
 
 
@@ -138,6 +140,10 @@ def faults(told: dict, with_wheels: bool) -> list[str]:
             wanted[f"{name} is not that of the zip but {told[key]}"] = inside
         wanted["OpenEXR gave back other numbers than it got"] = told.get("exr same", False)
         wanted["Pillow drew no text"] = told.get("drawn", False)
+        for name in OPTIONAL:
+            place, _, works = told["optional"].get(name, ("nowhere", "", False))
+            wanted[f"{name} is not that of the zip but {place}"] = place.startswith(told["profile"])
+            wanted[f"{name} does not work"] = works
     if told["usage"] is not None:
         wanted["blender --command irpso --help said nothing of recover"] = "recover" in told["usage"]
     return [line for line, good in wanted.items() if not good]
@@ -165,8 +171,9 @@ def main() -> int:
         print(*(f"WRONG: {line}" for line in wrong), sep="\n")
         return 1
     held = [f"{name} {told[f'{key} version']}" for name, key in (("OpenEXR", "exr"), ("Pillow", "pillow")) if told[key]]
+    held += [f"{name} {version}" for name, (_, version, _) in told["optional"].items()]
     parts = f"{told['modules']} modules, {len(told['classes'])} classes, command {', '.join(told['commands'])}"
-    print(f"  {parts}, {' and '.join(held) or 'no wheels'}; disabled without a trace")
+    print(f"  {parts}, {', '.join(held) or 'no wheels'}; disabled without a trace")
     print(f"In your own Blender:  blender --command extension install-file -r user_default --enable {package}")
     return 0
 

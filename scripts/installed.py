@@ -99,6 +99,43 @@ def picture(package: str) -> dict:
     return {"pillow": PIL.__file__, "pillow version": PIL.__version__, "drawn": bool(canvas.result().max() > 0.5)}
 
 
+def optional(package: str) -> dict[str, list]:
+    """Use the optional libraries; return module → [where it lies, its version, whether it works] of those there are."""
+    import io
+
+    import numpy as np
+
+    def developed(rawpy) -> bool:
+        try:
+            rawpy.imread(io.BytesIO(b"no raw file"))
+        except rawpy.LibRawError:
+            return True
+        return False
+
+    def photographed(pillow_heif) -> bool:
+        file = io.BytesIO()
+        pillow_heif.from_bytes("RGB", (64, 64), bytes(64 * 64 * 3)).save(file)
+        heif = importlib.import_module(f"{package}.capture.images.heif")
+        return heif.decode_heif(Path("a.heic"), file.getvalue()).values.shape == (64, 64, 3)
+
+    def drawn(cv2) -> bool:
+        markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        sheet = cv2.copyMakeBorder(
+            cv2.aruco.generateImageMarker(markers, 3, 60), *[30] * 4, cv2.BORDER_CONSTANT, None, 255
+        )
+        found = cv2.aruco.ArucoDetector(markers).detectMarkers(sheet)[1]
+        return np.ravel(found).tolist() == [3]
+
+    told = {}
+    for name, works in (("rawpy", developed), ("pillow_heif", photographed), ("cv2", drawn)):
+        try:
+            module = importlib.import_module(name)
+        except ModuleNotFoundError:
+            continue
+        told[name] = [module.__file__, module.__version__, works(module)]
+    return told
+
+
 def try_zip(path: str) -> dict:
     """Install, enable, try and disable a zip; return what was found at each."""
     commands = watch_commands()
@@ -122,7 +159,7 @@ def try_zip(path: str) -> dict:
         "model": package.load_model("lambert").name,
         "schedule": package.load_schedule("standard").name,
     }
-    told |= exr_round_trip(name) | picture(name)
+    told |= exr_round_trip(name) | picture(name) | {"optional": optional(name)}
     told |= {"violations": violations(enabled[0]), "written": sorted({*files(paths.ROOT)} ^ {*brought})}
     bpy.ops.preferences.addon_disable(module=enabled[0])
     return told | {"commands after": list(commands), "classes after": classes()}

@@ -5,6 +5,11 @@ functions of its C core under the same names and calls them by name, so inside B
 crash (seen with the libraries of 4.2, 4.3, 4.5 and 5.0; the bpy wheel keeps its libraries to itself). DF_SYMBOLIC
 in a library's dynamic section, what `ld -Bsymbolic` sets, has the loader look into the library first. RTLD_DEEPBIND
 would do so too, but also for malloc, which Blender replaces: that crashes as well.
+
+Debian's Blender also has libheif and libraw among its libraries, by OpenImageIO. The wheels of pillow-heif and rawpy
+call theirs from another library, where DF_SYMBOLIC does not help (seen with libheif 1.15 and 1.18: crash; with libraw
+0.21: an error). So the names are changed in the wheel, to names of the same length and GNU hash (h = 33 h + c, so that
+one more in a letter makes up for 33 less in the next), which leaves the tables of symbols as they are.
 """
 
 import base64
@@ -18,6 +23,9 @@ from pathlib import Path
 # Names and layout: System V ABI, ELF-64 object files; <elf.h>.
 PT_DYNAMIC, DT_NULL, DT_FLAGS, DF_SYMBOLIC = 2, 0, 30, 2
 HEADER_OFFSETS, PROGRAM_HEADER, ENTRY = (32, 54), struct.Struct("<IIQQQQQQ"), struct.Struct("<QQ")
+SECTIONS_OFFSETS, SECTION, SYMBOL, SHT_DYNSYM = (40, 58), struct.Struct("<IIQQQQIIQQ"), struct.Struct("<IBBHQQ"), 11
+# Parts of the names of a wheel's symbols, by the library on the package index.
+PREFIXES = {"OpenEXR": (), "pillow-heif": (b"heif_", b"de265_"), "rawpy": (b"LibRaw", b"libraw_")}
 
 
 def symbolic(library: bytes) -> bytes:
@@ -44,11 +52,29 @@ def symbolic(library: bytes) -> bytes:
     return bytes(changed)
 
 
-def make_symbolic(wheel: Path) -> None:
-    """Rewrite a wheel in place: its shared libraries symbolic, its RECORD with their new hashes."""
+def renamed(library: bytes, prefixes: tuple[bytes, ...]) -> bytes:
+    """Return an ELF-64 library whose dynamic symbols have other names where these contain one of ``prefixes``."""
+    (table,) = struct.unpack_from("<Q", library, SECTIONS_OFFSETS[0])
+    size, count = struct.unpack_from("<HH", library, SECTIONS_OFFSETS[1])
+    sections = [SECTION.unpack_from(library, table + i * size) for i in range(count)]
+    symbols = next(section for section in sections if section[1] == SHT_DYNSYM)
+    names = sections[symbols[6]][4]
+    changed = bytearray(library)
+    for at in range(symbols[4], symbols[4] + symbols[5], SYMBOL.size):
+        start = names + SYMBOL.unpack_from(library, at)[0]
+        name = library[start : library.index(b"\0", start)]
+        for prefix in prefixes:
+            name = name.replace(prefix, bytes((prefix[0] + 1, prefix[1] - 33)) + prefix[2:])
+        changed[start : start + len(name)] = name
+    return bytes(changed)
+
+
+def isolate(wheel: Path, library: str) -> None:
+    """Rewrite a wheel of ``library`` in place: its shared libraries keep to themselves; RECORD has their new hashes."""
     with zipfile.ZipFile(wheel) as archive:
         files = {item: archive.read(item) for item in archive.infolist()}
-    changed = {item.filename: symbolic(data) for item, data in files.items() if item.filename.endswith(".so")}
+    libraries = {item.filename: data for item, data in files.items() if data.startswith(b"\x7fELF")}
+    changed = {name: symbolic(renamed(data, PREFIXES[library])) for name, data in libraries.items()}
     if not changed:
         raise ValueError(f"{wheel.name} holds no shared library")
     with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -8,9 +8,11 @@ from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 
-from own_symbols import make_symbolic
+from own_symbols import PREFIXES, isolate
 
 LIBRARIES = ("OpenEXR", "Pillow")
+# Packed where there is a wheel; without one the program refuses what needs it in one line.
+OPTIONAL = ("rawpy", "pillow-heif", "opencv-python-headless")
 # 3.11 is in Blender up to 5.0 and 3.13 in those after it; Debian builds its Blender with its own Python, 3.14 next.
 PYTHONS = ("3.11", "3.13", "3.14")
 # Blender's name of a system, and the tags of the wheels that run on the oldest release of it that Blender 4.2 runs on
@@ -21,13 +23,21 @@ PLATFORMS = {
     "macos-arm64": ("macosx_11_0_arm64",),
     "macos-x64": tuple(f"macosx_{version}_x86_64" for version in ("10_9", "10_10", "10_13", "10_15", "11_0")),
 }
+# What the wheels of optional libraries may need beyond that. Blender installs a wheel whatever its macOS (bl_pkg
+# ignores the version); on an older one the import fails, as if the library were absent.
+NEWER = {"macos-x64": ("macosx_12_0_x86_64",)}
+# The last version with wheels for a system, where the one that is tested here has none.
+VERSIONS = {("rawpy", "macos-x64"): "0.25.1"}
+# A wheel of the stable ABI serves this Python and all later ones. Some Blenders accept a wheel by its Python alone, so
+# the packed name says the first of PYTHONS.
+STABLE = "abi3"
 # What pip says both where there is no such wheel and where it could not look; the second has these words before it.
 NO_WHEEL, NO_NETWORK = "No matching distribution found", "Retrying ("
 
 
-def requirement(library: str) -> str:
-    """Return a library as pip is asked for it: the version that the program is tested with here."""
-    return f"{library}=={version(library)}"
+def requirement(library: str, platform: str = "") -> str:
+    """Return a library as pip is asked for it: the version that the program is tested with here, if there is one."""
+    return f"{library}=={VERSIONS.get((library, platform)) or version(library)}"
 
 
 def download(library: str, platform: str, python: str, cache: Path) -> Path | None:
@@ -35,13 +45,14 @@ def download(library: str, platform: str, python: str, cache: Path) -> Path | No
 
     Leaves with pip's words where it could not look.
     """
-    wanted = requirement(library)
+    wanted = requirement(library, platform)
     folder = cache / wanted / f"{platform}-{python}"
-    kept = sorted(folder.glob("*.whl"))
+    kept = sorted([*folder.glob("*.whl"), *(cache / wanted).glob(f"{platform}-*/*-{STABLE}-*.whl")])
     if kept:
         return kept[0]
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--dest", folder]
-    tags = [word for tag in PLATFORMS[platform] for word in ("--platform", tag)]
+    newer = NEWER.get(platform, ()) if library in OPTIONAL else ()
+    tags = [word for tag in (*PLATFORMS[platform], *newer) for word in ("--platform", tag)]
     command += [wanted, "--implementation", "cp", "--python-version", python, *tags]
     result = subprocess.run(command, capture_output=True, text=True)
     if result.returncode == 0:
@@ -52,9 +63,9 @@ def download(library: str, platform: str, python: str, cache: Path) -> Path | No
 
 
 def collect(folder: Path, cache: Path, platforms: Iterable[str]) -> dict[str, list[str]]:
-    """Fill a folder with the wheels of some systems; return the Pythons that each system has all wheels for.
+    """Fill a folder with the wheels of some systems; return the Pythons that each system has all needed wheels for.
 
-    OpenEXR's for Linux are changed on the way: see own_symbols.py.
+    Some of those for Linux are changed on the way: see own_symbols.py.
     """
     folder.mkdir(parents=True, exist_ok=True)
     served: dict[str, list[str]] = {platform: [] for platform in platforms}
@@ -63,8 +74,20 @@ def collect(folder: Path, cache: Path, platforms: Iterable[str]) -> dict[str, li
         if not all(wheels.values()):
             continue
         served[platform].append(python)
+        wheels |= {library: download(library, platform, python, cache) for library in OPTIONAL}
         for library, wheel in wheels.items():
-            copy = Path(shutil.copy(wheel, folder))
-            if platform.startswith("linux") and library == "OpenEXR":
-                make_symbolic(copy)
+            if wheel is None:
+                continue
+            copy = folder / packed_name(wheel)
+            if copy.exists():
+                continue
+            shutil.copy(wheel, copy)
+            if platform.startswith("linux") and library in PREFIXES:
+                isolate(copy, library)
     return served
+
+
+def packed_name(wheel: Path) -> str:
+    """Return the name of a wheel in the zip."""
+    name, python, abi, platform = wheel.name.rsplit("-", 3)
+    return "-".join((name, f"cp{PYTHONS[0].replace('.', '')}" if abi == STABLE else python, abi, platform))

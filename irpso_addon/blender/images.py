@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.images.exif import upright
-from ..capture.images.headers import read_header
+from ..capture.images.headers import read_bytes, read_header
+from ..capture.images.heif import decode_heif
 from ..capture.images.linearise import Picture
 from ..capture.images.raw import decode_raw, is_raw
 from ..core.errors import InputError
@@ -22,15 +23,17 @@ from .colour_spaces import use_space
 def decode(path: Path | str) -> Picture:
     """Return a PNG, JPEG, TIFF or HDR file's own values, (H, W, 4), upright: a ``capture.picture.Decoder``.
 
-    No colour curve is inverted. rawpy, which Blender does not include, reads raw files.
+    No colour curve is inverted. rawpy reads raw files and pillow-heif HEIC files; Blender includes neither.
     Raises InputError where the file is missing, damaged or of another format.
     """
     path = Path(path)
     if is_raw(path):
         return decode_raw(path)
+    header = read_header(path)
+    if header.kind == "HEIF":
+        return decode_heif(path, read_bytes(path))
     import bpy
 
-    header = read_header(path)
     try:
         image = bpy.data.images.load(str(path.resolve()), check_existing=False)
     except RuntimeError as error:

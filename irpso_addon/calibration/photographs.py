@@ -15,19 +15,26 @@ from ..capture.formats.lists import read_lines
 from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 from ..capture.images.exif import field_of_view
 from ..capture.images.exr_header import is_exr
+from ..capture.images.heif import SUFFIXES as HEIF_SUFFIXES
 from ..capture.images.image import ImageRef, ImageStore, find_image
 from ..capture.images.linearise import Decoder
+from ..capture.images.raw import is_raw
 from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
 from ..capture.types import Light
 from ..core.toml_text import toml_value
 
-SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
+_SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", *HEIF_SUFFIXES)
 CAMERA = "camera.toml"
 _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
 _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
 _PATH_KEYS = ("image", "mask", "cameras")
+
+
+def is_photograph(path: Path) -> bool:
+    """Return whether a file's suffix is that of an image that is read."""
+    return path.suffix.lower() in _SUFFIXES or is_raw(path)
 
 
 def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = ()) -> CaptureSpec:
@@ -48,7 +55,7 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
     else:
         images = sorted(
             p for p in path.iterdir()
-            if p.suffix.lower() in SUFFIXES and p.name not in diligent.MASKS and p.resolve() not in hidden
+            if is_photograph(p) and p.name not in diligent.MASKS and p.resolve() not in hidden
         )  # fmt: skip
     if not images:
         raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")

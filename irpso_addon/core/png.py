@@ -14,9 +14,10 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 
 
-def encode_png(path: Path | str, array: np.ndarray, bits: int = 16) -> None:
+def encode_png(path: Path | str, array: np.ndarray, bits: int = 16, cicp: tuple[int, int] | None = None) -> None:
     """Write (H, W, C) values in 0…1, already encoded, row 0 at the bottom, as a PNG of 8 or 16 bits; C of 1 to 4.
 
+    cicp: colour primaries and transfer function by ITU-T H.273, to state in the file.
     Code values are round(value · (2^bits − 1)), exactly. Written here with zlib because Pillow has no RGB of 16 bits,
     and Blender's saver takes pixels through its scene's colour management and gives no say over rounding.
     Raises InputError where it cannot be written.
@@ -33,7 +34,8 @@ def encode_png(path: Path | str, array: np.ndarray, bits: int = 16) -> None:
     filtered[:, 1:] = rows
     filtered[:, 1 + bytes_per_pixel :] -= rows[:, :-bytes_per_pixel]
     header = struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0)
-    chunks = (b"IHDR" + header, b"IDAT" + zlib.compress(filtered.tobytes(), 6), b"IEND")
+    colours = () if cicp is None else (b"cICP" + bytes((*cicp, 0, 1)),)  # RGB, full range
+    chunks = (b"IHDR" + header, *colours, b"IDAT" + zlib.compress(filtered.tobytes(), 6), b"IEND")
     framed = [struct.pack(">I", len(one) - 4) + one + struct.pack(">I", zlib.crc32(one)) for one in chunks]
     with replacing_file(Path(path)) as partial:
         partial.write_bytes(SIGNATURE + b"".join(framed))

@@ -28,7 +28,7 @@ class TooDark(InputError):
 class Frame:
     """One photograph. rgb: (H, W, 3) float32, linear, row 0 at the bottom. weight: (H, W), 0 where clipped.
 
-    high, low: (H, W), largest and smallest of a pixel's codes / largest code. bits: 8, 16, or 32 for floats.
+    high, low: (H, W), largest and smallest of a pixel's codes / largest code. bits: 8 to 16, or 32 for floats.
     """
 
     rgb: np.ndarray
@@ -41,17 +41,18 @@ class Frame:
 def read_frame(
     store: ImageStore, image: ImageRef, response: Response | None = None, size: tuple[int, int] | None = None
 ) -> Frame:
-    """Return a photograph, linear by a response curve, or without one by its colour space.
+    """Return a photograph, linear by a response curve, or without one by its colour space or profile.
 
     size: required (width, height). Raises InputError where the file is unreadable, has another size, or holds floats
     while a response is given.
     """
+    profile = None
     if is_exr(image.path):
         samples, bits = store.samples(image), 32
         codes = samples.rgba[..., :3]
     else:
         picture = store.picture(image)
-        samples, bits = samples_of_picture(picture, image.colour_space), picture.bits
+        samples, bits, profile = samples_of_picture(picture, image.colour_space), picture.bits, picture.profile
         codes = picture.values[..., :3] if picture.values.shape[-1] >= 3 else picture.values[..., :1]
     if response is not None and bits == 32:
         raise InputError(f"{image}: holds linear floats, which have no response curve; omit --response")
@@ -61,7 +62,10 @@ def read_frame(
             f"{image}: is {width}×{height} pixels instead of {size[0]}×{size[1]}; all photographs, dark frames and"
             " flat fields of a camera must have one size, unscaled and uncropped"
         )
-    rgb = samples.rgba[..., :3] if response is None else response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
+    rgb = samples.rgba[..., :3]
+    if response is not None:
+        rgb = response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
+        rgb = profile.in_rec709(rgb) if profile else rgb
     return Frame(rgb, samples.rgba[..., 3], codes.max(axis=-1), codes.min(axis=-1), bits)
 
 

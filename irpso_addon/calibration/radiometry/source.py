@@ -14,13 +14,12 @@ from ...capture.images.exif import exposure_of
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Decoder
-from ...capture.images.raw import is_raw
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.files import natural
-from ..photographs import SUFFIXES
+from ..photographs import is_photograph
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .develop import Shot
 
@@ -54,7 +53,7 @@ def images_in(folder: Path) -> list[Path]:
         files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{folder}: cannot be opened ({error.strerror}); give a folder of photographs") from error
-    return sorted((p for p in files if p.suffix.lower() in SUFFIXES or is_raw(p)), key=natural)
+    return sorted(filter(is_photograph, files), key=natural)
 
 
 def read_source(
@@ -78,7 +77,7 @@ def read_source(
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
     images = [p for p in images_in(path) if p.resolve() not in others and p.stem.lower() != "mask"]
     if not images:
-        raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, EXR, HDR or raw); give their folder")
+        raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
     brackets, warnings = brackets_of_images(images, exposing)
     shots = [Shot(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts) for b in brackets]
     if exposing is None:

@@ -1,1 +1,1 @@
-"""Image files: headers, EXIF, OpenEXR, raw files; and the way from code values to linear radiance."""
+"""Image files: headers, EXIF, colour profiles, OpenEXR, HEIC, raw files; and the way from code values to radiance."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.png import SIGNATURE, png_chunks
+from .heif import heif_exif, is_heif
 
 if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
@@ -78,7 +79,7 @@ def orientation_of(tags: dict[int, Any]) -> int:
 
 
 def exposure_of(data: bytes) -> Exposure | None:
-    """Return the exposure of a JPEG, PNG or TIFF file (DNG and many raw files are TIFF); None without one."""
+    """Return the exposure of a JPEG, PNG, HEIC or TIFF file (DNG and many raw files are TIFF); None without one."""
     tags = tiff_tags(_exif_block(data))
     seconds, f_number, iso = (_positive(tags.get(tag)) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
     return Exposure(seconds, f_number, iso) if seconds else None
@@ -121,7 +122,7 @@ def _exif_block(data: bytes) -> bytes:
         return png_chunks(data).get(b"eXIf", b"")
     if data.startswith(JPEG_START):
         return image.info.get("exif", b"") if (image := open_jpeg(data)) else b""
-    return data
+    return heif_exif(data) if is_heif(data) else data
 
 
 def _positive(value: Any) -> float | None:

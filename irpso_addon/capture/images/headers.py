@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import struct
+import zlib
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,21 +14,24 @@ import numpy as np
 from ...core.png import SIGNATURE, png_chunks
 from ..errors import CaptureError
 from .exif import JPEG_START, open_jpeg, orientation_of, tiff_tags
+from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
 _JPEG_TAIL = 1 << 16  # cameras append a few kilobytes after the end mark
 _LINEAR_GAMMA = struct.pack(">I", 100_000)  # of a gAMA chunk: 100 000 over the exponent
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
+_MOST_ICC = 1 << 22  # bytes
 _WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT, _ICC_PROFILE, _COLOUR_SPACE = 256, 257, 258, 339, 34675, 40961  # TIFF tags
 _FLOATS, _SRGB = 3, 1  # of the sample format, of the colour space
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """kind: "EXR", "PNG", "JPEG", "TIFF" or "HDR". width, height: pixels, once upright. bits: 8, 16, or 32 for floats.
+    """kind: "EXR", "PNG", "JPEG", "TIFF", "HDR" or "HEIF". width, height: pixels, once upright.
 
-    orientation: the EXIF tag, 1 to 8. states: the encoding that the file states, "srgb" or "linear", "" for none; a
-    colour profile counts as "srgb", which nearly all are near to.
+    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: the turn that the decoder leaves to do, by EXIF,
+    1 to 8. states: the encoding that the file states, "srgb" or "linear", "" for none; a colour profile counts as
+    "srgb", which nearly all are near to. icc, cicp: the colour profile, or two codes of ITU-T H.273 in its place.
     """
 
     kind: str
@@ -35,6 +40,8 @@ class ImageHeader:
     bits: int
     orientation: int = 1
     states: str = ""
+    icc: bytes = b""
+    cicp: tuple[int, int] | None = None
 
 
 def read_header(path: Path) -> ImageHeader:
@@ -48,8 +55,11 @@ def read_header(path: Path) -> ImageHeader:
         header = _tiff(path, data)
     elif data[:2] == b"#?":
         header = _hdr(path, data)
+    elif is_heif(data):
+        found = heif_header(data, str(path))
+        header = ImageHeader("HEIF", found.width, found.height, found.bits, 1, "srgb", found.icc, found.cicp)
     else:
-        what = "is no PNG, JPEG, TIFF, HDR or EXR image; replace it by one" if data else "is empty; copy it again"
+        what = "is no PNG, JPEG, TIFF, HDR, HEIC or EXR image; replace it by one" if data else "is empty; copy it again"
         raise CaptureError(f"{path}: {what}", "image_unknown")
     if header.orientation >= 5:
         header = replace(header, width=header.height, height=header.width)
@@ -84,7 +94,17 @@ def _png(path: Path, data: bytes) -> ImageHeader:
     elif b"gAMA" in chunks:
         states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
     orientation = orientation_of(tiff_tags(chunks.get(b"eXIf", b"")))
-    return ImageHeader("PNG", width, height, 16 if bits == 16 else 8, orientation, states)
+    # cICP goes before iCCP (Portable Network Graphics, third edition, 4.3).
+    cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
+    icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
+    return ImageHeader("PNG", width, height, 16 if bits == 16 else 8, orientation, states, icc, cicp)
+
+
+def _png_icc(chunk: bytes) -> bytes:
+    """Return the profile of an iCCP chunk: a name, 0, the method, and deflated data."""
+    with suppress(zlib.error):
+        return zlib.decompressobj().decompress(chunk.partition(b"\0")[2][1:], _MOST_ICC)
+    return b""
 
 
 def _jpeg(path: Path, data: bytes) -> ImageHeader:
@@ -92,8 +112,9 @@ def _jpeg(path: Path, data: bytes) -> ImageHeader:
     if image is None or b"\xff\xd9" not in data[-_JPEG_TAIL:]:
         raise truncated(path)
     tags = tiff_tags(image.info.get("exif", b""))
-    srgb = image.info.get("icc_profile") or tags.get(_COLOUR_SPACE) == _SRGB
-    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), "srgb" if srgb else "")
+    icc = image.info.get("icc_profile") or b""
+    states = "srgb" if icc or tags.get(_COLOUR_SPACE) == _SRGB else ""
+    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc)
 
 
 def _tiff(path: Path, data: bytes) -> ImageHeader:
@@ -105,7 +126,9 @@ def _tiff(path: Path, data: bytes) -> ImageHeader:
     if not is_float and depth > 16:
         raise CaptureError(f"{path}: holds {depth}-bit whole numbers; save it with 8 or 16 bits", "image_unknown")
     states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else ""
-    return ImageHeader("TIFF", width, height, 32 if is_float else 16 if depth > 8 else 8, orientation_of(tags), states)
+    bits, icc = 32 if is_float else 16 if depth > 8 else 8, tags.get(_ICC_PROFILE, b"")
+    icc = icc if isinstance(icc, bytes) else b""
+    return ImageHeader("TIFF", width, height, bits, orientation_of(tags), states, icc)
 
 
 def _hdr(path: Path, data: bytes) -> ImageHeader:

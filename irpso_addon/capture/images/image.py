@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Literal
 
@@ -10,9 +10,11 @@ import numpy as np
 
 from ...core.errors import InputError
 from ..errors import CaptureError
+from .colour_profile import ColourProfile, ProfileError, profile_of_h273, profile_of_icc
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
-from .headers import ImageHeader, read_header
+from .headers import ImageHeader, read_bytes, read_header
+from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .primaries import to_rec_709
 from .raw import decode_raw, is_raw, raw_size
@@ -50,20 +52,47 @@ class ImageStore:
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
         """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
 
-        8-bit files are sRGB unless they state to be linear; all others are linear. Raises CaptureError.
+        Files of 8 to 12 bits are sRGB unless they state to be linear; all others are linear, except integers with a
+        colour profile. Raises CaptureError, also for a profile that is not read.
         """
         if is_exr(image.path) or is_raw(image.path):
             return "linear", "format"
         header = self._header(image.path)
-        if header.bits == 8:
+        profile = self.profile(image)
+        if profile is not None and header.bits < 32:
+            return "linear" if profile.linear else "srgb", "file"
+        if header.bits < 16:
             return (header.states, "file") if header.states else ("srgb", "guess")
         return "linear", "depth" if header.bits == 16 else "format"
 
     def coarse(self, image: ImageRef) -> bool:
-        """Return whether an image holds 8-bit sRGB codes by its statement. Raises CaptureError."""
-        space, known_by = self.encoding(image)
-        eight = known_by in ("file", "guess")
-        return eight and (space if image.colour_space == "auto" else image.colour_space) == "srgb"
+        """Return whether an image holds sRGB codes of 8 to 12 bits by its statement. Raises CaptureError."""
+        if is_exr(image.path) or is_raw(image.path) or self._header(image.path).bits >= 16:
+            return False
+        return (self.encoding(image)[0] if image.colour_space == "auto" else image.colour_space) == "srgb"
+
+    def profile(self, image: ImageRef) -> ColourProfile | None:
+        """Return the colour profile of an image's file; None without one or for sRGB.
+
+        Also None where the image's colour space is given, which overrides it. Raises CaptureError.
+        """
+        if is_exr(image.path) or is_raw(image.path) or image.colour_space != "auto":
+            return None
+        header = self._header(image.path)
+        try:
+            if header.icc:
+                profile = profile_of_icc(header.icc)
+            elif header.cicp:
+                profile = profile_of_h273(*header.cicp)
+            else:
+                return None
+        except ProfileError as error:
+            raise CaptureError(
+                f"{image.path}: {error}; save it with the profile sRGB or Display P3, or set --colour-space srgb"
+                " (Color Space) to ignore the profile",
+                "profile",
+            ) from error
+        return None if profile.srgb and header.bits < 16 else profile
 
     def _header(self, path: Path) -> ImageHeader:
         """Return the header of an image that is no EXR; reads the whole file, once."""
@@ -83,15 +112,17 @@ class ImageStore:
         if is_raw(image.path):
             return raw_size(image.path)
         header = self._header(image.path)
-        if self.decoder is None:
+        if self.decoder is None and header.kind != "HEIF":
             raise self._no_decoder(image)
         return header.width, header.height
 
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""
         if not is_exr(image.path):
-            space = self.encoding(image)[0] if image.colour_space == "auto" else image.colour_space
-            return samples_of_picture(self.picture(image), space)
+            picture, space = self.picture(image), image.colour_space
+            if space == "auto" and picture.profile is None:
+                space = self.encoding(image)[0]
+            return samples_of_picture(picture, space)
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         return samples_of_exr(self._pixels(image.path, part), rgb, alpha, _matrix_of(image, part, rgb))
@@ -99,7 +130,7 @@ class ImageStore:
     def mask(self, image: ImageRef) -> np.ndarray:
         """Return an image as a mask, (H, W) bool."""
         if not is_exr(image.path):
-            return mask_of_picture(self.picture(image))
+            return mask_of_picture(self.picture(replace(image, colour_space="linear")))  # whatever its profile
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         channels = self._pixels(image.path, part).channels
@@ -107,13 +138,16 @@ class ImageStore:
         return mask_of_picture(Picture(np.stack([channels[n].astype(np.float32) for n in names], axis=-1), 32))
 
     def picture(self, image: ImageRef) -> Picture:
-        """Return the code values of an image that is no EXR, raw files developed without a curve."""
+        """Return the code values of an image that is no EXR, and its colour profile; raw files without a curve."""
         if is_raw(image.path):
             return decode_raw(image.path)
+        profile = self.profile(image)
+        if self._header(image.path).kind == "HEIF":
+            return replace(decode_heif(image.path, read_bytes(image.path)), profile=profile)
         if self.decoder is None:
             raise self._no_decoder(image)
         try:
-            return self.decoder(image.path)
+            return replace(self.decoder(image.path), profile=profile)
         except CaptureError:
             raise
         except InputError as error:  # a decoder knows no codes

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.encode import linear_from_srgb
 from ..bounds import bounded
+from .colour_profile import ColourProfile
 
 COLOUR_SPACES = ("auto", "srgb", "linear")
 
@@ -19,12 +20,13 @@ class Picture:
     """A decoded image, upright, in the file's encoding.
 
     values: (H, W, C) float32 with C of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, straight alpha), row 0 at the
-    bottom. An integer file's values are code / largest code, in 0…1, with no colour curve undone. bits: 8 or 16 for
-    those, 32 for files of floats.
+    bottom. An integer file's values are code / largest code, in 0…1, with no colour curve undone. bits: 8, 10, 12 or 16
+    for those, 32 for files of floats. profile: the file's, other than sRGB, or None.
     """
 
     values: np.ndarray
     bits: int
+    profile: ColourProfile | None = None
 
 
 # Reads an image that is no EXR from its path, turned by its orientation tag. Raises InputError naming the file.
@@ -49,19 +51,24 @@ class Samples:
 def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     """Return linear radiance of a decoded picture; a pixel with any channel at the file's largest code has weight 0.
 
-    In ``bounds`` that channel is a lower bound. In 8-bit files all channels of the pixel are, because JPEG mixes them:
-    beside a clipped channel the others are too dark. Under 16 lamps the base colour error of a gilding's metal is 0.028
-    with such bounds and 0.059 with samples; 3 % and 7 % of its values lie beyond three deviations.
-    colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB, all others linear.
+    In ``bounds`` that channel is a lower bound. In files of 8 to 12 bits all channels of the pixel are, because JPEG
+    and HEVC mix them: beside a clipped channel the others are too dark. Under 16 lamps the base colour error of a
+    gilding's metal is 0.028 with such bounds and 0.059 with samples; 3 % and 7 % of its values lie beyond three
+    deviations. So they are where a profile's primaries mix channels.
+    colour_space: "srgb", "linear", or "auto": by the profile; without one 8 to 12 bits are sRGB, all others linear.
+    The curve of a profile is not applied to floats, which are linear.
     """
     colour, alpha = _colour_and_alpha(picture.values)
     clipped = np.zeros(colour.shape, bool)
+    profile = picture.profile if colour_space == "auto" else None
     if picture.bits < 32:
         # Half a code below the top, for decoders that scale with rounding.
         clipped = colour >= 1 - 0.5 / (2**picture.bits - 1)
-        if picture.bits == 8:
+        if picture.bits < 16 or (profile and profile.mixes):
             clipped |= clipped.any(axis=-1, keepdims=True)
-    if colour_space == "srgb" or (colour_space == "auto" and picture.bits == 8):
+    if profile:
+        colour = profile.in_rec709(colour if picture.bits == 32 else profile.linearised(colour))
+    elif colour_space == "srgb" or (colour_space == "auto" and picture.bits < 16):
         colour = linear_from_srgb(colour)
     return samples(colour, alpha, clipped)
 

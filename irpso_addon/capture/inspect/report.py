@@ -171,6 +171,11 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),
         ("lights", ", ".join(f"{count} {kind}" for count, kind in kinds if count or kind in ("distant", "near"))),
     ]
+    readers = [cast(ImageReader, observation.read) for observation in capture.observations]
+    profiles = Counter(found.name for reader in readers if (found := reader.store.profile(reader.image)))
+    if profiles:
+        named = ", ".join(f"{count} {name}" for name, count in profiles.items())
+        facts.append(("colours", f"{named}, converted to Rec. 709"))
     for view, camera, mask, seen in zip(spec.views, capture.cameras, capture.masks, part.cameras, strict=True):
         kind = "perspective" if camera.perspective else "orthographic"
         kind += " with lens distortion" if any(camera.distortion) else ""

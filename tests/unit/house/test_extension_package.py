@@ -87,21 +87,27 @@ def test_every_permission_has_a_reason_that_fits(package):
     assert all(0 < len(reason) <= 64 and not reason.endswith(".") for reason in permissions.values())
 
 
+ABSENT = {("Pillow", "macos-x64", "3.14"), ("rawpy", "macos-x64", "3.13")}
+
+
 @pytest.fixture
 def wheels(tmp_path, monkeypatch):
-    """Wheels with libraries of a few bytes for every system and Python but one, and pip out of reach."""
+    """Wheels with libraries of a few bytes for every system and Python but ABSENT, and pip out of reach."""
     extension = importlib.import_module("extension")
     cache = tmp_path / "cache"
     monkeypatch.setattr(extension, "CACHE", cache)
     parts = extension.wheels
-    for library, system, python in itertools.product(parts.LIBRARIES, parts.PLATFORMS, parts.PYTHONS):
-        folder = cache / parts.requirement(library) / f"{system}-{python}"
+    libraries = (*parts.LIBRARIES, *parts.OPTIONAL)
+    for library, system, python in itertools.product(libraries, parts.PLATFORMS, parts.PYTHONS):
+        folder = cache / parts.requirement(library, system) / f"{system}-{python}"
         folder.mkdir(parents=True)
         tag = f"cp{python.replace('.', '')}"
-        if (library, system, python) != ("Pillow", "macos-x64", "3.14"):
-            name = f"{library.lower()}-1-{tag}-{tag}-{parts.PLATFORMS[system][-1]}.whl"
+        tags = "cp37-abi3" if library.startswith("opencv") else f"{tag}-{tag}"
+        stable_again = library.startswith("opencv") and python != parts.PYTHONS[0]
+        if (library, system, python) not in ABSENT and not stable_again:
+            name = f"{library.lower().replace('-', '_')}-1-{tags}-{parts.PLATFORMS[system][-1]}.whl"
             (folder / name).write_bytes(f"a wheel of {library}".encode())
-    monkeypatch.setattr(extension.wheels, "make_symbolic", lambda wheel: wheel.write_bytes(b"made symbolic"))
+    monkeypatch.setattr(parts, "isolate", lambda wheel, library: wheel.write_bytes(f"{library} isolated".encode()))
     none = subprocess.CompletedProcess([], 1, "", "ERROR: No matching distribution found for Pillow")
     run = subprocess.run
     pip = lambda command, **options: none if "download" in command else run(command, **options)  # noqa: E731
@@ -123,11 +129,34 @@ def test_every_system_has_a_zip_with_its_own_wheels_alone(wheels, tmp_path):
         with zipfile.ZipFile(package) as archive:
             held = [name for name in archive.namelist() if name.startswith("wheels/")]
             added = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
-            contents = {archive.read(name) for name in held}
-        assert [name.split("-")[2] for name in held] == [f"cp{python.replace('.', '')}" for python in pythons] * 2
+            contents = {archive.read(name).decode() for name in held}
+        for library in ("openexr", "pillow"):
+            own = [name.split("-")[2] for name in held if name.startswith(f"wheels/{library}-")]
+            assert own == [f"cp{python.replace('.', '')}" for python in pythons]
         assert all(words[system] in name for name in held)
         assert added == {"platforms": [system], "wheels": [f"./{name}" for name in held]}
-        assert contents == {b"made symbolic" if system == "linux-x64" else b"a wheel of OpenEXR", b"a wheel of Pillow"}
+        isolated = ("OpenEXR", "pillow-heif", "rawpy") if system == "linux-x64" else ()
+        every = (*wheels.wheels.LIBRARIES, *wheels.wheels.OPTIONAL)
+        assert contents == {f"{name} isolated" if name in isolated else f"a wheel of {name}" for name in every}
+
+
+def test_an_optional_library_without_a_wheel_costs_no_python(wheels, tmp_path):
+    package, pythons = wheels.build_all(tmp_path / "dist", ["macos-x64"])["macos-x64"]
+    assert pythons == ["3.11", "3.13"]
+    with zipfile.ZipFile(package) as archive:
+        names = [name for name in archive.namelist() if name.endswith(".whl")]
+    assert len([name for name in names if "rawpy" in name]) == 1
+    version = wheels.wheels.VERSIONS["rawpy", "macos-x64"]
+    assert f"rawpy=={version}, Python 3.11" in wheels.optional_lines(package, "macos-x64", pythons)
+
+
+def test_a_wheel_of_the_stable_abi_is_packed_once_for_all_pythons(wheels, tmp_path):
+    package, pythons = wheels.build_all(tmp_path / "dist", ["linux-x64"])["linux-x64"]
+    with zipfile.ZipFile(package) as archive:
+        (name,) = [name for name in archive.namelist() if "opencv" in name]
+    assert "-cp311-abi3-manylinux" in name
+    held = wheels.wheels.requirement("opencv-python-headless")
+    assert f"{held}, Python 3.11, 3.13, 3.14" in wheels.optional_lines(package, "linux-x64", pythons)
 
 
 def test_a_missing_wheel_is_reported(wheels, tmp_path, monkeypatch, capsys):
@@ -136,7 +165,7 @@ def test_a_missing_wheel_is_reported(wheels, tmp_path, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     held = ", ".join(map(wheels.wheels.requirement, wheels.wheels.LIBRARIES))
     assert lines[-1] == f"no wheels of {held} exist for macos-x64 with Python 3.14"
-    assert len(lines) == 5
+    assert len([line for line in lines if not line.startswith("  ")]) == 5
 
 
 def test_a_network_that_is_down_is_not_taken_for_a_missing_wheel(wheels, tmp_path, monkeypatch):

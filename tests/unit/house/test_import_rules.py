@@ -41,7 +41,12 @@ BLENDER = {
 }
 THIRD_PARTY = {"numpy", "OpenEXR", "PIL"}
 # An extra that the program works without: the one module that may import it, and only when it is asked for.
-OPTIONAL = {"rawpy": "capture/images/raw.py", "mpi4py": "cluster/transport.py", "cv2": "core/opencv.py"}
+OPTIONAL = {
+    "rawpy": "capture/images/raw.py",
+    "pillow_heif": "capture/images/heif.py",
+    "mpi4py": "cluster/transport.py",
+    "cv2": "core/opencv.py",
+}
 WITH_BLENDER = ("blender", "ui", "gpu")
 WITHOUT_BLENDER = {"core", "reflectance", "capture", "calibration"}
 GLSL = re.compile(r"\bvoid\s+main\s*\(|\bgl_[A-Z]\w+|\btexelFetch\s*\(|\bimage(Store|Load)\s*\(|^\s*#version", re.M)

@@ -1,9 +1,10 @@
-"""The wheels of OpenEXR inside the extension's zip, made safe beside the OpenEXR that is a part of Blender."""
+"""The wheels of OpenEXR, libheif and libraw inside the extension's zip, made safe beside those of Blender's."""
 
 import base64
 import hashlib
 import importlib.util
 import os
+import struct
 import subprocess
 import sys
 import zipfile
@@ -71,9 +72,84 @@ def test_the_list_of_a_rewritten_wheel_has_the_hashes_of_what_is_in_it(tmp_path)
         archive.writestr("a.so", MODULE.read_bytes())
         archive.writestr("b.py", "b = 1\n")
         archive.writestr("a-1.dist-info/RECORD", "a.so,sha256=old,1\nb.py,sha256=kept,6\na-1.dist-info/RECORD,,\n")
-    own_symbols.make_symbolic(wheel)
+    own_symbols.isolate(wheel, "OpenEXR")
     with zipfile.ZipFile(wheel) as archive:
         library, record = archive.read("a.so"), archive.read("a-1.dist-info/RECORD").decode()
     assert library == own_symbols.symbolic(MODULE.read_bytes())
     digest = base64.urlsafe_b64encode(hashlib.sha256(library).digest()).decode().rstrip("=")
     assert record == f"a.so,sha256={digest},{len(library)}\nb.py,sha256=kept,6\na-1.dist-info/RECORD,,\n"
+
+
+HEIF = """
+import io, sys
+import pillow_heif
+file = io.BytesIO()
+pillow_heif.from_bytes("RGB", (64, 64), bytes([90]) * 64 * 64 * 3).save(file)
+print(pillow_heif.__file__, len(pillow_heif.read_heif(file).data))
+"""
+
+
+def _copied(tmp_path: Path, change) -> tuple[Path, Path]:
+    """Return a folder with pillow-heif, its libraries changed, and the path of its libheif."""
+    found = importlib.util.find_spec("_pillow_heif")
+    if found is None:
+        pytest.skip("pillow-heif is absent")
+    source = Path(found.origin).parent
+    for path in [
+        *source.glob("_pillow_heif*.so"),
+        *source.glob("pillow_heif.libs/*"),
+        *source.glob("pillow_heif/*.py"),
+    ]:
+        copy = tmp_path / path.relative_to(source)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        data = path.read_bytes()
+        copy.write_bytes(change(data) if data.startswith(b"\x7fELF") else data)
+    return tmp_path, next(tmp_path.glob("pillow_heif.libs/libheif*"))
+
+
+def test_the_wheel_reads_heic_beside_another_libheif(tmp_path):
+    # Blender's is played by a copy whose functions do nothing but crash: their first byte is an undefined instruction.
+    # It shares the decoder's library, of which the loader takes one.
+    _, foreign = _copied(tmp_path / "foreign", lambda data: own_symbols.renamed(data, (b"de265_",)))
+    data = bytearray(foreign.read_bytes())
+    for at, name in symbols_of(bytes(data)):
+        if name.startswith(b"heif_") and at:
+            data[at : at + 2] = b"\x0f\x0b"
+    foreign.write_bytes(data.replace(b"libheif-", b"another-"))
+    folder, _ = _copied(tmp_path / "own", lambda data: own_symbols.symbolic(
+        own_symbols.renamed(data, own_symbols.PREFIXES["pillow-heif"])))  # fmt: skip
+    environment = os.environ | {"LD_PRELOAD": str(foreign), "PYTHONPATH": str(folder)}
+    result = subprocess.run([sys.executable, "-c", HEIF], env=environment, capture_output=True, text=True)
+    assert (result.returncode, result.stdout.split()[1:]) == (0, [str(64 * 64 * 3)]), result.stderr
+    assert result.stdout.startswith(str(folder))
+
+
+def symbols_of(library: bytes) -> list[tuple[int, bytes]]:
+    """Return (offset in the file, name) of an ELF-64 library's functions; offset 0 of those it only calls."""
+    (table,) = struct.unpack_from("<Q", library, 40)
+    size, count = struct.unpack_from("<HH", library, 58)
+    sections = [struct.unpack_from("<IIQQQQIIQQ", library, table + i * size) for i in range(count)]
+    symbols = next(section for section in sections if section[1] == 11)
+    text = {number: section for number, section in enumerate(sections) if section[1] == 1}
+    found = []
+    for at in range(symbols[4], symbols[4] + symbols[5], 24):
+        name, _, _, section, value, _ = struct.unpack_from("<IBBHQQ", library, at)
+        start = sections[symbols[6]][4] + name
+        place = value - text[section][3] + text[section][4] if section in text else 0
+        found.append((place, library[start : library.index(b"\0", start)]))
+    return found
+
+
+def test_the_new_names_have_the_hashes_of_the_old_ones():
+    def gnu_hash(name):
+        value = 5381
+        for letter in name:
+            value = (33 * value + letter) % 2**32
+        return value
+
+    library = Path(importlib.util.find_spec("_pillow_heif").origin).read_bytes()
+    after = own_symbols.renamed(library, (b"heif_",))
+    pairs = list(zip(symbols_of(library), symbols_of(after), strict=True))
+    changed = [(old, new) for (_, old), (_, new) in pairs if old != new]
+    assert len(changed) > 50 and not any(b"heif_" in new for _, (_, new) in pairs if new != b"PyInit__pillow_heif")
+    assert all(gnu_hash(old) == gnu_hash(new) for old, new in changed)
