@@ -153,7 +153,7 @@ def test_an_optional_library_without_a_wheel_costs_no_python(wheels, tmp_path):
 def test_a_wheel_of_the_stable_abi_is_packed_once_for_all_pythons(wheels, tmp_path):
     package, pythons = wheels.build_all(tmp_path / "dist", ["linux-x64"])["linux-x64"]
     with zipfile.ZipFile(package) as archive:
-        (name,) = [name for name in archive.namelist() if "opencv" in name]
+        (name,) = [name for name in archive.namelist() if name.startswith("wheels/opencv")]
     assert "-cp311-abi3-manylinux" in name
     held = wheels.wheels.requirement("opencv-python-headless")
     assert f"{held}, Python 3.11, 3.13, 3.14" in wheels.optional_lines(package, "linux-x64", pythons)
