@@ -58,6 +58,7 @@ def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) ->
         left, right, eliminated = _normal_equations(bundle, views, lens, relief, first)
         for _ in range(8):
             new = _stepped(bundle, left, right, eliminated, damping, lens)
+            new = new if relief is None else _as_large(new, first)
             tried = _loss(new, views, lens, relief, first)
             if tried < loss:
                 break
@@ -68,6 +69,16 @@ def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) ->
         if gain < _ENOUGH:
             break
     return bundle
+
+
+def _as_large(bundle: Bundle, first: Bundle) -> Bundle:
+    """Return the bundle with its points as far apart as the first one's: no picture tells the size of the world.
+
+    Without this the prior on the relief would shrink the world.
+    """
+    was, now = (np.linalg.norm(one.points[:, :2] - one.points[:, :2].mean(axis=0)) for one in (first, bundle))
+    scale = float(was / now)
+    return replace(bundle, points=scale * bundle.points, shifts=scale * bundle.shifts)
 
 
 def _projected(bundle: Bundle, views: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
