@@ -15,19 +15,20 @@ from functools import lru_cache
 import numpy as np
 
 from ...core.encode import linear_from_srgb
+from .primaries import REC_709, to_rec_709
 
 Curve = Callable[[np.ndarray], np.ndarray]
 # Linear Rec. 709 to XYZ relative to D50, white to white: the colorants of sRGB profiles (ICC, sRGB.icc; Bradford).
 _REC709_TO_XYZ = np.array([[0.43607, 0.38515, 0.14307], [0.22249, 0.71687, 0.06061], [0.01392, 0.09708, 0.71410]])
 _GREY = np.linspace(0, 1, 256)
 _SAME_CURVE, _SAME_MATRIX = 0.003, 0.005  # below: the profile counts as linear or as sRGB itself
-# Of ITU-T H.273, with white D65: chromaticities x, y of red, green and blue.
-_PRIMARIES = {
-    1: ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060)),
-    9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
-    12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
-}
 _D65 = (0.3127, 0.3290)
+# Of ITU-T H.273: x and y of red, green, blue and white.
+_PRIMARIES = {
+    1: REC_709,
+    9: (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *_D65),
+    12: (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65),
+}
 _PRIMARY_NAMES = {1: "Rec. 709", 9: "Rec. 2020", 12: "Display P3"}
 _UNSPECIFIED, _PQ, _HLG = 2, 16, 18
 
@@ -106,8 +107,8 @@ def profile_of_h273(primaries: int, transfer: int) -> ColourProfile:
     curve = _curve_of_h273(transfer)
     if primaries not in _PRIMARIES:
         raise ProfileError(f"its colour primaries (H.273 code {primaries}) are not known")
-    matrix = np.linalg.solve(_to_xyz(_PRIMARIES[1]), _to_xyz(_PRIMARIES[primaries]))
-    return ColourProfile(_PRIMARY_NAMES[primaries], (curve, curve, curve), matrix)
+    matrix = to_rec_709(_PRIMARIES[primaries])
+    return ColourProfile(_PRIMARY_NAMES[primaries], (curve, curve, curve), np.eye(3) if matrix is None else matrix)
 
 
 def linear_from_rec709(values: np.ndarray) -> np.ndarray:
@@ -128,12 +129,6 @@ def _curve_of_h273(transfer: int) -> Curve:
     if transfer not in curves:
         raise ProfileError(f"its transfer function (H.273 code {transfer}) is not known")
     return curves[transfer]
-
-
-def _to_xyz(primaries: tuple[tuple[float, float], ...]) -> np.ndarray:
-    """Return (3, 3), linear RGB of primaries (x, y) with white D65 to XYZ."""
-    columns = np.array([(x / y, 1, (1 - x - y) / y) for x, y in (*primaries, _D65)]).T
-    return columns[:, :3] * np.linalg.solve(columns[:, :3], columns[:, 3])
 
 
 def _tags(icc: bytes) -> dict[bytes, bytes]:
