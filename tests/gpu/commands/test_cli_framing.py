@@ -93,7 +93,7 @@ def test_a_preview_is_a_part_of_the_size(tmp_path):
     ("options", "said"),
     [
         (["--crop", "1,2,3"], "--crop 1,2,3: give X,Y,WIDTH,HEIGHT in pixels"),
-        (["--corners", "1,2,3"], "--corners 1,2,3: give X1,Y1"),
+        (["--corners", "1,2,3"], "--corners 1,2,3: give auto, or X1,Y1"),
         (["--crop", "1,2,3,4", "--corners", "1,2,3,4,5,6,7,8"], "--crop and --corners: give one of them"),
         (["--scale", "2"], "scale is 2"),
         (["--card-width", "1", "--distance", "2"], "--distance and --card-width: give one of them"),
