@@ -91,6 +91,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         yield
         seen = [(shot, size) for shot, _, size in shots if shot.camera == index]
         width, height = _camera_size(view, seen, faults)
+        _refuse_turns([shot.image for shot, _ in seen], store, faults)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
     raise_all(faults)
@@ -194,6 +195,21 @@ def _camera_size(
     expected = common_size(view, [size for _, size in seen])
     faults += [size_fault(shot.image, size, expected) for shot, size in seen if size != expected]
     return expected
+
+
+def _refuse_turns(images: list[ImageRef], store: ImageStore, faults: list[CaptureError]) -> None:
+    """Add an error for each image whose EXIF turns it otherwise than most: a phone that looks down guesses the turn."""
+    turns = [store.orientation(image) for image in images]
+    usual = max(turns, key=turns.count, default=1)
+    faults += [
+        CaptureError(
+            f"{image}: its EXIF orientation is {turn} where the camera's other images have {usual}; the camera stands"
+            " still, so give all of them the same orientation",
+            "orientation",
+        )
+        for image, turn in zip(images, turns, strict=True)
+        if turn != usual
+    ]
 
 
 def common_size(view: ViewSpec, sizes: list[tuple[int, int]]) -> tuple[int, int]:

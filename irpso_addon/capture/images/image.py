@@ -116,6 +116,10 @@ class ImageStore:
             raise self._no_decoder(image)
         return header.width, header.height
 
+    def orientation(self, image: ImageRef) -> int:
+        """Return the EXIF orientation by which a file is turned when it is read, 1 for none."""
+        return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
+
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""
         if not is_exr(image.path):

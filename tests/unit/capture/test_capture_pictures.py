@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from irpso_addon.capture import CaptureError, Picture
+from irpso_addon.capture import CaptureError, Picture, read_capture
 from irpso_addon.capture.images.exif import orientation_of, tiff_tags, upright
 from irpso_addon.capture.images.headers import read_header
 from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture
@@ -131,3 +131,14 @@ def test_junk_after_a_good_beginning_is_refused_by_name(tmp_path, start):
         path.write_bytes(start + rng.bytes(length))
         with pytest.raises(CaptureError, match="junk.png: .*; "):
             read_header(path)
+
+
+def test_a_camera_that_stands_still_does_not_turn_some_of_its_photographs(tmp_path):
+    turns = {"a.jpg": 1, "b.jpg": 3, "c.jpg": 1}  # as a phone guesses that looks straight down
+    for name, turn in turns.items():
+        (tmp_path / name).write_bytes(jpeg(8, 6, exif(orientation=turn)))
+    (tmp_path / "filenames.txt").write_text("\n".join(turns))
+    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 1 1\n1 0 1\n")
+    with pytest.raises(CaptureError, match=r"b\.jpg: its EXIF orientation is 3 where .* have 1") as refused:
+        read_capture(tmp_path, lambda path: None)
+    assert refused.value.code == "orientation"
