@@ -32,6 +32,7 @@ from ..common.polls import usable
 from ..common.sliced import SlicedOperator
 from ..session import session
 from .ball_lights import free_table
+from .capture_import import begin_check
 
 _RENDERING = 0.95  # of the work
 _CHILD = (
@@ -86,6 +87,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
         settings, found = context.scene.irpso, layout.arranged(size, 1, 0)
         settings.framing, settings.crop = "CROP", layout.tile_crop(found.camera)
         settings.card_distance = found.card_distance
+        begin_check(context.scene)  # the one of the import did not know the distance
         self.report({"INFO"}, f"The sample is open; {path.parents[1] / PAGE} says what is in it")
         return {"FINISHED"}
 

@@ -326,7 +326,7 @@ def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_p
     _, out, _ = recovered("lambert")
     monkeypatch.setattr(run, "card_steps", lambda *_, **__: signal.raise_signal(signal.SIGINT))
     code, answer, err = run_cli("recover", out.parent / "lambert", "-o", tmp_path / "out")
-    assert (code, answer, err.strip()) == (130, "", "irpso: interrupted")
+    assert (code, answer, err.strip().splitlines()[-1]) == (130, "", "irpso: interrupted")
     assert not list(tmp_path.iterdir())
 
 
