@@ -102,9 +102,8 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
         spec = read_photographs(photographs)
         keys = lens_of_files(spec, decode)
         request = Request("mirror", distance=layout.LAMP_DISTANCE)
-        steps = calibrate_steps(
-            with_camera(spec, keys, "EXIF"), [BallRequest()], request, decode, layout.BALL_RADIUS
-        )  # fmt: skip
+        spec = with_camera(spec, keys, "EXIF") if keys else spec  # a table from before has the lens
+        steps = calibrate_steps(spec, [BallRequest()], request, decode, layout.BALL_RADIUS)
         calibration = yield from map_steps(steps, lambda part: _RENDERING + (1 - _RENDERING) * part)
         table = free_table(photographs)
         write_calibration(calibration, table, keys)
