@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -28,7 +26,6 @@ from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.steps import run_steps
 
 _SEEDS = range(1, 96, 2)
-_PROCESSES = 2
 _BLUR, _NOISE = 0.6, 0.004  # pixels, of white
 _WHITE, _EXPOSURE = 98, 1.2  # percentile of all values, and how far above it the sensor clips
 _SAME = 0.3  # of the radius: a found ball's centre is a ball's
@@ -39,12 +36,12 @@ def measure(quick: bool) -> dict[str, Any]:
     """Search all scenes, one of them where it is quick."""
     balls, empty, false = [], 0, []
     seeds = list(_SEEDS)[: 1 if quick else None]
-    with ProcessPoolExecutor(_PROCESSES, get_context("spawn")) as pool:
-        for row in pool.map(_scene, seeds):
-            report.say(f"{row['text']}: {row['balls']}; false: {row['false']}; {row['seconds']:.0f} s")
-            balls += row["balls"]
-            false += row["false"]
-            empty += row["empty"]
+    for seed in seeds:
+        row = _scene(seed)
+        report.say(f"{row['text']}: {row['balls']}; false: {row['false']}; {row['seconds']:.0f} s")
+        balls += row["balls"]
+        false += row["false"]
+        empty += row["empty"]
     return {"balls": balls, "scenes": len(seeds), "empty": empty, "false": false, "large": _large(quick)}
 
 
