@@ -1,0 +1,65 @@
+"""Runs a command and turns its errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from ..core.errors import InputError, IrpsoError, ShaderError
+from .parser import build_parser
+
+INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
+_ZIP = "install the extension from the zip that `make extension` builds, which holds it, or {} with pip"
+_REMEDIES = {  # for a missing module
+    "numpy": "install numpy (for Debian's Blender: the package python3-numpy)",
+    "OpenEXR": _ZIP.format("OpenEXR"),
+    "PIL": _ZIP.format("Pillow"),
+    "bpy": "install bpy with pip, or use an installed Blender",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code; a bad option returns 2, like any bad input."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    try:
+        options = build_parser().parse_args(argv)
+    except InputError as error:
+        return _fail(error, "--json" in argv)
+    except SystemExit as stop:  # --help; this process may be Blender
+        return int(stop.code or 0)
+    for number in (signal.SIGINT, signal.SIGTERM):  # Blender has its own SIGINT handler
+        signal.signal(number, signal.default_int_handler)
+    try:
+        result = import_module(f"..commands.{options.command}", __package__).run(options)
+    except IrpsoError as error:
+        return _fail(error, options.json)
+    except ModuleNotFoundError as error:
+        if error.name not in _REMEDIES:
+            raise
+        return _fail(InputError(f"Python has no module {error.name}; {_REMEDIES[error.name]}"), options.json)
+    except MemoryError as error:
+        text = f"memory is full ({error}); choose a smaller --resolution, or smaller or fewer images"
+        return _fail(InputError(text), options.json)
+    except KeyboardInterrupt as stop:
+        sys.stderr.write(f"\nirpso: interrupted{f'; {stop}' if str(stop) else ''}\n")
+        return INTERRUPTED
+    if options.json:
+        _print_json(result)
+    return int(result.get("exit_code", 0))
+
+
+def _fail(error: IrpsoError, as_json: bool) -> int:
+    """Print the error in one line; the compiler's whole log goes only into the JSON."""
+    text = error.summary if isinstance(error, ShaderError) else " ".join(str(error).splitlines())
+    sys.stderr.write(f"irpso: {text}\n")
+    if as_json:
+        log = {"log": error.log} if isinstance(error, ShaderError) else {}
+        _print_json({"error": text, "exit_code": error.exit_code, **log})
+    return error.exit_code
+
+
+def _print_json(value: dict) -> None:
+    sys.stdout.write(json.dumps(value) + "\n")

@@ -1,0 +1,51 @@
+"""Options and help texts that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+
+SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and list them"
+COLOUR_SPACE = "encoding of the image files (default auto: as stated or measured; else 8 bits sRGB, others linear)"
+EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
+
+
+def add_common(add: argparse.ArgumentParser) -> None:
+    """Add the options of all commands."""
+    add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
+    add.add_argument("--quiet", action="store_true", help="print no progress")
+
+
+def add_distance(add: argparse.ArgumentParser) -> None:
+    """Add the distance of a card."""
+    add.add_argument("--distance", type=float, metavar="D",
+                     help="distance of a card from its camera; overrides card_distance of the capture")  # fmt: skip
+
+
+def add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:
+    """Add the options of a mesh in a Blender file. more: on slots, for their help."""
+    add.add_argument("--object", metavar="NAME", help="mesh object in FILE")
+    add.add_argument("--slots", metavar="A,B", help=f"use only these material slots, by name or by number from 0{more}")
+    add.add_argument("--occluder", action="append", default=[], metavar="NAME",
+                     help="object in FILE that hides and shades the mesh; may be repeated")  # fmt: skip
+
+
+def part(text: str) -> float:
+    """Return a number above 0 and at most 1."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not 0 < number <= 1:
+        raise argparse.ArgumentTypeError(f"{text}: give a number above 0 and at most 1")
+    return number
+
+
+def seed(text: str) -> int:
+    """Return a seed; shaders read it as a signed 32-bit integer."""
+    try:
+        number = int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number") from error
+    if not -(2**31) <= number < 2**31:
+        raise argparse.ArgumentTypeError(f"{text} does not fit 32 bits; give a whole number of up to nine digits")
+    return number
