@@ -1,7 +1,7 @@
 """Frames of a video, decoded by Blender's movie reader. No scene is touched, so it works in a window too.
 
 Measured on bpy 5.0.1: ``pixels`` of a movie image holds the frame that was read last, and the evaluation of an image
-texture at a point reads the frame of its image user. With "Non-Color" 8-bit frames are the video's code values.
+texture at a point reads the frame of its image user. As data, 8-bit frames are the video's code values.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from ..capture.images.linearise import Picture
 from ..core.errors import InputError
+from .colour_spaces import use_space
 
 _UNSPECIFIED, _REC709 = 2, 1  # codes of ITU-T H.273
 _HELD = 16  # frames that Blender caches: 8 MB each at 1920 × 1080
@@ -61,7 +62,7 @@ def opened_movie(path: Path) -> Iterator[Movie]:
         raise InputError(f"{path}: Blender cannot open it ({error}); check its permissions") from error
     texture = bpy.data.textures.new("IRPSO frames", "IMAGE")
     try:
-        image.colorspace_settings.name = "Non-Color"
+        use_space(image, "data")
         if image.source != "MOVIE" or not min(image.size) or image.frame_duration < 1:
             raise InputError(f"{path}: is no video that Blender can decode; convert it to MP4 (H.264)")
         texture.image, user = image, texture.image_user

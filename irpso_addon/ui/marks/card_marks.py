@@ -15,7 +15,7 @@ from ...capture.spec import build_capture
 from ...core.errors import InputError
 from ..common import failures
 from ..common.file_paths import absolute
-from ..common.polls import usable
+from ..common.polls import has_files
 from ..overlay.paint import HALO, Painter
 from ..session.scene_capture import knows_distance, spec_of
 from .marking import Marking
@@ -37,7 +37,7 @@ class _CornerMarking(Marking):
     @classmethod
     def poll(cls, context):
         """Whether there are photographs in files."""
-        return _has_photographs(cls, context)
+        return has_files(cls, context)
 
     def execute(self, context):
         """Take ``corners``, in any order."""
@@ -157,7 +157,7 @@ class IRPSO_OT_find_corners(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Whether there are photographs in files."""
-        return _has_photographs(cls, context)
+        return has_files(cls, context)
 
     def execute(self, context):
         """Read some photographs and store the corners."""
@@ -173,12 +173,6 @@ class IRPSO_OT_find_corners(bpy.types.Operator):
             settings.card_width = found.width
         self.report({"INFO"}, f"Corners: {found}")
         return {"FINISHED"}
-
-
-def _has_photographs(operator, context) -> bool:
-    settings = context.scene.irpso
-    there = settings.source == "FILES" and settings.capture_path
-    return usable(operator, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
 
 
 CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_mark_chart, IRPSO_OT_find_corners)

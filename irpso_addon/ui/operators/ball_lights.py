@@ -27,7 +27,6 @@ from ...reflectance.model import load_model
 from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
-from ..common.polls import usable
 from ..common.sliced import SlicedOperator
 from ..session import session
 
@@ -97,8 +96,7 @@ class LightsFromBall(SlicedOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether no recovery runs: both would share the GPU."""
-        running = session.current()
-        return usable(cls, running is None or not running.active, "A recovery runs: pause or stop it first")
+        return session.idle(cls)
 
     def invoke(self, context, event):
         """Open the dialog."""

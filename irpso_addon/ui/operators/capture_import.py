@@ -29,7 +29,7 @@ from ...core.errors import GpuUnavailableError, InputError
 from ...gpu import probe
 from ..common import drawing, failures
 from ..common.file_paths import absolute
-from ..common.polls import usable
+from ..common.polls import NO_CAPTURE, usable
 from ..properties import findings
 from ..properties.scene_settings import REACTIONS, model_of
 from ..session.job import subject_object
@@ -242,7 +242,7 @@ class CheckCapture(bpy.types.Operator):
         """Whether there is a capture."""
         settings = context.scene.irpso
         there = settings.source == "SCENE" or bool(settings.capture_path)
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return usable(cls, there, NO_CAPTURE)
 
     def execute(self, context):
         """Begin the check of files, or check the scene's own cameras and lights at once."""

@@ -19,7 +19,7 @@ from ...core.steps import map_steps
 from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
-from ..common.polls import usable
+from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..session.scene_capture import capture_path
 
@@ -73,9 +73,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there are photographs in files."""
-        settings = context.scene.irpso
-        there = settings.source == "FILES" and settings.capture_path
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return has_files(cls, context)
 
     def invoke(self, context, event):
         """Open the dialog."""

@@ -18,7 +18,7 @@ from ...core.steps import map_steps
 from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
-from ..common.polls import usable
+from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..session.scene_capture import capture_path
 from .develop import free_folder, imported
@@ -45,9 +45,7 @@ class IRPSO_OT_save_rig(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is a capture of files."""
-        settings = context.scene.irpso
-        there = settings.source == "FILES" and settings.capture_path
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return has_files(cls, context)
 
     def invoke(self, context, event):
         """Open the file browser at a new name beside the capture."""

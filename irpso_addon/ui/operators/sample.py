@@ -28,7 +28,6 @@ from ...sample.job import FOLDER, PHOTOGRAPHS
 from ...sample.truth import PAGE
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
-from ..common.polls import usable
 from ..common.sliced import SlicedOperator
 from ..session import session
 from .ball_lights import free_table
@@ -60,8 +59,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether no recovery runs: both would share the processor."""
-        running = session.current()
-        return usable(cls, running is None or not running.active, "A recovery runs: pause or stop it first")
+        return session.idle(cls)
 
     def invoke(self, context, event):
         """Open the dialog."""

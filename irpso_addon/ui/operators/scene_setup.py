@@ -32,7 +32,7 @@ from ...core.files import natural
 from ...core.steps import run_steps
 from ..common import failures
 from ..common.file_paths import absolute
-from ..common.polls import usable
+from ..common.polls import NO_CAPTURE, usable
 from ..properties.scene_settings import REACTIONS
 from ..session import session
 from ..session.card_place import is_free, show_card
@@ -262,7 +262,7 @@ class CreateScene(bpy.types.Operator):
     def poll(cls, context) -> bool:
         """Whether there is a capture of files."""
         there = context.scene.irpso.capture_path
-        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return usable(cls, there, NO_CAPTURE)
 
     def execute(self, context):
         """Make cameras and lights, and for a card also the card, which fills the camera's image."""

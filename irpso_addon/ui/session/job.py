@@ -26,6 +26,7 @@ from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...solver.planning.planning import scratch_folder
 from ...solver.views.held_out import FEWEST_SPARING, held_out_last, spared
+from ..common.polls import NO_CAPTURE
 from ..properties import findings, preferences
 from ..properties.recipe import recipe_of
 from ..properties.scene_settings import model_of
@@ -54,7 +55,7 @@ def missing(context) -> str:
     """Return what a recovery still lacks, with the remedy, "" for nothing. Opens no file."""
     settings = context.scene.irpso
     if settings.source == "FILES" and not settings.capture_path:
-        return "No capture: import a folder of photographs, an .lp list or a capture.toml"
+        return NO_CAPTURE
     if text := findings.obstacle(settings):
         return text
     if settings.source == "SCENE":

@@ -27,6 +27,7 @@ from ...solver.views.display import Display
 from ...solver.views.held_out import relit_line
 from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
+from ..common.polls import usable
 from . import unkept
 from .job import SceneJob
 from .probes import Probes
@@ -345,6 +346,11 @@ class Session:
 def current() -> Session | None:
     """Return the session that runs or waits to be kept, or None."""
     return _current
+
+
+def idle(operator: type[bpy.types.Operator]) -> bool:
+    """Return whether no recovery works now; the poll of what would share its processor or GPU."""
+    return usable(operator, _current is None or not _current.active, "A recovery runs: pause or stop it first")
 
 
 def begin(job: SceneJob) -> Session:
