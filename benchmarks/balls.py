@@ -21,8 +21,8 @@ from irpso_addon.calibration.balls.ball import SMALL, Ball
 from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
-from irpso_addon.calibration.filters import blurred
 from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.filters import blurred
 from irpso_addon.core.steps import run_steps
 
 _SEEDS = range(1, 96, 2)

@@ -18,7 +18,6 @@ _NAMES = {
         "Linear Rec.709", "Linear Rec.709 (sRGB)", "Utility - Linear - sRGB", "Utility - Linear - Rec.709", "lin_srgb",
         "Linear",
     ),
-    "data": ("Non-Color", "Raw", "Utility - Raw"),
 }  # fmt: skip
 
 

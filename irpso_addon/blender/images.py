@@ -8,6 +8,7 @@ converted from the image's colour space, sRGB by default, and unchanged with "No
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,16 @@ from ..capture.images.linearise import Picture
 from ..capture.images.raw import decode_raw, is_raw
 from ..core.errors import InputError
 from .colour_spaces import use_space
+
+
+def loaded(path: Path) -> Any:
+    """Return a new image of a file, a picture or a movie. Raises InputError if Blender cannot open it."""
+    import bpy
+
+    try:
+        return bpy.data.images.load(str(path.resolve()), check_existing=False)
+    except RuntimeError as error:
+        raise InputError(f"{path}: Blender cannot open it ({error}); check its permissions") from error
 
 
 def decode(path: Path | str) -> Picture:
@@ -34,10 +45,7 @@ def decode(path: Path | str) -> Picture:
         return decode_heif(path, read_bytes(path))
     import bpy
 
-    try:
-        image = bpy.data.images.load(str(path.resolve()), check_existing=False)
-    except RuntimeError as error:
-        raise InputError(f"{path}: Blender cannot open it ({error}); check its permissions") from error
+    image = loaded(path)
     try:
         use_space(image, "data")
         image.alpha_mode = "CHANNEL_PACKED"

@@ -18,6 +18,7 @@ import numpy as np
 from ..capture.images.linearise import Picture
 from ..core.errors import InputError
 from .colour_spaces import use_space
+from .images import loaded
 
 _UNSPECIFIED, _REC709 = 2, 1  # codes of ITU-T H.273
 _HELD = 16  # frames that Blender caches: 8 MB each at 1920 × 1080
@@ -56,10 +57,7 @@ def opened_movie(path: Path) -> Iterator[Movie]:
 
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; give a video")
-    try:
-        image = bpy.data.images.load(str(path.resolve()), check_existing=False)
-    except RuntimeError as error:
-        raise InputError(f"{path}: Blender cannot open it ({error}); check its permissions") from error
+    image = loaded(path)
     texture = bpy.data.textures.new("IRPSO frames", "IMAGE")
     try:
         use_space(image, "data")

@@ -34,9 +34,12 @@ def read_capture(
     file and the remedy.
     """
     spec = read_spec(path, colour_space)
-    if skip_damaged:
-        spec = without_damaged(spec, ImageStore(decoder))
-    return framed(build_capture(spec, decoder), spec.framing if framing is None else framing)
+    return framed(whole_capture(spec, decoder, skip_damaged), spec.framing if framing is None else framing)
+
+
+def whole_capture(spec: CaptureSpec, decoder: Decoder | None = None, skip_damaged: bool = False) -> Capture:
+    """Return the capture of a spec with whole pictures, whatever its framing. Arguments, errors: as read_capture."""
+    return build_capture(without_damaged(spec, ImageStore(decoder)) if skip_damaged else spec, decoder)
 
 
 def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:

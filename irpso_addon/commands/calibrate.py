@@ -22,7 +22,6 @@ from ..core.errors import InputError
 from ..core.optional import present
 from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
-from ..core.steps import run_steps
 from ..gpu import context, probe
 from ..pipeline.flat_card import FlatCard, flat_card_steps
 from ..pipeline.known_shape import KnownShape, known_shape_steps
@@ -55,9 +54,7 @@ def run(options: Namespace) -> dict:
     request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
-    found = run_steps(steps, lambda part: bar.show(part, "reading"))
-    bar.show(1.0, "done")
-    bar.close()
+    found = bar.run(steps, lambda part: (part, "reading"))
     write_calibration(found, out, keys)
     report = report_of(found)
     if not silent(options):
@@ -145,11 +142,7 @@ def _capture(spec: CaptureSpec) -> Capture:
 
 def _without_ball(options: Namespace, steps: Generator[float, None, Found]) -> Found:
     """Return what the steps find, with a progress bar."""
-    bar = ProgressBar("calibrate", silent(options))
-    found = run_steps(steps, lambda part: bar.show(part, "shading"))
-    bar.show(1.0, "done")
-    bar.close()
-    return found
+    return ProgressBar("calibrate", silent(options)).run(steps, lambda part: (part, "shading"))
 
 
 def _written_without_ball(

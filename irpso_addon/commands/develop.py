@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..blender.images import decode
-from ..calibration.developing.measure import Output, Progress, Wanted
+from ..calibration.developing.measure import Output, Wanted
 from ..calibration.developing.write import develop_steps
 from ..calibration.radiometry.frames import Patch
 from ..calibration.radiometry.source import Exposing, read_source
@@ -17,7 +17,6 @@ from ..capture.images.image import ImageStore
 from ..core.errors import InputError
 from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
-from ..core.steps import run_steps
 from .options.photographs import corners_option, exposure_list, files_option, number_list, patch_option
 from .options.values import silent
 
@@ -33,9 +32,7 @@ def run(options: Namespace) -> dict:
     source = read_source(options.capture, decode, wanted.exposing, options.colour_space, wanted.left_out)
     bar = ProgressBar("develop", silent(options))
     settings = {k: v for k, v in vars(options).items() if k not in ("command", "json", "quiet") and v}
-    report = run_steps(develop_steps(ImageStore(decode), source, wanted, out, settings), lambda step: bar.show(*step))
-    bar.show(*Progress(1.0, "done"))
-    bar.close()
+    report = bar.run(develop_steps(ImageStore(decode), source, wanted, out, settings), tuple)
     for warning in report["warnings"]:
         sys.stderr.write(f"irpso: {warning}\n")
     summary = {key: report[key] for key in _SHOWN if key in report}

@@ -24,7 +24,6 @@ from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
 from ..core.progress_bar import ProgressBar
-from ..core.steps import run_steps
 from .options.values import numbers_of_text, silent
 
 BLEND = "card.blend"
@@ -41,9 +40,7 @@ def run(options: Namespace) -> dict:
     offset = _offset(options.flash_offset)
     capture, lens = _with_lens(build_capture(spec, decode), spec, options.fov)
     bar = ProgressBar("handheld", silent(options))
-    found = run_steps(handheld_steps(capture, lens, offset), lambda part: bar.show(part, "photographs"))
-    bar.show(1.0, "done")
-    bar.close()
+    found = bar.run(handheld_steps(capture, lens, offset), lambda part: (part, "photographs"))
     table = table_text(spec, found, out)
     with new_folder(out) as partial:
         (partial / TABLE).write_text(table, encoding="utf-8")

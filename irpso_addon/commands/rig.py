@@ -7,13 +7,11 @@ from argparse import Namespace
 from pathlib import Path
 
 from ..blender.images import decode
-from ..calibration.developing.measure import Progress
 from ..calibration.rigs.apply import apply_steps
 from ..calibration.rigs.rig import read_rig, save_rig
 from ..capture.read import read_spec
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
-from ..core.steps import run_steps
 from .options.values import silent
 
 _USE = {"save": (1, "irpso rig save CAPTURE -o RIG"), "apply": (2, "irpso rig apply RIG PHOTOGRAPHS -o CAPTURE")}
@@ -47,9 +45,7 @@ def _apply(options: Namespace) -> dict:
     steps = apply_steps(
         rig, Path(options.inputs[1]), Path(options.output), options.match, options.exposure, options.half, decode
     )
-    applied = run_steps(steps, lambda step: bar.show(*step))
-    bar.show(*Progress(1.0, "done"))
-    bar.close()
+    applied = bar.run(steps, tuple)
     for warning in (*applied.left_out, *applied.warnings):
         sys.stderr.write(f"irpso: {warning}\n")
     return {"output": options.output, "lamps": applied.lamps, "developed": applied.developed,

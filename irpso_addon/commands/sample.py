@@ -7,7 +7,6 @@ from argparse import Namespace
 from pathlib import Path
 
 from ..core.progress_bar import ProgressBar
-from ..core.steps import run_steps
 from ..sample.job import PHOTOGRAPHS, SIZE, Request, sample_steps
 from ..sample.truth import PAGE
 from .options.values import silent, size_option
@@ -20,9 +19,7 @@ def run(options: Namespace) -> dict:
     folder = Path(options.output)
     bar = ProgressBar("sample", silent(options))
     steps = sample_steps(Request(photographs, size, options.seed), folder)
-    run_steps(steps, lambda step: bar.show(step.done, step.what))
-    bar.show(1.0, "done")
-    bar.close()
+    bar.run(steps, lambda step: (step.done, step.what))
     if not silent(options):
         sys.stdout.write(f"{photographs} photographs written to {folder}; {folder / PAGE} says what to try next\n")
     return {"output": str(folder), "photographs": photographs, "seconds": round(bar.seconds, 1)}

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable, Generator
+
+from .steps import Step, T, run_steps
 
 _WIDTH = 28
 _LINE_EVERY, _LINE_SECONDS = 0.1, 60  # of the work, and between lines, where standard error is no terminal
@@ -41,6 +44,13 @@ class ProgressBar:
         """End the line."""
         if self._terminal and not self._quiet and self._shown >= 0:
             sys.stderr.write("\n")
+
+    def run(self, steps: Generator[Step, None, T], shown: Callable[[Step], tuple[float, str]]) -> T:
+        """Run steps to the end and return their result. shown: the fraction and the detail of each."""
+        result = run_steps(steps, lambda step: self.show(*shown(step)))
+        self.show(1.0, "done")
+        self.close()
+        return result
 
     @property
     def seconds(self) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.errors import InputError
-from ..filters import block_means
+from ...core.filters import block_means
 from .ball import Ball
 
 _MARGIN = 3  # pixels around the outline

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...capture.frame.homography import mapped
 from ...core.opencv import opencv
 
 _STEP = (1.0, 1.75)  # from a patch to the next, over its side: edges make the found side shorter than the patch
@@ -144,10 +145,9 @@ def _at_places(patches: _Patches, matrix: np.ndarray, known: np.ndarray) -> tupl
 
 
 def _through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points (…, 2), mapped by a projective map (3, 3)."""
-    seen = points @ matrix[:, :2].T + matrix[:, 2]
+    """Return points (…, 2), mapped by a projective map (3, 3); those at infinity are not finite."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return seen[..., :2] / seen[..., 2:]
+        return mapped(matrix, points)
 
 
 def windows(cells: np.ndarray, columns: int, rows: int) -> Iterator[tuple[int, int]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...capture.frame.find import display_codes
 from ...capture.types import Capture
+from ...core.filters import block_means
 
 _WORKING = 1600  # pixels of the longer side in which points are searched
 
@@ -46,9 +47,7 @@ def picture_steps(capture: Capture) -> Generator[float, None, Pictures]:
 
 def _reduced(image: np.ndarray, factor: int) -> np.ndarray:
     """Return means over blocks of factor × factor pixels from the upper left corner; what is left over is left out."""
-    height, width = (side // factor for side in image.shape)
-    blocks = image[image.shape[0] - height * factor :, : width * factor].reshape(height, factor, width, factor)
-    return np.asarray(blocks.mean(axis=(1, 3)))
+    return block_means(image[image.shape[0] % factor :], factor)
 
 
 def _sharpness(codes: np.ndarray) -> float:

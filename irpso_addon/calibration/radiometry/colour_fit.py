@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...capture.frame.homography import mapped
 from ...capture.framing import turns
 from ...core.errors import InputError
 from .colour_chart import COLUMNS, PATCHES, ROWS, patch_colours
@@ -78,7 +79,7 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
         raise InputError(f"{where}: the corners do not go around the chart; give them in order, clockwise")
     low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
     x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-    chart = _through(np.linalg.inv(_from_square(corners)), np.stack([x, y], axis=-1) + 0.5)
+    chart = mapped(np.linalg.inv(_from_square(corners)), np.stack([x, y], axis=-1) + 0.5)
     # Patch n of a side reaches from n to n + 1 − gap, in pitches.
     cell = chart * (COLUMNS - _GAP, ROWS - _GAP)
     index = np.floor(cell).astype(int)
@@ -209,12 +210,6 @@ def _from_square(corners: np.ndarray) -> np.ndarray:
     for (u, v), (x, y) in zip(((0, 0), (1, 0), (1, 1), (0, 1)), corners, strict=True):
         rows += [(u, v, 1, 0, 0, 0, -u * x, -v * x), (0, 0, 0, u, v, 1, -u * y, -v * y)]
     return np.append(np.linalg.solve(np.array(rows, np.float64), corners.ravel()), 1).reshape(3, 3)
-
-
-def _through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points (…, 2), mapped by a projective map (3, 3)."""
-    seen = points @ matrix[:, :2].T + matrix[:, 2]
-    return seen[..., :2] / seen[..., 2:]
 
 
 def _white(greys: np.ndarray, known: np.ndarray) -> np.ndarray:

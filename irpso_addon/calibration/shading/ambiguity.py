@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..filters import blurred
+from ...core.filters import blurred
 
 _SMOOTH = 1.0  # pixels of the blur before normals are differentiated
 _INSIDE = 0.7  # least part of the blur's weight that good pixels hold

@@ -87,7 +87,8 @@ def _radiance(capture: Capture, number: int) -> np.ndarray:
 
 def _by_markers(codes: list[np.ndarray], together: list[np.ndarray]) -> Found | None:
     """Return the field's corners by all markers that a photograph or all of them together show."""
-    seen = [found for found in map(seen_markers, (*codes, *together)) if found is not None]
+    each = [seen_markers(picture) for picture in codes]
+    seen = [found for found in (*each, *map(seen_markers, together)) if found is not None]
     if not seen:
         return None
     sheet = max((found.sheet for found in seen), key=lambda sheet: sum(found.sheet == sheet for found in seen))
@@ -99,7 +100,7 @@ def _by_markers(codes: list[np.ndarray], together: list[np.ndarray]) -> Found | 
     plane = np.concatenate([sheet.markers[number] for number in by_number])
     pixels = np.concatenate([np.median(places, axis=0) for places in by_number.values()])
     corners = mapped(homography(plane, pixels), sheet.field_corners)
-    agree = sum(found is not None and found.sheet == sheet for found in map(seen_markers, codes))
+    agree = sum(found is not None and found.sheet == sheet for found in each)
     return Found(_points(corners), agree, len(codes), sheet)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.filters import sampled
 from ...core.opencv import opencv
 
 _WORKING = 800  # pixels of the longer side in which quadrilaterals are searched
@@ -35,12 +36,13 @@ def quadrilaterals(codes: np.ndarray) -> list[np.ndarray]:
     height, width = codes.shape
     factor = min(1.0, _WORKING / max(height, width))
     small = cv2.resize(codes, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else codes
+    shown = _shown(codes)
     kept: list[np.ndarray] = []
     for rough in sorted(_candidates(cv2, small), key=_area, reverse=True):
         outline = rough / factor
         if any(_same(outline, other, (width, height)) for other in kept):
             continue
-        fine = fitted(codes, outline)
+        fine = _fitted(shown, outline)
         if fine is None or any(_same(fine, other, (width, height)) or _within(fine, other) for other in kept):
             continue
         kept.append(fine)
@@ -60,8 +62,15 @@ def fitted(codes: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
 
     A side's line is the total least squares through the places of the steepest steps across it, without outliers.
     """
-    reach = max(_REACH * math.hypot(*codes.shape), 3.0)
-    shown = codes.astype(np.float32) / 255
+    return _fitted(_shown(codes), outline)
+
+
+def _shown(codes: np.ndarray) -> np.ndarray:
+    return codes.astype(np.float32) / 255
+
+
+def _fitted(shown: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
+    reach = max(_REACH * math.hypot(*shown.shape), 3.0)
     for span in (reach, max(reach / 3, 2.5)):
         sides = [_side(shown, outline[k], outline[(k + 1) % 4], span) for k in range(4)]
         lines = [line for line in sides if line is not None]
@@ -71,8 +80,8 @@ def fitted(codes: np.ndarray, outline: np.ndarray) -> np.ndarray | None:
         if any(abs(corner[2]) < 1e-9 for corner in corners):
             return None
         outline = np.array([corner[:2] / corner[2] for corner in corners])
-    inside = _BORDER * math.hypot(*codes.shape)
-    size = np.array(codes.shape[::-1])
+    inside = _BORDER * math.hypot(*shown.shape)
+    size = np.array(shown.shape[::-1])
     return outline if ((outline > inside) & (outline < size - inside)).all() else None
 
 
@@ -114,7 +123,7 @@ def _side(shown: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float) -> np.n
     normal = np.array([-along[1], along[0]]) / length
     places = a + np.linspace(_ENDS, 1 - _ENDS, _SAMPLES)[:, None] * along
     off = np.arange(-reach, reach + 0.25, 0.5)
-    steps = np.gradient(_smooth(_values(shown, places[:, None] + off[:, None] * normal)), 0.5, axis=1)
+    steps = np.gradient(_smooth(sampled(shown, places[:, None] + off[:, None] * normal)), 0.5, axis=1)
     sign = np.sign(np.median(steps[np.arange(len(steps)), np.abs(steps).argmax(axis=1)])) or 1.0
     strength = np.clip(steps * sign, 0, None)[:, 1:-1]
     best = strength.argmax(axis=1)
@@ -146,18 +155,6 @@ def _line(points: np.ndarray, normal: np.ndarray, samples: int) -> np.ndarray | 
     direction = along + slope * normal
     place = middle + offset * normal
     return np.cross(np.append(place, 1.0), np.append(place + direction, 1.0))
-
-
-def _values(shown: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return bilinear values (…) at pixels (…, 2); the picture's border continues outside."""
-    height, width = shown.shape
-    at = np.clip(places - 0.5, 0, [width - 1.001, height - 1.001])
-    low = at.astype(int)
-    x, y = (at - low)[..., 0], (at - low)[..., 1]
-    j, i = low[..., 0], low[..., 1]
-    upper = shown[i, j] * (1 - x) + shown[i, j + 1] * x
-    lower = shown[i + 1, j] * (1 - x) + shown[i + 1, j + 1] * x
-    return upper * (1 - y) + lower * y
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:

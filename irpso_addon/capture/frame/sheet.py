@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.files import check_unused
+from ...core.files import check_unused, replacing_file
 from ...core.opencv import opencv
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 DICTIONARY = "DICT_4X4_50"
 PAPERS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}  # millimetres
-COUNTS = (4, 8)  # markers of a sheet
 SIDE = 24.0  # of a marker, millimetres
 _EDGE = 10.0  # from the paper's edge to a marker
 _QUIET = 6.0  # white around a marker
@@ -97,18 +96,11 @@ def write_sheet(sheet: Sheet, path: Path) -> None:
         raise InputError(f"{path}: is neither .pdf nor .png; name the file so")
     check_unused(path, "choose another name for -o")
     picture = sheet_picture(sheet, _DPI)
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing_file(path) as partial:
         if path.suffix.lower() == ".pdf":
             picture.save(partial, "PDF", resolution=_DPI, title=", ".join(_caption(sheet)))
         else:
             picture.save(partial, "PNG", dpi=(_DPI, _DPI))
-        partial.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def sheet_picture(sheet: Sheet, dpi: float) -> Image.Image:

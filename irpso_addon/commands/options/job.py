@@ -17,7 +17,7 @@ from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_ar
 from ...capture.framing import AUTO, Framing, framed, with_found_corners
 from ...capture.inspect.damage import naming_remedy
 from ...capture.inspect.sufficiency import check_normal
-from ...capture.read import read_capture, read_spec
+from ...capture.read import read_spec, whole_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
@@ -149,8 +149,9 @@ def _capture(options: Namespace) -> Capture:
     if options.distance and options.card_width:
         raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)
-    framing = replace(read_spec(options.capture).framing, **framing_from_options(options))
-    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged, Framing())
+    spec = read_spec(options.capture, options.colour_space)
+    framing = replace(spec.framing, **framing_from_options(options))
+    capture = whole_capture(spec, decode, options.skip_damaged)
     capture = _framed(replace(capture, card_distance=distance or capture.card_distance), framing, options)
     return replace(capture, card_distance=distance or capture.card_distance)
 

@@ -21,3 +21,9 @@ def absolute(path: str, setting: str) -> Path:
             " folder by its full path"
         )
     return Path(bpy.path.abspath(path))
+
+
+def first_free(folder: Path, stem: str, suffix: str = "") -> Path:
+    """Return the first path of STEM, STEM_1, STEM_2, … with a suffix in a folder that does not exist."""
+    names = (f"{stem}{suffix}", *(f"{stem}_{number}{suffix}" for number in range(1, 10_000)))
+    return next(folder / name for name in names if not (folder / name).exists())

@@ -26,7 +26,7 @@ from ...pipeline.uncalibrated import uncalibrated_steps
 from ...reflectance.model import load_model
 from ..common import failures
 from ..common.features import RELATIVE_PATH
-from ..common.file_paths import absolute
+from ..common.file_paths import absolute, first_free
 from ..common.sliced import SlicedOperator
 from ..session import session
 
@@ -45,8 +45,7 @@ _FOUND_BY = (
 
 def free_table(folder: Path) -> Path:
     """Return the first path of capture.toml, capture_1.toml, … in a folder that does not exist."""
-    names = (TABLE, *(f"{Path(TABLE).stem}_{number}.toml" for number in range(1, 10_000)))
-    return next(folder / name for name in names if not (folder / name).exists())
+    return first_free(folder, Path(TABLE).stem, Path(TABLE).suffix)
 
 
 class LightsFromBall(SlicedOperator, bpy.types.Operator):

@@ -18,7 +18,7 @@ from ...core.errors import InputError
 from ...core.steps import map_steps
 from ..common import failures
 from ..common.features import RELATIVE_PATH
-from ..common.file_paths import absolute
+from ..common.file_paths import absolute, first_free
 from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..session.scene_capture import capture_path
@@ -34,8 +34,7 @@ _FILES = {"subtype": "FILE_PATH", **RELATIVE_PATH}
 def free_folder(source: Path, word: str) -> Path:
     """Return the first folder NAME_word, NAME_word_1, … beside a capture's folder that does not exist."""
     home = source if source.is_dir() else source.parent
-    names = (f"{home.name}_{word}", *(f"{home.name}_{word}_{number}" for number in range(1, 10_000)))
-    return next(home.parent / name for name in names if not (home.parent / name).exists())
+    return first_free(home.parent, f"{home.name}_{word}")
 
 
 def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], found: str) -> set[str]:

@@ -12,9 +12,9 @@ from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, of_on
 from irpso_addon.calibration.balls.detect.outline import fitted
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import Request, calibration_steps
-from irpso_addon.calibration.filters import blurred, sampled
 from irpso_addon.calibration.job import near_lamps
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.filters import blurred, sampled
 from irpso_addon.core.steps import run_steps
 from tests.builders.ball_scenes import Scene, Sphere, photographs, place
 from tests.builders.balls import cap, degrees

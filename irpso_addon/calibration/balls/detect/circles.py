@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...filters import blurred
+from ....core.filters import blurred
 from .edges import Edges
 
 _STEP = 1.09  # ratio of neighbouring radii

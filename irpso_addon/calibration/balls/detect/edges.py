@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...filters import blurred, sampled
+from ....core.filters import blurred, sampled
 
 
 @dataclass

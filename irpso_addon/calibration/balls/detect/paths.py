@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...filters import blurred
+from ....core.filters import blurred
 
 _SHARED = 3  # a spot is brighter than the photographs' highest third
 _LEAST = 0.1  # of white

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ....capture.camera import Camera
-from ...filters import block_means
+from ....core.filters import block_means
 from .edges import Edges
 
 _WIDTH = 640  # pixels of the reduced images

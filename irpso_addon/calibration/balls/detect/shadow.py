@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...filters import blurred
+from ....core.filters import blurred
 from ..ball import Ball, pixel_rays, tangents
 
 _NEAREST, _FARTHEST = 1.08, 4.0  # of the ball's radius: where its shadow is looked for
