@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..capture.inspect.checks import middle_window
+from ..capture.inspect.frames import shrunk
 from ..core.errors import InputError
 from .register import find_shifts
 
@@ -129,7 +130,5 @@ def _rms(rows: np.ndarray) -> np.ndarray:
 def _shrunk(grey: np.ndarray, longest: int) -> np.ndarray:
     """Return (H, W) averaged over blocks, its longest side at most ``longest``."""
     factor = -(-max(grey.shape) // longest)
-    height, width = (max(1, side // factor) for side in grey.shape)
-    factors = min(factor, grey.shape[0]), min(factor, grey.shape[1])
-    part = grey[: height * factors[0], : width * factors[1]]
-    return part.reshape(height, factors[0], width, factors[1]).mean(axis=(1, 3))
+    height, width = grey.shape
+    return shrunk(grey, (min(factor, height), min(factor, width)))

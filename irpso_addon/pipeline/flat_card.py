@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration.shading.flat import even_steps, falloff_steps
-from ..calibration.shading.known import Found, Samples, bright_albedo, cells, nearer
+from ..calibration.shading.known import Found, Samples, cells, free_scale, nearer
 from ..capture.bounds import without_bounds
 from ..capture.camera import Camera
 from ..capture.framing import Framing, framed
@@ -18,7 +18,7 @@ from ..capture.types import Capture, Light, triple
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from ..geometry.build import check_card
-from .known_shape import WHITE, check_explained, light_rows
+from .known_shape import check_explained, light_rows
 
 FEWEST = 6  # photographs
 _PIXELS = 6000  # of the reduced card, about: relief and texture are averaged
@@ -88,7 +88,7 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     even = yield from map_steps(even_steps(samples, found.lamps), lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
     _check_known(found, even)
     check_explained(capture, found, "the card")
-    lights = found.lamps.lights(near=True, scale=bright_albedo(samples, found) / WHITE)
+    lights = found.lamps.lights(near=True, scale=free_scale(samples, found))
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
     shots = tuple(
         replace(shot, light=replace(light, vector=triple(place)))

@@ -12,10 +12,10 @@ import numpy as np
 from ..calibration.shading.known import (
     Found,
     Samples,
-    bright_albedo,
     cells,
     fit_steps,
     free_normals,
+    free_scale,
     linear_lamps,
     nearer,
 )  # fmt: skip
@@ -32,14 +32,12 @@ from ..geometry.surface.mesh import MeshData
 from ..solver.lights.sample import evenly_facing
 
 FEWEST = 4  # photographs
-KINDS = ("auto", "distant", "near")
 _COVERED = 40_000  # texels of the mesh, about: one camera sees a third
 _SIDES = 64, 1024  # texels, least and most, along a side of the domain
 _TEXELS = 2500  # that are used; twice as many change lights by less than their errors
 _SEEN = 3  # photographs that show a texel, at least
 _FEWEST_TEXELS, _FEWEST_LIT = 300, 50  # those that are used, and those that one photograph lights
 _SHADOW_ROUNDS = 2  # of predicting the shadows from the lights found
-WHITE = 0.8  # albedo of the brightest texels, which sets the scale of the intensities
 _READ = 0.4  # fraction of the work, at the end of reading
 _ONE_LIGHT = Light((0.0, 0.0, 1.0))
 _CLEAR = 0.2  # least determination: 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
@@ -114,9 +112,9 @@ def known_shape_steps(
     """Yield the fraction done; return the lights of a capture whose subject is a mesh; its own lights do not count.
 
     The mesh lies in the capture's world, which one or several cameras see. Albedo is unknown at each texel. The mesh's
-    shadows are found with the lights, in rounds. All intensities have a common free factor. kind: of KINDS; "auto":
-    near where the fall-off proves it (``nearer``). Raises InputError where photographs and mesh do not determine the
-    lights, or contradict each other.
+    shadows are found with the lights, in rounds. All intensities have a common free factor. kind: "distant",
+    "near" or "auto": near where the fall-off proves it (``nearer``). Raises InputError where photographs and mesh do
+    not determine the lights, or contradict each other.
     """
     if len(capture.observations) < FEWEST:
         raise InputError(
@@ -140,7 +138,7 @@ def known_shape_steps(
     found, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
     mismatch = float(np.nanmedian(free_normals(samples, found)))
     _check_known(capture, mesh, found, determined, mismatch)
-    lights = found.lamps.lights(near, bright_albedo(samples, found) / WHITE)
+    lights = found.lamps.lights(near, free_scale(samples, found))
     shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
     warnings = _warnings(mesh, mismatch, outside)
     return KnownShape(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration.shading.estimate import ShadingLights, shading_steps, surface_rotation
+from ..calibration.shading.known import WHITE
 from ..capture.bounds import without_bounds
 from ..capture.framing import Framing, framed
 from ..capture.types import Capture, Light, triple
@@ -27,7 +28,6 @@ _ERROR = 10.0  # degrees: of the first estimate, as the refinement takes it
 # Degrees between the lights that parts of the subject tell. Of nine captures 8 or less ended 1 to 3° off, 31 (a cow of
 # metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
 _DOUBTFUL, _MOST_ERROR = 15.0, 40.0
-_WHITE = 0.8  # albedo of the brightest texels, which sets the scale of the intensities
 # Strengths that a refinement spreads further than those before have taken up what the model lacks. On a bunny that
 # darkens like no material of the model they go from 0.8 to 11 %, and its lights from 3.5 to 11° off.
 _MORE, _ROUGHLY = 2.0, 0.03
@@ -96,7 +96,7 @@ def uncalibrated_steps(
         )
     if inside_out:
         first = replace(first, directions=first.directions * (-1, -1, 1))
-    strength = first.intensities * float(np.percentile(values.max(axis=0), _BRIGHT)) / _WHITE
+    strength = first.intensities * float(np.percentile(values.max(axis=0), _BRIGHT)) / WHITE
     lit = _with_lights(small, first.directions, np.repeat(strength[:, None], 3, axis=1))
     domain = yield from map_steps(card_steps(lit), lambda _: _SHADED)
     for number in range(_ROUNDS):

@@ -196,7 +196,7 @@ class _Cone:
         """Tukey's weights: 0 beyond 4.685 deviations; points within half a pixel always count."""
         residuals = self.residuals()
         scale = max(1.4826 * np.median(np.abs(residuals)), 0.3 / self.pixels_a_unit)
-        return np.maximum(1 - (residuals / (4.685 * scale)) ** 2, 0) ** 2
+        return tukey(residuals, scale)
 
     def refine(self, weights: np.ndarray) -> float:
         """Make one Gauss–Newton step; return its length relative to the opening."""
@@ -264,3 +264,8 @@ def _shape(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarra
         if (weights > 0).mean() < 0.8:
             warnings.append(f"{name}: {(weights == 0).mean():.0%} of the outline is not round and was left out")
     return tuple(warnings)
+
+
+def tukey(residuals: np.ndarray, scale: float) -> np.ndarray:
+    """Return the biweights of residuals of deviation ``scale``: 0 beyond 4.685 deviations (Beaton & Tukey 1974)."""
+    return np.maximum(1 - (residuals / (4.685 * scale)) ** 2, 0) ** 2

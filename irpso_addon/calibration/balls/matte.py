@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import shading as shade
+from .ball import tukey
 from .shading import Shading
 
 LARGEST_RADIUS = 24.0  # values; shading is smooth, and averaging reduces noise
@@ -16,7 +17,6 @@ _FEWEST_FOR_BOUNCE = 4  # photographs: in one alone a bounce looks like a turned
 
 _ITERATIONS, _JOINT_ITERATIONS, _JACKKNIFE_ITERATIONS = 25, 40, 6
 _CHANNEL_ITERATIONS = 8
-_TUKEY = 4.685
 _LEAST_SCALE = 0.002  # of the light's radiance: best possible fit
 _GRID = 400  # start directions
 _GRID_VALUES = 600
@@ -179,7 +179,7 @@ def _tukey(residual: np.ndarray, parameters: np.ndarray, keep: np.ndarray | None
     keep = np.ones(len(residual), bool) if keep is None else keep
     strength = np.linalg.norm(parameters[:3])
     scale = max(1.4826 * np.median(np.abs(residual[keep])), _LEAST_SCALE * strength, 1e-12)
-    return keep * np.maximum(1 - (residual / (_TUKEY * scale)) ** 2, 0) ** 2
+    return keep * tukey(residual, scale)
 
 
 def _fit(state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.ndarray, near: bool) -> Fit:

@@ -20,7 +20,7 @@ from ...core.steps import map_steps
 from ..radiometry.develop import developed, registration_steps
 from ..radiometry.source import Source
 from ..register import SMALLEST_MOVE, moved_back
-from .corrections_file import FOLDER, Photograph, photograph_of, write_corrections
+from .corrections_file import FOLDER, photograph_of, write_corrections
 from .measure import Measured, Output, Progress, Wanted, finite, measure_steps
 
 _FILENAMES = "filenames.txt"
@@ -52,7 +52,8 @@ def write_developed_steps(
     with new_folder(out) as folder:
         yield from work.write_steps(folder)
         if output.corrections:
-            write_corrections(folder / FOLDER, measured, work.photographs)
+            taken = [photograph_of(name, shot) for name, shot in zip(work.names, source.shots, strict=True)]
+            write_corrections(folder / FOLDER, measured, taken)
         report = work.report(settings)
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     return report
@@ -66,7 +67,7 @@ class _Work:
         self.shifts: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.warnings = [*source.warnings, *measured.warnings]
         self.figures: list[dict] = [{} for _ in source.shots]
-        self.photographs: list[Photograph] = []
+        self.names: list[str] = []
 
     def register_steps(self, wanted: str | None) -> Generator[Progress, None, None]:
         """Measure each image's shift against the reference, by name, or the first."""
@@ -98,8 +99,7 @@ class _Work:
         if capture is not None:
             observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
             steps = write_steps(replace(capture, observations=tuple(observations)), folder, half=self.half)
-            names = yield from map_steps(steps, lambda part: Progress(begun + (1 - begun) * part, "developing"))
-            self.photographs = [photograph_of(name, shot) for name, shot in zip(names, shots, strict=True)]
+            self.names = yield from map_steps(steps, lambda part: Progress(begun + (1 - begun) * part, "developing"))
             return
         for k, shot in enumerate(shots):
             yield Progress(begun + (1 - begun) * k / len(shots), shot.name)
@@ -107,9 +107,9 @@ class _Work:
             channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
             if (rgba[..., 3] != 1).any():
                 channels["A"] = rgba[..., 3]
-            self.photographs.append(photograph_of(f"{shot.name}.exr", shot))
-            write_exr(folder / f"{shot.name}.exr", {"": channels}, self.half)
-        listed = "".join(f"{photograph.image}\n" for photograph in self.photographs)
+            self.names.append(f"{shot.name}.exr")
+            write_exr(folder / self.names[-1], {"": channels}, self.half)
+        listed = "".join(f"{name}\n" for name in self.names)
         (folder / _FILENAMES).write_text(listed, encoding="utf-8")
 
     def _read(self, index: int) -> np.ndarray:

@@ -24,7 +24,7 @@ _OTHER_LENS = 1.5  # times the error with a free lens, above which a given lens 
 
 @dataclass(frozen=True)
 class Placed:
-    """cameras: with pose and lens, of the photographs that ``tracks`` uses. stray: those that no camera explains.
+    """cameras: with pose and lens, of the photographs that ``tracks`` uses.
 
     points: (P, 3) of the card. error: median reprojection error, in pixels of the photographs.
     """
@@ -33,7 +33,6 @@ class Placed:
     tracks: Tracks
     points: np.ndarray
     error: float
-    stray: tuple[int, ...]
 
 
 def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str) -> Placed:
@@ -60,7 +59,7 @@ def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, len
         replace(seen_by[n], scale=focal, distortion=distortion, matrix=camera_matrix(rotation, shift))
         for n, rotation, shift in zip(tracks.used, bundle.rotations, bundle.shifts, strict=True)
     )
-    return Placed(cameras, tracks, bundle.points, error, stray)
+    return Placed(cameras, tracks, bundle.points, error)
 
 
 def _solved(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str) -> tuple[Bundle, np.ndarray]:

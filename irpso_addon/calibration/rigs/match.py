@@ -15,7 +15,6 @@ from ..radiometry.develop import Shot
 from ..radiometry.frames import SAME_STOPS
 from .rig import Rig
 
-WAYS = ("auto", "order", "names", "numbers")
 _SAME_LENGTH = 0.01  # of a focal length
 _SUFFIXES = {".jpeg": ".jpg", ".tiff": ".tif"}
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from .lamps import FREE, Lamps
 
+WHITE = 0.8  # albedo of the brightest texels, which sets the scale of the intensities
 GROUPS = 8  # of texels, for the errors
 _FACING = 0.1  # least cosine to the light of a sample that counts
 _DARK = 0.1  # of a texel's and photograph's usual radiance: shadow, before the lights are known
@@ -140,12 +141,12 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAR
     weight, width = equations.weighted(lamps, None)
     for _ in range(_ROUNDS):
         matrix, right = equations.reduced(lamps, weight)
-        diagonal = np.maximum(np.diag(matrix.sum(axis=0)), 1e-9)
+        whole = matrix.sum(axis=0)
+        diagonal = np.diag(np.maximum(np.diag(whole), 1e-9))
+        held, pull = whole + equations.prior(width), right.sum(axis=0) - equations.pull(lamps, width)
         before = equations.cost(lamps, weight, width)
         while damping < _MOST_DAMPING:
-            damped = matrix.sum(axis=0) + equations.prior(width) + damping * np.diag(diagonal)
-            pull = right.sum(axis=0) - equations.pull(lamps, width)
-            steps = equations.spread(np.linalg.solve(damped, pull))
+            steps = equations.spread(np.linalg.solve(held + damping * diagonal, pull))
             other = lamps.moved(steps)
             other = replace(other, inverses=np.clip(other.inverses, -nearest, nearest))
             if equations.cost(other, weight, width) <= before:
@@ -185,12 +186,12 @@ def free_normals(samples: Samples, found: Found) -> np.ndarray:
     return np.where((first > 0).sum(axis=0) >= 4, angle, np.nan)
 
 
-def bright_albedo(samples: Samples, found: Found) -> float:
-    """Return the albedo of the brightest texels under the lamps found: where it is white sets the free scale."""
+def free_scale(samples: Samples, found: Found) -> float:
+    """Return the factor of the strengths found by which the brightest texels are white."""
     shading, _ = found.lamps.shading(samples.points, samples.normals)
     top, bottom = ((found.weight * shading * other).sum(axis=0) for other in (samples.values, shading))
     known = bottom > 0
-    return float(np.percentile(top[known] / bottom[known], _BRIGHT)) if known.any() else 1.0
+    return (float(np.percentile(top[known] / bottom[known], _BRIGHT)) if known.any() else 1.0) / WHITE
 
 
 def cells(points: np.ndarray, seed: int) -> np.ndarray:
@@ -224,11 +225,17 @@ class _Equations:
         self._samples = samples
         self._free = [0, 1, 2, 3] if near else [0, 1, 3]
         self._count = len(samples.values)
+        self._shaded: tuple[Lamps, tuple[np.ndarray, np.ndarray]] | None = None  # of the last lamps
+
+    def _shading(self, lamps: Lamps) -> tuple[np.ndarray, np.ndarray]:
+        if self._shaded is None or self._shaded[0] is not lamps:
+            self._shaded = lamps, lamps.shading(self._samples.points, self._samples.normals)
+        return self._shaded[1]
 
     def weighted(self, lamps: Lamps, weight: np.ndarray | None) -> tuple[np.ndarray, float]:
         """Return robust weights (K, T) under lamps, from those before, and their width."""
         s = self._samples
-        shading, cosine = lamps.shading(s.points, s.normals)
+        shading, cosine = self._shading(lamps)
         first = s.weight * (cosine > _FACING)
         weight = first if weight is None else np.where(first > 0, np.maximum(weight, 0.01 * first), 0)
         for _ in range(_INNER):
@@ -244,7 +251,7 @@ class _Equations:
     def cost(self, lamps: Lamps, weight: np.ndarray, width: float) -> float:
         """Return the weighted squares of the residuals and of the prior."""
         s = self._samples
-        shading, _ = lamps.shading(s.points, s.normals)
+        shading, _ = self._shading(lamps)
         residual = s.values - self._albedo(shading, weight) * shading
         far = (width / _WIDTH / _TRUST) ** 2 * (lamps.inverses**2).sum() if 2 in self._free else 0.0
         return float((weight * residual**2).sum() + far)
@@ -252,7 +259,7 @@ class _Equations:
     def reduced(self, lamps: Lamps, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (G, n, n) and (G, n): the reduced equations of each group of texels, in all n free parameters."""
         s = self._samples
-        shading, _ = lamps.shading(s.points, s.normals)
+        shading, _ = self._shading(lamps)
         albedo = self._albedo(shading, weight)
         residual = s.values - albedo * shading
         slopes = albedo[:, None] * lamps.derivatives(s.points, s.normals)[..., self._free]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..ball import Ball
+from ..ball import Ball, tukey
 from .shadow import Table, on_table, shadowed
 
 _PIXELS = 3000  # compared, at most
@@ -12,7 +12,6 @@ _BESIDE = 1.1  # radii from the ball's centre: nearer pixels show the ball
 _LEAST_LIT, _SHADOWED = 0.01, 0.35  # of white; of a pixel's median: a darker value is in shadow
 _FEWEST, _FEWEST_SHADOWED = 100, 30  # pixels
 _ITERATIONS, _CENTRING = 8, 6
-_TUKEY = 4.685
 _LEAST_SCALE = 0.005  # of the light
 _NEAREST = 0.2  # radii over distance
 
@@ -44,7 +43,7 @@ def inverse_distance(
         law, slope = _law(point, lights[known], inverse)
         rest = _centred(value - law, weights)
         scale = max(1.4826 * float(np.median(np.abs(rest[usable]))), _LEAST_SCALE)
-        weights = usable * np.maximum(1 - (rest / (_TUKEY * scale)) ** 2, 0) ** 2
+        weights = usable * tukey(rest, scale)
         rest, slope = _centred(value - law, weights), _centred(slope, weights)
         power = (weights * slope**2).sum(axis=1)
         gain = (weights * slope * rest).sum(axis=1)

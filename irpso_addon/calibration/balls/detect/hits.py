@@ -112,11 +112,11 @@ def improved(pictures: Pictures, circle: np.ndarray, kind: str, whole: Pictures)
         outlines = [measured(pictures.steady, x, y, radius), *outlines]
     least = PROMISING if kind == "mirror" else _LEAST_SHADOW
     hits = [hit for outline in outlines for hit in tested(pictures, outline, [kind], least)]
-    hits = [_with_distance(hit, whole) for hit in hits]
     if kind == "mirror":
-        best = sorted(hits, key=lambda hit: -hit.score)[:_CLIMBED]
+        best = [_with_distance(hit, whole) for hit in sorted(hits, key=lambda hit: -hit.score)[:_CLIMBED]]
         hits = [_measured_by_shadow(_scanned(hit)) if _measurable(hit) else hit for hit in best]
-    return [hit for hit in hits if hit.shadow is None or hit.shadow >= _wanted(hit)]
+    kept = [hit for hit in hits if hit.shadow is None or hit.shadow >= _wanted(hit)]
+    return kept if kind == "mirror" else [_with_distance(hit, whole) for hit in kept]
 
 
 def _measurable(hit: Hit) -> bool:
@@ -144,9 +144,7 @@ def _scanned(hit: Hit) -> Hit:
     found = [hit]
     for factor in _SCAN:
         x, y, radius = hit.outline.x, hit.outline.y, factor * hit.outline.radius
-        ball = fit_ball(outline_of_circle(x, y, radius), hit.pictures.camera, measured=False)
-        lights = _from_centre(ball, hit.seen.pixels, hit.inverse[0])
-        agrees = agreement(hit.pictures.values, ball, lights, None, None, hit.inverse[0], hit.pictures.noise)
+        ball, agrees = _agreeing(hit, x, y, radius)
         if agrees is not None:
             outline = measured(hit.pictures.steady, x, y, radius)
             found.append(replace(hit, outline=outline, ball=ball, shadow=agrees[0], table=agrees[1]))
@@ -159,17 +157,14 @@ def _measured_by_shadow(hit: Hit) -> Hit:
     The shadow is as wide as the ball, and wider under near lamps. One coordinate after the other moves to the top of a
     parabola.
     """
-    pictures = hit.pictures
-    circle, table, inverse = np.array([hit.outline.x, hit.outline.y, hit.outline.radius]), hit.table, hit.inverse[0]
+    circle, table = np.array([hit.outline.x, hit.outline.y, hit.outline.radius]), hit.table
     for step in _SHADOW_STEPS:
         for axis in (2, 0, 1, 2):
             moves = step * hit.outline.radius * np.arange(-1, 2)
             heights = []
             for move in moves:
                 x, y, radius = circle + move * np.eye(3)[axis]
-                ball = fit_ball(outline_of_circle(x, y, radius), pictures.camera, measured=False)
-                lights = _from_centre(ball, hit.seen.pixels, inverse)
-                agrees = agreement(pictures.values, ball, lights, table, hit.ball, inverse, pictures.noise)
+                _, agrees = _agreeing(hit, x, y, radius, table, hit.ball)
                 heights.append((-1.0, table) if agrees is None else agrees)
             low, middle, high = (height for height, _ in heights)
             bend = 2 * middle - low - high
@@ -178,6 +173,15 @@ def _measured_by_shadow(hit: Hit) -> Hit:
     x, y, radius = circle.tolist()
     outline = Outline(x, y, radius, hit.outline.support, outline_of_circle(x, y, radius))
     return replace(hit, outline=outline, shadow=max(height for height, _ in heights))
+
+
+def _agreeing(
+    hit: Hit, x: float, y: float, radius: float, table: Table | None = None, around: Ball | None = None
+) -> tuple[Ball, tuple[float, Table] | None]:
+    """Return a hit's ball with another circle, and its agreement with the shadow, of some tables or of all."""
+    ball = fit_ball(outline_of_circle(x, y, radius), hit.pictures.camera, measured=False)
+    lights = _from_centre(ball, hit.seen.pixels, hit.inverse[0])
+    return ball, agreement(hit.pictures.values, ball, lights, table, around, hit.inverse[0], hit.pictures.noise)
 
 
 def _from_centre(ball: Ball, pixels: np.ndarray, inverse: float) -> np.ndarray:
