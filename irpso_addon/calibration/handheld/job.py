@@ -14,6 +14,7 @@ from ...core.errors import InputError
 from ...core.steps import map_steps
 from .cameras import Placed, placed_cameras
 from .flash import Flash, Samples, flash_of
+from .likeness import doubtful
 from .pictures import picture_steps
 from .tracks import Tracks, feature_tracks, marker_tracks
 
@@ -27,6 +28,9 @@ _UNEVEN = 0.08  # standard deviation of the logarithm of the strengths above whi
 _UNSURE = 0.02  # of the distance: standard error of the flash's place that makes it useless
 _TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
 _SHOWN = 0.6  # of the photographs that must show a place of a card without a sheet
+_SIDE = 96  # samples along a side of the square in which positions of a card are compared
+_ALIKE = "the card looks the same after a turn or a shift, so that its position is in doubt in"
+_SHEET = "lay a sheet of `irpso markers` around it"
 
 
 @dataclass(frozen=True)
@@ -73,9 +77,18 @@ def handheld_steps(
     tracks, warnings = _tracks([pictures.codes[n] for n in sharp], flash_offset is not None)
     _check_count(len(tracks.used), f"; too little of the card is in {_listed(np.delete(names[sharp], tracks.used))}")
     yield 0.75
-    placed = placed_cameras(tracks, [capture.cameras[n] for n in sharp], pictures.factor, lens)
+    seen_by, radiance = ([side[n] for n in sharp] for side in (capture.cameras, pictures.radiance))
+    placed = placed_cameras(tracks, seen_by, pictures.factor, lens)
+    doubt: tuple[int, ...] = ()
+    if tracks.sheet is None:
+        yield 0.8
+        doubt = _in_doubt(placed, radiance)
+    alike = f"{_ALIKE} {_listed(names[sharp[list(doubt)]])}; {_SHEET}" if doubt else ""
+    if doubt:
+        _check_count(len(placed.cameras) - len(doubt), f"; {alike}")
+        placed = placed_cameras(placed.tracks.without(doubt), seen_by, pictures.factor, lens)
     numbers = sharp[list(placed.tracks.used)]
-    lost = _listed(names[np.setdiff1d(sharp, numbers)])
+    lost = _listed(np.delete(names[sharp], [*placed.tracks.used, *doubt]))
     _check_count(len(numbers), f"; the card is not recognised well in {lost}")
     field, cameras = _in_unit(_field(tracks.sheet, placed), placed.cameras, tracks.sheet)
     angle = _view_angle(cameras)
@@ -86,14 +99,13 @@ def handheld_steps(
         )
     yield 0.85
     places = _places(field, tracks.sheet)
-    radiance = [
-        _sampled(pictures.radiance[n], camera, places) for n, camera in zip(numbers.tolist(), cameras, strict=True)
-    ]
-    samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(radiance))
+    seen = [_sampled(radiance[k], camera, places) for k, camera in zip(placed.tracks.used, cameras, strict=True)]
+    samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(seen))
     flash, intensities, more = _flash(samples, flash_offset, tracks.sheet)
     told = (
         f"left out as blurred: {blurred}" if blurred else "",
         f"left out, because the card is not recognised well in it: {lost}" if lost else "",
+        f"left out, because {alike}" if doubt else "",
         f"{len(numbers)} photographs are used; {ENOUGH} or more are better" if len(numbers) < ENOUGH else "",
     )
     return Handheld(
@@ -120,10 +132,7 @@ def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[
         raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
     found = feature_tracks(codes)
     if found is None or len(found.used) < 2:
-        raise InputError(
-            "the photographs show neither printed markers nor enough features of one flat card; lay a sheet of `irpso"
-            " markers` around it"
-        )
+        raise InputError(f"the photographs show neither printed markers nor enough features of one flat card; {_SHEET}")
     if tracks is None:
         return found, []
     return found, [
@@ -143,6 +152,18 @@ def _field(sheet: Sheet | None, placed: Placed) -> Box:
         raise InputError("no part of the card is in most of the photographs; keep it in the middle of all of them")
     (x0, y0), (x1, y1) = np.percentile(placed.points[there, :2], [_TRIMMED, 100 - _TRIMMED], axis=0)
     return float(x0), float(y0), float(x1), float(y1)
+
+
+def _in_doubt(placed: Placed, radiance: Sequence[np.ndarray]) -> tuple[int, ...]:
+    """Return the photographs, numbered as in ``tracks.used``, that fit the card as well in another position."""
+    x0, y0, x1, y1 = _field(None, placed)
+    along = (min(x1 - x0, y1 - y0) / _SIDE) * (np.arange(_SIDE) + 0.5 - _SIDE / 2)
+    square = np.stack(np.meshgrid((x0 + x1) / 2 + along, (y0 + y1) / 2 + along), axis=-1).reshape(-1, 2)
+    pictures = [
+        _sampled(radiance[k], camera, square) for k, camera in zip(placed.tracks.used, placed.cameras, strict=True)
+    ]
+    alike = doubtful(np.stack(pictures).reshape(-1, _SIDE, _SIDE))
+    return tuple(k for k, doubt in zip(placed.tracks.used, alike.tolist(), strict=True) if doubt)
 
 
 def _shows(camera: Camera, places: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import pytest
 from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, seen
 from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
 from irpso_addon.calibration.handheld.job import handheld_steps
+from irpso_addon.calibration.handheld.likeness import doubtful
 from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plane_of, pose_of
 from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.core.errors import InputError
@@ -180,3 +181,59 @@ def test_a_textured_card_without_markers_gives_cameras_up_to_scale_and_place():
     turned[:, :3, :3], turned[:, :3, 3] = turn @ own[:, :3, :3], true[:, :3, 3]
     assert off(turned, true)[0] < 1.2
     assert scale == pytest.approx(130, rel=0.1), "the part that is recovered is the card"
+
+
+def turned(places, quarters):
+    """Return places (…, 2) turned by quarter turns."""
+    for _ in range(quarters):
+        places = np.stack([-places[..., 1], places[..., 0]], axis=-1)
+    return places
+
+
+def four_times(value):
+    """Return the mean of a function of places over the four quarter turns."""
+    return lambda places: np.mean([value(turned(places, quarters)) for quarters in range(4)], axis=0)
+
+
+def on_grid(value, quarters, random):
+    """Return a picture of a card on a square grid: turned, in a slanting light, with noise and a highlight."""
+    along = 130 * ((np.arange(96) + 0.5) / 96 - 0.5)
+    places = np.stack(np.meshgrid(along, along), axis=-1)
+    grey = (0.2 + value(turned(places, quarters))) * np.exp(places @ random.normal(0, 0.004, 2))
+    grey = np.where(np.linalg.norm(places - random.uniform(-50, 50, 2), axis=-1) < 9, 3 * grey, grey)
+    grey[:, : random.integers(1, 20)] = np.nan
+    return grey * np.exp(random.normal(0, 0.05, grey.shape))
+
+
+def test_a_picture_that_is_a_quarter_turn_off_is_in_doubt_and_the_others_are_not():
+    random, symmetric, other = np.random.default_rng(10), four_times(texture(11, 6.0)), texture(12, 6.0)
+
+    def value(places):
+        return 0.7 * symmetric(places) + 0.3 * other(places)
+
+    for wrong in range(1, 4):
+        pictures = np.stack([on_grid(value, wrong if k == 3 else 0, random) for k in range(9)])
+        np.testing.assert_array_equal(np.flatnonzero(doubtful(pictures)), [3])
+    pictures = np.stack([on_grid(other, 0, random) for _ in range(9)])
+    assert not doubtful(pictures).any(), "a card without symmetry"
+
+
+def test_a_card_that_is_the_same_after_a_quarter_turn_or_a_shift_leaves_every_position_in_doubt():
+    random = np.random.default_rng(13)
+    assert doubtful(np.stack([on_grid(four_times(texture(14, 6.0)), 0, random) for _ in range(9)])).all()
+
+    def waves(places):
+        return np.sin(places[..., 0] * 2 * np.pi / 13) * np.sin(places[..., 1] * 2 * np.pi / 13)
+
+    assert doubtful(np.stack([on_grid(waves, 0, random) for _ in range(9)])).all()
+
+
+def test_photographs_of_a_card_that_is_the_same_after_a_quarter_turn_are_refused():
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    surface = four_times(texture(9, 8.0))
+
+    def value(places):
+        return np.where((np.abs(places) < 65).all(-1), 0.1 + 0.7 * surface(places), 0.01)
+
+    with pytest.raises(InputError, match="looks the same after a turn or a shift.*IMG_0.*markers"):
+        run_steps(handheld_steps(photographs(hand(9, seed=7, widest=35.0), value), "known"))

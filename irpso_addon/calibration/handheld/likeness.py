@@ -1,0 +1,81 @@
+"""Whether photographs of a card fit it as well when they are turned or moved: features do not tell such positions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.filters import blurred, sampled
+
+_TURN = 15.0  # degrees between the turns that are tried
+_FINE = 0.02  # of the side: what is smaller is noise and relief
+_COARSE = 0.08  # of the side: what is larger is the flash's light
+_NEAR = 0.06  # of the side: shifts that count as the same position
+_FAR = 0.25  # of the side: shifts that are tried
+_ROUND = 0.9  # of the half side: what is compared; the rest shows the card's border, which is alike on four sides
+_SURE = 0.9  # likeness elsewhere over that in place, above which a position is in doubt
+_LEAST = 3  # pictures
+
+
+def doubtful(pictures: np.ndarray) -> np.ndarray:
+    """Return (K,) bool, true where a picture is about as like the others in another position as in its own.
+
+    pictures: (K, S, S) radiance on one square grid of the card, NaN where unknown. Likeness is the correlation with the
+    median of the other pictures, of details within a circle, over turns and shifts. Fewer than three tell nothing.
+    """
+    if len(pictures) < _LEAST:
+        return np.zeros(len(pictures), bool)
+    details = np.stack([_details(picture) for picture in pictures])
+    shares = np.array([_elsewhere(one, _median(np.delete(details, k, axis=0))) for k, one in enumerate(details)])
+    return shares > _SURE
+
+
+def _details(picture: np.ndarray) -> np.ndarray:
+    """Return (S, S) the logarithm of a picture between two scales, NaN where it is unknown."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.log(picture)
+    known = np.isfinite(value)
+    side = len(picture)
+
+    def mean(scale: float) -> np.ndarray:
+        share = blurred(known.astype(float), scale * side)
+        return blurred(np.where(known, value, 0.0), scale * side) / np.maximum(share, 1e-6)
+
+    return np.where(known & _circle(side), mean(_FINE) - mean(_COARSE), np.nan)
+
+
+def _circle(side: int) -> np.ndarray:
+    away = (np.arange(side) + 0.5) / side * 2 - 1
+    return np.hypot(*np.meshgrid(away, away)) < _ROUND
+
+
+def _median(details: np.ndarray) -> np.ndarray:
+    """Return (S, S) the median of the pictures that show a place, 0 where fewer than half do."""
+    shown = np.isfinite(details).mean(axis=0) >= 0.5
+    return np.where(shown, np.nanmedian(np.where(shown, details, 0.0), axis=0), 0.0)
+
+
+def _elsewhere(details: np.ndarray, wanted: np.ndarray) -> float:
+    """Return the largest likeness in another position over that in the picture's own; infinite where it has none."""
+    side = len(wanted)
+    shift = np.fft.fftfreq(2 * side)[:, None] * 2, np.fft.fftfreq(2 * side)[None] * 2  # in sides
+    away = np.hypot(*shift)
+    spectrum = np.conj(np.fft.fft2(wanted, (2 * side, 2 * side)))
+    flat = np.nan_to_num(details)
+    own, other = 0.0, 0.0
+    for turn in np.arange(0, 360, _TURN):
+        found = np.fft.ifft2(np.fft.fft2(_turned(flat, turn), (2 * side, 2 * side)) * spectrum).real
+        if turn == 0:
+            own = found[away <= _NEAR].max()
+        elsewhere = away <= _FAR if turn else (away <= _FAR) & (away > _NEAR)
+        other = max(other, found[elsewhere].max())
+    return float(other / own) if own > 0 else np.inf
+
+
+def _turned(image: np.ndarray, degrees: float) -> np.ndarray:
+    """Return an image turned about its middle; what lies outside is 0."""
+    middle = len(image) / 2
+    along = np.arange(len(image)) + 0.5 - middle
+    x, y = np.meshgrid(along, along)
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    places = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1) + middle
+    return np.where(np.hypot(x, y) < middle, sampled(image, places), 0.0)
