@@ -12,7 +12,7 @@ _COARSE = 0.08  # of the side: what is larger is the flash's light
 _NEAR = 0.06  # of the side: shifts that count as the same position
 _FAR = 0.25  # of the side: shifts that are tried
 _ROUND = 0.9  # of the half side: what is compared; the rest shows the card's border, which is alike on four sides
-_SURE = 0.9  # likeness elsewhere over that in place, above which a position is in doubt
+_SURE = 0.8  # likeness elsewhere over that in place, above which a position is in doubt
 _LEAST = 3  # pictures
 
 
