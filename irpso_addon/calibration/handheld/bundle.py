@@ -45,6 +45,20 @@ def seen(bundle: Bundle, views: Views) -> np.ndarray:
     return _projected(bundle, views)[0]
 
 
+def turn_errors(bundle: Bundle, views: Views) -> np.ndarray:
+    """Return (K,) standard errors, in degrees, of the photographs' rotations about their least certain axes.
+
+    From the pose's normal equations, with lens and points as they are, and the weighted mean of all squared errors.
+    """
+    left, _, _ = _normal_equations(bundle, views, 0.0, None, bundle)
+    square = ((seen(bundle, views) - views.pixels) ** 2).sum(axis=1)
+    weight = 1 / (1 + square / _SCALE**2)
+    variance = (weight * square).sum() / max(2 * weight.sum() - len(left), 1.0)
+    blocks = np.stack([left[k : k + 6, k : k + 6] for k in range(0, len(left), 6)])
+    covariance = variance * np.linalg.pinv(blocks, hermitian=True)[:, :3, :3]
+    return np.degrees(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
+
+
 def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) -> Bundle:
     """Return the bundle of the least robust reprojection error.
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...capture.camera import Camera
 from ...capture.frame.homography import mapped
 from ...core.errors import InputError
-from .bundle import Bundle, Views, adjusted, seen
+from .bundle import Bundle, Views, adjusted, seen, turn_errors
 from .poses import camera_matrix, focal_of, plane_of, pose_of
 from .tracks import Tracks
 
@@ -18,6 +18,7 @@ _SPREAD = {"known": 0.5, "likely": 0.06, "unknown": 0.5}  # of the focal length 
 _RELIEF = 0.01  # of the cameras' distance: standard deviation of the heights of features
 _MOST_ERROR = 2.5  # pixels of _WORKING, median, above which no lens and no poses explain the photographs
 _STRAY = 4.0  # times the median error of all photographs, from which one is left out
+_UNSURE = 0.9  # degrees: standard error of a photograph's rotation from which it is left out
 _LEAST_ERROR = 0.3  # pixels, that no lens is blamed for
 _OTHER_LENS = 1.5  # times the error with a free lens, above which a given lens is wrong
 
@@ -36,17 +37,18 @@ class Placed:
 
 
 def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str) -> Placed:
-    """Return the cameras that explain the tracks, and leave out photographs that none explains.
+    """Return the cameras that explain the tracks, and leave out photographs that none explains or that show too few
+    points for their angle: those from straight above, whose tilt changes the picture least.
 
     seen_by: a camera without pose for each photograph. factor: of the reduced pictures' size. lens: as in
     ``handheld_steps``. Raises InputError where a known lens is wrong, or no cameras explain the points.
     """
-    bundle, errors = _solved(tracks, seen_by, factor, lens)
-    off = errors > max(_STRAY * float(np.median(errors)), 1.0)
+    bundle, errors, turns = _solved(tracks, seen_by, factor, lens)
+    off = (turns > _UNSURE) | (errors > max(_STRAY * float(np.median(errors)), 1.0))
     stray = tuple(number for number, far in zip(tracks.used, off.tolist(), strict=True) if far)
     if stray:
         tracks = tracks.without(stray)
-        bundle, errors = _solved(tracks, seen_by, factor, lens)
+        bundle, errors, _ = _solved(tracks, seen_by, factor, lens)
     error = float(np.median(errors)) / factor
     if error * factor > _MOST_ERROR:
         raise InputError(
@@ -62,8 +64,11 @@ def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, len
     return Placed(cameras, tracks, bundle.points, error)
 
 
-def _solved(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str) -> tuple[Bundle, np.ndarray]:
-    """Return poses, lens and points, and the median reprojection error of each photograph used, in pixels of codes.
+def _solved(
+    tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str
+) -> tuple[Bundle, np.ndarray, np.ndarray]:
+    """Return poses, lens and points, and for each photograph used the median reprojection error, in pixels of codes,
+    and the standard error of its rotation, in degrees.
 
     Raises InputError where a known lens is wrong.
     """
@@ -76,7 +81,7 @@ def _solved(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str)
     relief = None if tracks.sheet else _RELIEF * float(np.median(np.linalg.norm(start.shifts, axis=1)))
     free = adjusted(start, views, _SPREAD[lens], relief)
     if lens != "known":
-        return free, _errors(free, views)
+        return free, _errors(free, views), turn_errors(free, views)
     kept = adjusted(start, views, 0.0, relief)
     error, best = (float(np.median(_errors(bundle, views))) for bundle in (kept, free))
     if error > max(_OTHER_LENS * best, _LEAST_ERROR):
@@ -85,7 +90,7 @@ def _solved(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str)
             f"the given focal length explains the photographs to {error / factor:.2f} pixels, one of {angle:.1f}° over"
             f" the width to {best / factor:.2f}; correct --fov, or leave it out"
         )
-    return kept, _errors(kept, views)
+    return kept, _errors(kept, views), turn_errors(kept, views)
 
 
 def _errors(bundle: Bundle, views: Views) -> np.ndarray:

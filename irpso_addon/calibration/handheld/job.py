@@ -79,6 +79,8 @@ def handheld_steps(
     yield 0.75
     seen_by, radiance = ([side[n] for n in sharp] for side in (capture.cameras, pictures.radiance))
     placed = placed_cameras(tracks, seen_by, pictures.factor, lens)
+    lost = _listed(np.delete(names[sharp], placed.tracks.used))
+    _check_count(len(placed.cameras), f"; the card is not recognised well in {lost}")
     doubt: tuple[int, ...] = ()
     if tracks.sheet is None:
         yield 0.8
@@ -87,9 +89,9 @@ def handheld_steps(
     if doubt:
         _check_count(len(placed.cameras) - len(doubt), f"; {alike}")
         placed = placed_cameras(placed.tracks.without(doubt), seen_by, pictures.factor, lens)
+        lost = _listed(np.delete(names[sharp], [*placed.tracks.used, *doubt]))
+        _check_count(len(placed.cameras), f"; the card is not recognised well in {lost}")
     numbers = sharp[list(placed.tracks.used)]
-    lost = _listed(np.delete(names[sharp], [*placed.tracks.used, *doubt]))
-    _check_count(len(numbers), f"; the card is not recognised well in {lost}")
     field, cameras = _in_unit(_field(tracks.sheet, placed), placed.cameras, tracks.sheet)
     angle = _view_angle(cameras)
     if angle < _ONE_PLACE:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from ...core.filters import blurred, sampled
@@ -13,17 +15,14 @@ _NEAR = 0.06  # of the side: shifts that count as the same position
 _FAR = 0.25  # of the side: shifts that are tried
 _ROUND = 0.9  # of the half side: what is compared; the rest shows the card's border, which is alike on four sides
 _SURE = 0.8  # likeness elsewhere over that in place, above which a position is in doubt
-_LEAST = 3  # pictures
 
 
 def doubtful(pictures: np.ndarray) -> np.ndarray:
     """Return (K,) bool, true where a picture is about as like the others in another position as in its own.
 
     pictures: (K, S, S) radiance on one square grid of the card, NaN where unknown. Likeness is the correlation with the
-    median of the other pictures, of details within a circle, over turns and shifts. Fewer than three tell nothing.
+    median of the other pictures, of details within a circle, over turns and shifts.
     """
-    if len(pictures) < _LEAST:
-        return np.zeros(len(pictures), bool)
     details = np.stack([_details(picture) for picture in pictures])
     shares = np.array([_elsewhere(one, _median(np.delete(details, k, axis=0))) for k, one in enumerate(details)])
     return shares > _SURE
@@ -57,25 +56,30 @@ def _median(details: np.ndarray) -> np.ndarray:
 def _elsewhere(details: np.ndarray, wanted: np.ndarray) -> float:
     """Return the largest likeness in another position over that in the picture's own; infinite where it has none."""
     side = len(wanted)
-    shift = np.fft.fftfreq(2 * side)[:, None] * 2, np.fft.fftfreq(2 * side)[None] * 2  # in sides
-    away = np.hypot(*shift)
-    spectrum = np.conj(np.fft.fft2(wanted, (2 * side, 2 * side)))
+    size = (2 * side, 2 * side)  # no shift wraps around
+    shift = 2 * np.fft.fftfreq(2 * side)  # in sides
+    away = np.hypot(*np.meshgrid(shift, shift))
+    near, far = away <= _NEAR, away <= _FAR
+    spectrum = np.conj(np.fft.rfft2(wanted, size))
     flat = np.nan_to_num(details)
     own, other = 0.0, 0.0
-    for turn in np.arange(0, 360, _TURN):
-        found = np.fft.ifft2(np.fft.fft2(_turned(flat, turn), (2 * side, 2 * side)) * spectrum).real
+    for turn, places in _turns(side):
+        image = np.where(_circle(side), sampled(flat, places), 0.0)
+        found = np.fft.irfft2(np.fft.rfft2(image, size) * spectrum, size)
         if turn == 0:
-            own = found[away <= _NEAR].max()
-        elsewhere = away <= _FAR if turn else (away <= _FAR) & (away > _NEAR)
-        other = max(other, found[elsewhere].max())
+            own = found[near].max()
+        other = max(other, found[far if turn else far & ~near].max())
     return float(other / own) if own > 0 else np.inf
 
 
-def _turned(image: np.ndarray, degrees: float) -> np.ndarray:
-    """Return an image turned about its middle; what lies outside is 0."""
-    middle = len(image) / 2
-    along = np.arange(len(image)) + 0.5 - middle
+@cache
+def _turns(side: int) -> tuple[tuple[float, np.ndarray], ...]:
+    """Return the turns in degrees, and (S, S, 2) the places of a picture that each brings to its pixels."""
+    middle = side / 2
+    along = np.arange(side) + 0.5 - middle
     x, y = np.meshgrid(along, along)
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    places = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1) + middle
-    return np.where(np.hypot(x, y) < middle, sampled(image, places), 0.0)
+    turns = []
+    for degrees in np.arange(0, 360, _TURN):
+        cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turns.append((degrees, np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1) + middle))
+    return tuple(turns)

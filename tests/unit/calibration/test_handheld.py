@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, seen
+from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, seen, turn_errors
+from irpso_addon.calibration.handheld.cameras import placed_cameras
 from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
 from irpso_addon.calibration.handheld.job import handheld_steps
 from irpso_addon.calibration.handheld.likeness import doubtful
 from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plane_of, pose_of
+from irpso_addon.calibration.handheld.tracks import Tracks
 from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
@@ -87,6 +89,45 @@ def test_bundle_adjustment_finds_cameras_lens_and_relief_from_a_flat_start(cloud
     height = np.corrcoef(found.points[:, 2], places[:, 2])[0, 1]
     assert height > 0.97 and found.points[:, 2].std() == pytest.approx(places[:, 2].std(), rel=0.25)
     assert np.median(np.linalg.norm(seen(found, noisy) - noisy.pixels, axis=1)) < 0.15
+
+
+def test_the_standard_error_of_a_rotation_is_the_spread_over_draws_of_the_noise():
+    """A photograph from straight above, one from the side and one with few points; rotation and shift refined alone."""
+    steep, flat = hand(2, seed=3, widest=50.0)[1], np.eye(4)
+    flat[2, 3] = 400.0
+    matrices = [flat, steep.matrix, flat]
+    flip = np.diag([1.0, -1.0, -1.0])
+    rotations = np.stack([flip @ m[:3, :3].T for m in matrices])
+    shifts = np.stack([-r @ m[:3, 3] for r, m in zip(rotations, matrices, strict=True)])
+    random = np.random.default_rng(6)
+    places = np.insert(random.uniform(-60, 60, (60, 2)), 2, 0.0, axis=1)
+    exact = Bundle(rotations, shifts, places, FOCAL, 0.0, np.tile([160.0, 120.0], (3, 1)))
+    point = np.concatenate([np.arange(60), np.arange(60), np.arange(8)])
+    views = Views(np.repeat([0, 1, 2], [60, 60, 8]), point, np.zeros((128, 2)))
+    views = replace(views, pixels=seen(exact, views))
+    turns, told = [], []
+    for _ in range(60):
+        noisy = replace(views, pixels=views.pixels + random.normal(0, 0.15, (128, 2)))
+        found = adjusted(exact, noisy, 0.0, None)
+        turned = found.rotations @ rotations.transpose(0, 2, 1)
+        turns.append([(r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]) for r in turned])
+        told.append(turn_errors(found, noisy))
+    spread = [
+        np.degrees(np.sqrt(np.linalg.eigvalsh(np.cov(0.5 * one.T))[-1])) for one in np.array(turns).swapaxes(0, 1)
+    ]
+    np.testing.assert_allclose(np.median(told, axis=0), spread, rtol=0.25)
+    assert spread[2] > 2 * spread[0] > 2 * spread[1]
+
+
+def test_a_photograph_from_straight_above_that_shows_too_few_points_for_its_angle_is_left_out():
+    cameras, random = hand(10, seed=8, widest=40.0), np.random.default_rng(9)
+    places = random.uniform(-60, 60, (80, 2))
+    pixels = np.stack([from_upper_left(camera, places) for camera in cameras]) + random.normal(0, 0.5, (10, 80, 2))
+    shown = [np.arange(80) if k else np.arange(12) for k in range(10)]
+    photograph, point = np.repeat(np.arange(10), [len(one) for one in shown]), np.concatenate(shown)
+    tracks = Tracks(photograph, point, pixels[photograph, point], pixels[5], tuple(range(10)), reference=5)
+    seen_by = [replace(camera, matrix=np.eye(4)) for camera in cameras]
+    assert placed_cameras(tracks, seen_by, 1.0, "known").tracks.used == tuple(range(1, 10))
 
 
 def test_brightness_tells_place_beam_and_strength_of_the_flash():
