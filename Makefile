@@ -20,11 +20,19 @@ environment-test:
 environment-bench:
 	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime bench cluster
 
-demo: environment ## the paper's experiment in small, in under three minutes
-	$(RUN) -m irpso_addon demo --quick -o $(OUT)/demo
+demo: $(OUT)/demo/capture/capture.toml ## photographs of a tile, rendered, to their material, in about three minutes
+	$(RUN) -m irpso_addon recover $(OUT)/demo/capture --distance 508 --crop 25,51,378,378 --hold-out auto -o $(OUT)/demo
+	@echo "$(OUT)/demo/relit.png: photographs that it has not seen, beside the material under their lights"
 
-paper: environment ## the paper's experiment at full size
-	$(RUN) -m irpso_addon demo -o $(OUT)/paper
+# Numbers that a photographer knows: the ball's radius and the string of the lamp, in millimetres.
+$(OUT)/demo/capture/capture.toml: $(OUT)/demo/sample/README.txt
+	$(RUN) -m irpso_addon calibrate $(OUT)/demo/sample/photographs --radius 20 --distance 950 -o $(OUT)/demo/capture
+
+$(OUT)/demo/sample/README.txt: | environment
+	$(RUN) -m irpso_addon sample -o $(OUT)/demo/sample
+
+paper: environment ## the paper's experiment at full size; QUICK=1 in small, in two minutes
+	$(RUN) -m irpso_addon demo $(if $(QUICK),--quick) -o $(OUT)/paper
 
 doctor: environment ## what GPU there is, and what the program will use of it
 	$(RUN) -m irpso_addon doctor

@@ -66,7 +66,6 @@ def _page(found: layout.Layout, count: int) -> str:
     ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(found.camera))
     crop = ",".join(map(str, layout.tile_crop(found.camera)))
     lengths = f"--radius {layout.BALL_RADIUS:g} --distance {layout.LAMP_DISTANCE:g}"
-    find = f"irpso calibrate photographs --ball {ball} --kind mirror --fov {found.fov_degrees:.2f} {lengths} -o capture"
     return f"""A capture to practise on
 ========================
 
@@ -77,8 +76,10 @@ looked straight down.
 
 Find the lights from the ball, then recover the maps of the tile. Type in this folder:
 
-    {find}
+    irpso calibrate photographs {lengths} -o capture
     irpso recover capture --distance {round(found.card_distance):d} --crop {crop} -o result
+
+The ball is searched; where it is too small for that, give its place: --ball {ball} --kind mirror.
 
 The tile under its true lights, compared with its true maps:
 

@@ -18,7 +18,7 @@ _SPREAD = {"known": 0.5, "likely": 0.06, "unknown": 0.5}  # of the focal length 
 _RELIEF = 0.01  # of the cameras' distance: standard deviation of the heights of features
 _MOST_ERROR = 2.5  # pixels of _WORKING, median, above which no lens and no poses explain the photographs
 _STRAY = 4.0  # times the median error of all photographs, from which one is left out
-_UNSURE = 0.9  # degrees: standard error of a photograph's rotation from which it is left out
+_UNSURE = 0.7  # degrees: standard error of a photograph's rotation from which it is left out
 _LEAST_ERROR = 0.3  # pixels, that no lens is blamed for
 _OTHER_LENS = 1.5  # times the error with a free lens, above which a given lens is wrong
 

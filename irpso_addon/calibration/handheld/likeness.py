@@ -12,7 +12,8 @@ _TURN = 15.0  # degrees between the turns that are tried
 _FINE = 0.02  # of the side: what is smaller is noise and relief
 _COARSE = 0.08  # of the side: what is larger is the flash's light
 _NEAR = 0.06  # of the side: shifts that count as the same position
-_FAR = 0.25  # of the side: shifts that are tried
+_SHARED = 0.35  # of the square sum of the details of each picture that must lie in what both show
+_MOST = 0.3  # of the logarithm: the rim of paper on a table would outweigh the card
 _ROUND = 0.9  # of the half side: what is compared; the rest shows the card's border, which is alike on four sides
 _SURE = 0.8  # likeness elsewhere over that in place, above which a position is in doubt
 
@@ -39,7 +40,8 @@ def _details(picture: np.ndarray) -> np.ndarray:
         share = blurred(known.astype(float), scale * side)
         return blurred(np.where(known, value, 0.0), scale * side) / np.maximum(share, 1e-6)
 
-    return np.where(known & _circle(side), mean(_FINE) - mean(_COARSE), np.nan)
+    found = np.clip(mean(_FINE) - mean(_COARSE), -_MOST, _MOST)
+    return np.where(known & _circle(side), found, np.nan)
 
 
 def _circle(side: int) -> np.ndarray:
@@ -54,21 +56,30 @@ def _median(details: np.ndarray) -> np.ndarray:
 
 
 def _elsewhere(details: np.ndarray, wanted: np.ndarray) -> float:
-    """Return the largest likeness in another position over that in the picture's own; infinite where it has none."""
+    """Return the largest likeness in another position over that in the picture's own; infinite where it has none.
+
+    Likeness is the normalised correlation of what both show, in positions in which that is enough of each of them.
+    """
     side = len(wanted)
     size = (2 * side, 2 * side)  # no shift wraps around
     shift = 2 * np.fft.fftfreq(2 * side)  # in sides
-    away = np.hypot(*np.meshgrid(shift, shift))
-    near, far = away <= _NEAR, away <= _FAR
-    spectrum = np.conj(np.fft.rfft2(wanted, size))
-    flat = np.nan_to_num(details)
+    near = np.hypot(*np.meshgrid(shift, shift)) <= _NEAR
+    circle = _circle(side)
+    known, flat = np.isfinite(details).astype(float), np.nan_to_num(details)
+    spectra = [np.conj(np.fft.rfft2(one, size)) for one in (wanted, (wanted != 0).astype(float), wanted**2)]
     own, other = 0.0, 0.0
     for turn, places in _turns(side):
-        image = np.where(_circle(side), sampled(flat, places), 0.0)
-        found = np.fft.irfft2(np.fft.rfft2(image, size) * spectrum, size)
+        image, shown = (np.where(circle, sampled(one, places), 0.0) for one in (flat, known))
+        both, energy, wanted_energy = (
+            np.fft.irfft2(np.fft.rfft2(one, size) * spectrum, size)
+            for one, spectrum in zip((image, image**2, shown), spectra, strict=True)
+        )
+        enough = (energy >= _SHARED * (image**2).sum()) & (wanted_energy >= _SHARED * (wanted**2).sum())
+        found = np.where(enough, both / np.sqrt(np.maximum(energy * wanted_energy, 1e-12)), 0.0)
         if turn == 0:
             own = found[near].max()
-        other = max(other, found[far if turn else far & ~near].max())
+            found[near] = 0.0
+        other = max(other, found.max())
     return float(other / own) if own > 0 else np.inf
 
 
