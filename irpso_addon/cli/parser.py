@@ -7,9 +7,9 @@ from typing import Any, NoReturn
 
 from ..core.errors import InputError
 from ..core.paths import DEFAULT_MODEL
-from ..exports.names import FORMATS
+from ..exports.names import ASSET, FORMATS
 from . import photographs
-from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance, add_mesh, seed
+from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance, add_mesh, add_shelf, seed
 
 _MODEL = f"shipped model, or your own .toml (default {DEFAULT_MODEL})"
 _ENTRY = "kind of GPU pass (default auto: as doctor says)"
@@ -94,6 +94,10 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--displacement", action="store_true",
                      help="also displace the material's surface by the relief (implies --height)")  # fmt: skip
     add.add_argument(
+        "--asset", metavar="LIBRARY", help="also save the material to this folder, a Blender asset library"
+    )
+    add_shelf(add)
+    add.add_argument(
         "--resume", action="store_true", help="continue from the checkpoint that an interrupted run left in OUT"
     )
     add.add_argument("--checkpoint-every", type=float, metavar="SECONDS",
@@ -133,10 +137,18 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("export", help="write a result for other programs", epilog=EPILOG)
     add.add_argument("result", help="folder that recover wrote")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder, or a .glb or .ptm file")
-    add.add_argument("--format", required=True, choices=list(FORMATS), help="format to write")
+    add.add_argument(
+        "--format",
+        required=True,
+        choices=[*FORMATS, ASSET],
+        help="format to write; OUT of asset is a Blender asset library",
+    )
     add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
                      help="names and normals of textures (default blender)")  # fmt: skip
-    add.add_argument("--object", metavar="NAME", help="mesh object of gltf, if several have recovered materials")
+    add.add_argument(
+        "--object", metavar="NAME", help="mesh object of gltf and asset, if several have recovered materials"
+    )
+    add_shelf(add)
     add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)
 

@@ -29,6 +29,15 @@ def add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:
                      help="object in FILE that hides and shades the mesh; may be repeated")  # fmt: skip
 
 
+def add_shelf(add: argparse.ArgumentParser) -> None:
+    """Add what is written on an asset, and where it lies in its library."""
+    add.add_argument("--asset-name", metavar="NAME", help="name of the asset (default: the subject's)")
+    add.add_argument("--catalog", metavar="A/B", help="catalog of the asset; made where the library lacks it")
+    add.add_argument("--author", metavar="NAME", help="author of the asset")
+    add.add_argument("--license", metavar="L", help="licence of the asset, as CC-BY-4.0")
+    add.add_argument("--tag", action="append", default=[], metavar="WORD", help="tag of the asset; may be repeated")
+
+
 def part(text: str) -> float:
     """Return a number above 0 and at most 1."""
     try:

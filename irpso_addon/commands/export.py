@@ -9,15 +9,19 @@ from typing import Any
 from ..blender.materials.gltf import result_object
 from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
+from ..exports.asset import write_to_shelf
 from ..exports.formats import export
+from ..exports.names import ASSET
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
-from .options.values import silent
+from .options.values import shelf_of, silent
 
 
 def run(options: Namespace) -> dict:
     """Read the result's folder and write it in the chosen format. Raises InputError."""
     result = read_result(options.result, options.model)
+    if options.format == ASSET:
+        return _asset(result, options)
     if options.format == "ptm":
         probe.probe()
         context.ensure()
@@ -27,9 +31,20 @@ def run(options: Namespace) -> dict:
     return found
 
 
+def _asset(result: Result, options: Namespace) -> dict:
+    shelf, name = shelf_of(options, options.output), options.asset_name or result.name
+    shelf.path(name)
+    path = write_to_shelf(shelf, _subject(result, options.object), name)
+    if not silent(options):
+        sys.stdout.write(f"written to {path}\n")
+    return {"output": str(path)}
+
+
 def _subject(result: Result, name: str | None) -> Any:
     if result.blend is None:
-        raise InputError(f"{result.folder}: holds no material.blend, so gltf has no mesh; recover again")
+        raise InputError(
+            f"{result.folder}: holds no material.blend, so there is no mesh or material to export; recover again"
+        )
     open_blend(str(result.blend))
     return result_object(name)
 

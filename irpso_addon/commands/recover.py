@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from ..core.files import write_json
 from ..core.progress_bar import StepBars
 from ..core.steps import run_steps
+from ..exports.asset import write_to_shelf
 from ..gpu import context, probe
 from ..pipeline.drive import CHECKPOINT, Saving, drive
 from ..pipeline.job import Job
@@ -27,7 +28,7 @@ from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
-from .options.values import silent
+from .options.values import shelf_of, silent
 
 
 def run(options: Namespace) -> dict:
@@ -44,6 +45,8 @@ def run(options: Namespace) -> dict:
 
 
 def _recover(options: Namespace, job: Job) -> dict:
+    if options.asset is not None:
+        shelf_of(options, options.asset).path(options.asset_name or job.name)  # before anything slow
     probed = probe.probe()
     context.ensure()
     run = Run(job, StepBars(silent(options)))
@@ -81,7 +84,9 @@ def _each_slot(options: Namespace) -> dict:
     folder, chosen = open_slots(options, blend_of(options))
     reports: dict[str, dict] = {}
     for label, slots in chosen.items():
-        one = Namespace(**{**vars(options), "slots": ",".join(map(str, slots)), "output": str(folder / label)})
+        name = options.asset_name and f"{options.asset_name} {label}"
+        slot = {"slots": ",".join(map(str, slots)), "output": str(folder / label), "asset_name": name}
+        one = Namespace(**{**vars(options), **slot})
         try:
             reports[label] = _recover(one, job_of(one, opened=True))
         except InputError as error:
@@ -112,8 +117,11 @@ def _recovered(options: Namespace, run: Run) -> dict:
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
     write_maps(found.written, folder, report, pictures, found.derived)
     height = found.height if options.displacement else None
-    make_material(run.job, subject_of(run.job), found, height)
+    _, subject = make_material(run.job, subject_of(run.job), found, height)
     material.save_blend(folder / BLEND)
+    if options.asset is not None:
+        shelf = shelf_of(options, options.asset)
+        report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
     for name in (CHECKPOINT, *[LIVE] * options.live):
         (folder / name).unlink(missing_ok=True)
     if not silent(options):

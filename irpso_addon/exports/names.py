@@ -7,3 +7,4 @@ FORMATS = {  # name: (title, what is written)
     "textures": ("Textures", "PNG files with the names that another program expects"),
 }
 ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
+ASSET = "asset"  # a material in an asset library: of the command line; the panel has a dialog for it

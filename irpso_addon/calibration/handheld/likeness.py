@@ -15,7 +15,7 @@ _NEAR = 0.06  # of the side: shifts that count as the same position
 _SHARED = 0.35  # of the square sum of the details of each picture that must lie in what both show
 _MOST = 0.3  # of the logarithm: the rim of paper on a table would outweigh the card
 _ROUND = 0.9  # of the half side: what is compared; the rest shows the card's border, which is alike on four sides
-_SURE = 0.8  # likeness elsewhere over that in place, above which a position is in doubt
+_SURE = 0.97  # likeness elsewhere over that in place, above which a position is in doubt
 
 
 def doubtful(pictures: np.ndarray) -> np.ndarray:

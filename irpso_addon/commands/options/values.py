@@ -13,6 +13,7 @@ import numpy as np
 from ...capture.framing import AUTO
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
+from ...exports.asset import Shelf
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.read import read_parameter
 from ...solver.settings.schedule import Schedule, load_schedule
@@ -24,6 +25,12 @@ LARGEST_SIDE = 16384
 def silent(options: Namespace) -> bool:
     """Return whether a command prints no progress: --quiet or --json."""
     return options.quiet or options.json
+
+
+def shelf_of(options: Namespace, library: str) -> Shelf:
+    """Return where an asset goes and what is written on it. Raises InputError naming the option."""
+    words = (options.catalog or "", options.author or "", options.license or "")
+    return Shelf(Path(library), *words, tuple(options.tag))
 
 
 def size_option(option: str, text: str) -> tuple[int, int]:

@@ -1,0 +1,50 @@
+"""A result as an asset of a Blender asset library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..blender.materials.asset import About, write_asset
+from ..core.errors import InputError
+from ..results.write import check_output_folder
+from .catalog import catalog_id, catalog_path
+from .place import file_stem
+
+_DESCRIPTION, _TAG = "Recovered from photographs by IRPSO", "photographed"
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """Where an asset goes, and what is written on it. catalog: as Stone/Marble, "" for none. Raises InputError."""
+
+    library: Path
+    catalog: str = ""
+    author: str = ""
+    license: str = ""
+    tags: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.catalog:
+            catalog_path(self.catalog)
+
+    def path(self, name: str) -> Path:
+        """Return the .blend of an asset. Raises InputError where it is there already, or cannot be written."""
+        path = check_output_folder(self.library) / f"{file_stem(name)}.blend"
+        if path.exists():
+            raise InputError(f"{path}: the library has this file already; give another --asset-name, or remove it")
+        return path
+
+
+def write_to_shelf(shelf: Shelf, obj: Any, name: str) -> Path:
+    """Write the recovered material of an object of the open file as an asset; return its .blend.
+
+    Raises InputError where the library has it already, or cannot be written.
+    """
+    path = shelf.path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    catalog = catalog_id(path.parent, shelf.catalog) if shelf.catalog else ""
+    about = About(shelf.author, shelf.license, _DESCRIPTION, (*shelf.tags, _TAG))
+    write_asset(path, obj, name, about, catalog)
+    return path

@@ -1,0 +1,49 @@
+"""The catalogs of a Blender asset library: ``blender_assets.cats.txt`` (Blender manual, Asset Catalogs)."""
+
+from __future__ import annotations
+
+import uuid
+from pathlib import Path
+
+from ..core.errors import InputError
+from ..core.files import replacing_file
+
+CATALOGS = "blender_assets.cats.txt"
+_HEAD = """\
+# This is an Asset Catalog Definition file for Blender.
+#
+# Empty lines and lines starting with `#` will be ignored.
+# The first non-ignored line should be the version indicator.
+# Other lines are of the format "UUID:catalog/path/for/assets:simple catalog name"
+
+VERSION 1
+"""
+
+
+def catalog_path(name: str) -> str:
+    """Return the path of a catalog as the file has it: ``Stone / Marble`` → ``Stone/Marble``. Raises InputError."""
+    parts = [part.strip() for part in name.split("/")]
+    if not all(parts) or any(sign in name for sign in ":\\\n\r"):
+        raise InputError(f"catalog '{name}': give names separated by single slashes, without colons, as Stone/Marble")
+    return "/".join(parts)
+
+
+def catalog_id(library: Path, name: str) -> str:
+    """Return the UUID of a library's catalog, which is added where the library has none of this path.
+
+    What the file holds besides stays as it is. Raises InputError where it cannot be read or written.
+    """
+    path, wanted = library / CATALOGS, catalog_path(name)
+    try:
+        text = path.read_text(encoding="utf-8") if path.is_file() else _HEAD
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); repair it, or leave out the catalog") from error
+    for line in text.splitlines():
+        number, _, rest = line.partition(":")
+        if not line.startswith("#") and rest.partition(":")[0].strip() == wanted:
+            return number.strip()
+    added = str(uuid.uuid4())
+    line = f"{added}:{wanted}:{wanted.replace('/', '-')}\n"
+    with replacing_file(path, durable=True) as partial:
+        partial.write_text(text + ("" if text.endswith("\n") else "\n") + line, encoding="utf-8")
+    return added
