@@ -16,6 +16,7 @@ from ...capture.images.exr import read_exr
 from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
 from ...core.files import replacing_file
+from ...gpu.output import caught_output
 from ..scenes import cycles, table_top
 from .material import TAG
 
@@ -128,7 +129,8 @@ def preview_picture(obj: Any) -> np.ndarray:
         cycles.place_lamp(lamp, axes @ np.array(_LAMP) / np.linalg.norm(_LAMP))
         cycles.set_up(scene, cycles.View(_SIDE, _SIDE, samples=_SAMPLES))
         rendered = Path(folder) / "preview.exr"
-        cycles.render_radiance(scene, rendered)
+        with caught_output():  # Blender tells of each file
+            cycles.render_radiance(scene, rendered)
         (channels,) = read_exr(rendered).values()
     light = np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64)
     alpha = np.clip(channels["A"].astype(np.float64), 0, 1)[..., None]
@@ -163,7 +165,8 @@ def _add_sky(scene: Any) -> None:
     import bpy
 
     world = scene.world = bpy.data.worlds.new("Sky")
-    world.use_nodes = True
+    if world.node_tree is None:  # since Blender 5.0 every world has one
+        world.use_nodes = True
     tree = world.node_tree
     place, parts = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeSeparateXYZ")
     ramp = tree.nodes.new("ShaderNodeMapRange")

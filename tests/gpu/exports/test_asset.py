@@ -1,0 +1,120 @@
+"""A material in an asset library, as Blender's own loader and the catalog file's format find it."""
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.blender.materials.material import apply_material, build_material, card_object
+from irpso_addon.core.errors import InputError
+from irpso_addon.exports.asset import Shelf, write_to_shelf
+from irpso_addon.exports.catalog import CATALOGS, catalog_id
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
+from tests.builders.command_line import run_cli, write_card
+
+RED = (0.6, 0.05, 0.05)
+
+
+def red_card(folder=None):
+    """A red, matt card, wider than high, in the open file. folder: of its images, None packs them."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    values = {
+        "normal": np.tile(np.float32([0, 0, 1]), (12, 20, 1)),
+        "base_color": np.tile(np.float32(RED), (12, 20, 1)),
+    }
+    maps = Maps(load_model("lambert"), values, np.ones((12, 20), bool))
+    obj = card_object("leaf", 12, 20)
+    apply_material(obj, build_material(maps, "leaf", folder))
+    return obj
+
+
+@pytest.fixture
+def card():
+    """A red card with packed images."""
+    return red_card()
+
+
+def counts():
+    kinds = ("objects", "meshes", "materials", "images", "scenes", "cameras", "lights", "worlds", "node_groups")
+    return {kind: len(getattr(bpy.data, kind)) for kind in kinds} | {
+        "names": sorted(m.name for m in bpy.data.materials)
+    }
+
+
+def loaded(path):
+    """Return the one asset of a file."""
+    with bpy.data.libraries.load(str(path), assets_only=True) as (there, wanted):
+        wanted.materials = there.materials
+    (material,) = wanted.materials
+    return material
+
+
+def test_the_library_has_the_material_with_maps_preview_and_words_and_the_open_file_is_as_before(card, tmp_path):
+    before = counts()
+    shelf = Shelf(tmp_path / "library", "Leaves / Red", "A. Author", "CC-BY-4.0", ("autumn",))
+    path = write_to_shelf(shelf, card, "Red leaf")
+    after = counts()
+    assert {**after, "images": 0} == {**before, "images": 0} and card.material_slots[0].material.asset_data is None
+    found = loaded(path)
+    words = found.asset_data
+    assert (found.name, words.author, words.license) == ("Red leaf", "A. Author", "CC-BY-4.0")
+    assert {"autumn", "photographed"} == {tag.name for tag in words.tags}
+    catalogs = [line.split(":") for line in (tmp_path / "library" / CATALOGS).read_text().splitlines() if ":" in line]
+    assert [words.catalog_id, "Leaves/Red", "Leaves-Red"] in catalogs
+    images = [node.image for node in found.node_tree.nodes if node.type == "TEX_IMAGE"]
+    assert images and all(image.packed_file for image in images)
+    picture = np.array(found.preview.image_pixels_float[:]).reshape(256, 256, 4)
+    assert picture[128, 128, 3] == 1 and picture[3, 3, 3] == 0
+    rows, columns = np.nonzero(picture[..., 3] > 0.5)
+    assert 225 < np.ptp(columns) < 256 and np.ptp(rows) < 0.7 * np.ptp(columns)
+    red, green, blue = picture[128, 128, :3]
+    linear = ((picture[128, 128, :3] + 0.055) / 1.055) ** 2.4
+    assert red > 0.5 and green == pytest.approx(blue, abs=0.02)
+    assert linear[1] / linear[0] == pytest.approx(RED[1] / RED[0], abs=0.03)
+
+
+def test_pictures_in_files_stay_files(tmp_path):
+    obj = red_card(tmp_path)
+    pictures = {path: path.read_bytes() for path in tmp_path.glob("*.*")}
+    before = {image.name: image.filepath for image in bpy.data.images}
+    write_to_shelf(Shelf(tmp_path / "library"), obj, "leaf")
+    assert pictures == {path: path.read_bytes() for path in tmp_path.glob("*.*")}
+    for name, path in before.items():
+        assert not bpy.data.images[name].packed_files and bpy.data.images[name].filepath == path
+    nodes = loaded(tmp_path / "library" / "leaf.blend").node_tree.nodes
+    assert all(node.image.packed_file for node in nodes if node.type == "TEX_IMAGE")
+
+
+def test_a_catalog_is_made_once_and_others_stay(tmp_path):
+    theirs = "# mine\nVERSION 1\n\n11111111-2222-3333-4444-555555555555:Stone/Marble:marble"
+    (tmp_path / CATALOGS).write_text(theirs)
+    assert catalog_id(tmp_path, "Stone/ Marble") == "11111111-2222-3333-4444-555555555555"
+    made = catalog_id(tmp_path, "Stone")
+    assert catalog_id(tmp_path, "Stone") == made and (tmp_path / CATALOGS).read_text().startswith(theirs + "\n")
+    for wrong in ("", "a//b", "a:b", "/a"):
+        with pytest.raises(InputError, match="single slashes"):
+            catalog_id(tmp_path, wrong)
+
+
+def test_what_the_library_has_already_is_refused_and_kept(card, tmp_path):
+    path = write_to_shelf(Shelf(tmp_path), card, "leaf")
+    kept = path.read_bytes()
+    with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
+        write_to_shelf(Shelf(tmp_path), card, "leaf")
+    assert path.read_bytes() == kept
+
+
+def test_recover_and_export_write_assets(tmp_path):
+    lights = [(0.4, 0, 0.9), (-0.3, 0.3, 0.9), (0, -0.4, 0.9), (0.2, 0.3, 0.93)]
+    folder = write_card(tmp_path / "leaf", np.full((4, 6, 8, 3), 0.3), lights)
+    solver = ["--model", "lambert", "--preset", "swarm", "--iterations", 2, "--json"]
+    shelf = ["--asset", tmp_path / "library", "--catalog", "Leaves"]
+    code, out, err = run_cli("recover", folder, "-o", tmp_path / "out", *solver, *shelf)
+    assert code == 0, err
+    code, out, err = run_cli("recover", folder, "-o", tmp_path / "more", *solver, *shelf)
+    assert code == 2 and "has this file already" in out and not (tmp_path / "more").exists()
+    code, out, err = run_cli("export", tmp_path / "out", "--format", "asset", "-o", tmp_path / "library",
+                             "--asset-name", "Another", "--catalog", "Leaves", "--json")  # fmt: skip
+    assert code == 0, err
+    ids = {loaded(tmp_path / "library" / name).asset_data.catalog_id for name in ("leaf.blend", "Another.blend")}
+    assert len(ids) == 1
