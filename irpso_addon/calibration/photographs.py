@@ -24,6 +24,9 @@ from ..capture.types import Light
 from ..core.toml_text import toml_value
 
 _SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", *HEIF_SUFFIXES)
+_VIDEO_SUFFIXES = (
+    ".avi", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".webm", ".wmv",
+)  # fmt: skip
 CAMERA = "camera.toml"
 _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
 _LIGHT_KEYS = (
@@ -37,17 +40,42 @@ def is_photograph(path: Path) -> bool:
     return path.suffix.lower() in _SUFFIXES or is_raw(path)
 
 
-def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = ()) -> CaptureSpec:
-    """Return the spec of a capture, or of a folder of images with placeholder lights.
+def videos_of(path: Path) -> list[Path]:
+    """Return the videos of a path: itself, or those of a folder without lists, sorted by name.
 
-    Images of a folder: those in filenames.txt, else all except masks and ``leave_out``, sorted by name. Its camera:
-    camera.toml. Raises InputError where there are no images.
+    A video with a photograph's name is that of a phone's live photograph and does not count.
+    """
+    if path.suffix.lower() in _VIDEO_SUFFIXES and path.is_file():
+        return [path]
+    if not path.is_dir() or _is_listed(path) or (path / diligent.FILENAMES).exists():
+        return []
+    files = sorted(path.iterdir())
+    photographs = {p.stem.lower() for p in files if is_photograph(p)}
+    return [p for p in files if p.suffix.lower() in _VIDEO_SUFFIXES and p.stem.lower() not in photographs]
+
+
+def _is_listed(folder: Path) -> bool:
+    """Return whether a folder holds a capture with lights."""
+    if (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists():
+        return True
+    lists = [p for p in folder.iterdir() if p.suffix.lower() == ".lp"]
+    return len(lists) == 1 and not (folder / diligent.FILENAMES).exists()
+
+
+def read_photographs(
+    path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = (), frames: Sequence[Path] = ()
+) -> CaptureSpec:
+    """Return the spec of a capture, or of a folder of images or videos with placeholder lights.
+
+    Images of a folder: those in filenames.txt, else all except masks and ``leave_out``, sorted by name; then
+    ``frames``, those of its videos, or of the video at ``path``. Its camera: camera.toml. Raises InputError where there
+    are no images.
     """
     path = Path(path)
+    if frames and path.is_file():
+        path, frames = frames[0].parent, ()
     names = path / diligent.FILENAMES
-    if not path.is_dir() or (path / table.TABLE).exists() or (path / diligent.DIRECTIONS).exists():
-        return read.read_spec(path, colour_space)
-    if not names.exists() and len([p for p in path.iterdir() if p.suffix.lower() == ".lp"]) == 1:
+    if not path.is_dir() or _is_listed(path):
         return read.read_spec(path, colour_space)
     hidden = {p.resolve() for p in leave_out}
     if names.exists():
@@ -57,6 +85,7 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
             p for p in path.iterdir()
             if is_photograph(p) and p.name not in diligent.MASKS and p.resolve() not in hidden
         )  # fmt: skip
+        images += frames
     if not images:
         raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")
     shots = tuple(ObservationSpec(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)

@@ -36,6 +36,11 @@ def checked_output(out: Path) -> Path:
     return out
 
 
+def frames_folder(out: Path) -> Path:
+    """Return the folder beside an output for the frames of videos."""
+    return out.with_name(f"{out.stem if out.suffix.lower() == '.toml' else out.name}_photographs")
+
+
 def _beside(table: Path, name: str) -> Path:
     return table.with_name(f"{table.stem}_{name}")
 

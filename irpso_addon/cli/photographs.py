@@ -22,8 +22,10 @@ def add_inspect(commands: argparse._SubParsersAction) -> None:
 def add_calibrate(commands: argparse._SubParsersAction) -> None:
     """Add the command ``calibrate``."""
     add = commands.add_parser("calibrate", help="find the lights of photographs from balls in them", epilog=EPILOG)
-    add.add_argument("capture", metavar="CAPTURE_OR_IMAGES", help="folder of photographs, or a capture")
+    add.add_argument("capture", metavar="CAPTURE_OR_IMAGES",
+                     help="folder of photographs or videos, a video, or a capture")  # fmt: skip
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder, or a new capture.toml")
+    add.add_argument("--count", type=int, metavar="N", help="most frames of a video (default 40)")
     add.add_argument("--ball", action="append", metavar="auto|none|MASK|X,Y,R",
                      help="auto (the default): balls are searched; none: the subject's own shading shows the lights;"
                      " image that is white on the ball; or centre and"
@@ -62,16 +64,18 @@ def add_develop(commands: argparse._SubParsersAction) -> None:
     add.add_argument("capture", help="capture, or folder of photographs")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder for the images and lists")
     add.add_argument("--response", metavar="FILE", help="response curve that irpso response wrote, or a .csv")
-    add.add_argument("--grey-card", action="append", metavar="X,Y,W,H=R",
-                     help="grey patch of reflectance R, for a curve; give two or more")  # fmt: skip
+    add.add_argument("--grey-card", action="append", metavar="auto|X,Y,W,H=R",
+                     help="grey patch of reflectance R, for a curve; give two or more; auto: the grey row of the"
+                     " 24-patch chart, which is found")  # fmt: skip
     add.add_argument(
         "--chart", metavar="FILE", help="photograph with the patches or the colour chart (default: the first)"
     )
     add.add_argument("--dark", nargs="+", metavar="FILE", help="dark frames, files or folders")
     add.add_argument("--scale-dark", action="store_true", help="scale dark frames to exposures for which there is none")
     add.add_argument("--flat", nargs="+", metavar="FILE", help="flat fields, files or folders")
-    add.add_argument("--white", metavar="X,Y,W,H",
-                     help="white balance from a grey patch, with =R also the scale; or three gains R,G,B")  # fmt: skip
+    add.add_argument("--white", metavar="auto|X,Y,W,H",
+                     help="white balance from a grey patch, with =R also the scale; auto finds a grey card; or three"
+                     " gains R,G,B")  # fmt: skip
     add.add_argument("--colour-chart", metavar="auto|X1,Y1,…,X4,Y4",
                      help="colours and scale from a 24-patch chart: auto finds it; or the corners of its patches,"
                      " clockwise from that of dark skin")  # fmt: skip
@@ -100,9 +104,9 @@ def add_response(commands: argparse._SubParsersAction) -> None:
         "--brackets", choices=("exif", "names"), default="exif", help="where exposures are read from (default exif)"
     )
     add.add_argument("--exposures", metavar="A,B,…", help=_EXPOSURES)
-    add.add_argument(
-        "--grey-card", action="append", metavar="X,Y,W,H=R", help="grey patch of reflectance R; give two or more"
-    )
+    add.add_argument("--grey-card", action="append", metavar="auto|X,Y,W,H=R",
+                     help="grey patch of reflectance R; give two or more; auto: the grey row of the 24-patch"
+                     " chart")  # fmt: skip
     add_common(add)
 
 
@@ -127,7 +131,7 @@ def add_frames(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser(
         "frames", help="choose photographs from a video of a lamp carried around a subject", epilog=EPILOG
     )
-    add.add_argument("video", help="video of a still camera")
+    add.add_argument("videos", nargs="+", metavar="VIDEO", help="video of a still camera; several: of the same")
     add.add_argument("-o", "--output", required=True, metavar="FOLDER", help="new folder for the photographs")
     add.add_argument("--count", type=int, metavar="N", help="most photographs (default 40)")
     add_common(add)

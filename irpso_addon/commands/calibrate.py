@@ -29,6 +29,7 @@ from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
 from .options.job import subject_of
 from .options.values import numbers_of_text, positive, silent
+from .options.videos import frames_of_videos
 
 NONE = "none"  # in place of a ball
 _SHOWN_WARNINGS = 12
@@ -38,6 +39,12 @@ Found = TypeVar("Found")
 
 def run(options: Namespace) -> dict:
     """Find the lights and write them. Raises InputError and then writes nothing."""
+    with frames_of_videos(options) as frames:
+        return _calibrated(Namespace(**vars(options), frames=frames))
+
+
+def _calibrated(options: Namespace) -> dict:
+    """Find the lights and write them. options: and ``frames``, of videos."""
     keys = _camera(options)
     if NONE in (options.ball or []):
         _check_ballless(options)
@@ -168,7 +175,7 @@ def _errors(degrees: np.ndarray) -> str:
 
 def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:
     """Return the photographs, and the keys of their camera: those given, or those of their EXIF."""
-    spec = read_photographs(Path(options.capture), options.colour_space, masks)
+    spec = read_photographs(Path(options.capture), options.colour_space, masks, options.frames)
     where = "--camera" if options.camera else "--fov"
     if not keys and (keys := lens_of_files(spec, decode)):
         where = "EXIF"

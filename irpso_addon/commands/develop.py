@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..blender.images import decode
-from ..calibration.developing.measure import Output, Wanted
+from ..calibration.developing.greys import AUTO
+from ..calibration.developing.measure import Output, SearchedCard, Wanted
 from ..calibration.developing.write import develop_steps
 from ..calibration.radiometry.frames import Patch
 from ..calibration.radiometry.source import Exposing, read_source
@@ -17,11 +18,18 @@ from ..capture.images.image import ImageStore
 from ..core.errors import InputError
 from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
-from .options.photographs import corners_option, exposure_list, files_option, number_list, patch_option
+from .options.photographs import (
+    corners_option,
+    exposure_list,
+    files_option,
+    greys_option,
+    number_list,
+    patch_option,
+    reflectance_of,
+)
 from .options.values import silent
 
-_AUTO = "auto"
-_SHOWN = ("images", "warnings", "white_gains", "colour_chart", "shifts")
+_SHOWN = ("images", "warnings", "white_gains", "grey_card", "colour_chart", "shifts")
 
 
 def run(options: Namespace) -> dict:
@@ -36,6 +44,10 @@ def run(options: Namespace) -> dict:
     for warning in report["warnings"]:
         sys.stderr.write(f"irpso: {warning}\n")
     summary = {key: report[key] for key in _SHOWN if key in report}
+    if "grey_card" in summary and not silent(options):
+        sys.stdout.write(
+            "grey card: found in {file} at {patch}; look whether it is the card\n".format(**summary["grey_card"])
+        )
     if "colour_chart" in summary and not silent(options):
         sys.stdout.write(_colours(summary["colour_chart"]))
     return {"output": options.output, **summary, "images": len(source.shots)}
@@ -45,11 +57,11 @@ def _wanted(options: Namespace) -> Wanted:
     """Return what the options ask for. Raises InputError naming the option."""
     corners: np.ndarray | str | None = None
     if options.colour_chart:
-        auto = options.colour_chart == _AUTO
-        corners = _AUTO if auto else corners_option("--colour-chart", options.colour_chart)
+        auto = options.colour_chart == AUTO
+        corners = AUTO if auto else corners_option("--colour-chart", options.colour_chart)
     return Wanted(
         response=Path(options.response) if options.response else None,
-        greys=tuple(patch_option("--grey-card", text) for text in options.grey_card or ()),
+        greys=greys_option(options.grey_card),
         chart=Path(options.chart) if options.chart else None,
         darks=tuple(files_option("--dark", options.dark)),
         scale_dark=options.scale_dark,
@@ -74,7 +86,10 @@ def exposing_option(options: Namespace) -> Exposing | None:
     return Exposing(by, bool(options.brackets), given) if by else None
 
 
-def _white(text: str) -> Patch | tuple[float, float, float]:
+def _white(text: str) -> Patch | SearchedCard | tuple[float, float, float]:
+    place, equals, value = text.partition("=")
+    if place.strip() == AUTO:
+        return SearchedCard(reflectance_of("--white", text, value) if equals else None)
     if text.count(",") != 2:
         return patch_option("--white", text)
     red, green, blue = number_list("--white", text)
@@ -90,4 +105,5 @@ def _colours(found: dict) -> str:
     if "found" in found:
         corners = np.reshape(found["corners"], (4, 2))
         place = f"colour chart: found in {found['file']} at {','.join(f'{v:.0f}' for v in corners.ravel())}\n"
-    return f"{place}colour chart: ΔE2000 mean {means}, largest {largest}\n"
+    shine = f"; it shines by {found['gloss']:.1%} of white, which is kept out" if found["gloss"] else ""
+    return f"{place}colour chart: ΔE2000 mean {means}, largest {largest}{shine}\n"

@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from ..blender.images import decode
-from ..calibration.developing.measure import patch_response
+from ..calibration.developing.greys import grey_row_response, patch_response
 from ..calibration.radiometry.curve_file import write_response
+from ..calibration.radiometry.frames import Patch
 from ..calibration.radiometry.response import Response, bracket_step, response_from_brackets
 from ..calibration.radiometry.source import Exposing, brackets_of_images, images_in
 from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
-from .options.photographs import exposure_list, patch_option
+from .options.photographs import exposure_list, greys_option
 from .options.values import silent
 
 _SAMPLES = 4000  # pixels from all brackets
@@ -29,8 +30,7 @@ def run(options: Namespace) -> dict:
     path, store = Path(options.photographs), ImageStore(decode)
     warnings: list[str] = []
     if options.grey_card:
-        patches = tuple(patch_option("--grey-card", text) for text in options.grey_card)
-        response = patch_response(store, ImageRef(path), patches)
+        response = _from_greys(path, greys_option(options.grey_card), store)
     else:
         exposing = Exposing(options.brackets, True, exposure_list("--exposures", options.exposures))
         response, warnings = _from_brackets(path, exposing, store, options)
@@ -43,6 +43,17 @@ def run(options: Namespace) -> dict:
         used = ", ".join(f"{name} {low:.3f} to {high:.3f}" for name, (low, high) in ends.items())
         sys.stdout.write(f"{options.output}: residual {residual:.2%}, measured at codes of {used}\n")
     return {"output": options.output, "residual": residual, "used": ends, "warnings": warnings}
+
+
+def _from_greys(path: Path, greys: tuple[Patch, ...] | str, store: ImageStore) -> Response:
+    if not isinstance(greys, str):
+        return patch_response(store, ImageRef(path), greys)
+    if (response := grey_row_response(store, ImageRef(path))) is None:
+        raise InputError(
+            f"{path}: no 24-patch chart, whose grey row gives the curve, is found; photograph it whole, larger and"
+            " evenly lit, or give grey patches as X,Y,W,H=REFLECTANCE"
+        )
+    return response
 
 
 def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: Namespace) -> tuple[Response, list[str]]:

@@ -1,4 +1,4 @@
-"""Photographs with and without a 24-patch chart: random cameras, lamps, places, turns and clutter."""
+"""Photographs with and without a 24-patch chart or a grey card: random cameras, lamps, places, turns and clutter."""
 
 from __future__ import annotations
 
@@ -23,13 +23,21 @@ class Scene:
     corners: np.ndarray | None
 
 
-def scene(seed: int, chart: bool = True, mirrored: bool = False, coded: bool = True) -> Scene:
-    """Return a scene; the same seed gives the same. coded: as 8-bit sRGB codes made linear again."""
+def scene(
+    seed: int, chart: bool = True, mirrored: bool = False, coded: bool = True, card: bool = False, dimmest: float = 0.5
+) -> Scene:
+    """Return a scene; the same seed gives the same. coded: as 8-bit sRGB codes made linear again.
+
+    card: a grey card in place of the chart. dimmest: the least channel of the lamp's tint, up to 1.
+    """
     rng = np.random.default_rng(seed)
     width, height = [(640, 480), (960, 720), (1280, 800)][rng.integers(3)]
     seen = _background(rng, width * _FINE, height * _FINE)
     corners = None
-    if chart:
+    if card:
+        corners = _corners(rng, width, height, rng.uniform(0.08, 0.4))
+        cv2.fillConvexPoly(seen, (corners * _FINE).astype(int), (0.18 * rng.uniform(0.97, 1.03, 3)).tolist())
+    elif chart:
         corners, gap = _corners(rng, width, height), rng.uniform(0.08, 0.16)
         seen = _with_chart(rng, seen, corners * _FINE, gap, mirrored)
         corners = _of_patches(corners, gap, mirrored)
@@ -37,7 +45,7 @@ def scene(seed: int, chart: bool = True, mirrored: bool = False, coded: bool = T
     seen = cv2.GaussianBlur(seen, (0, 0), rng.uniform(0.3, 1.0))
     x, y = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
     fall = np.exp(rng.uniform(-0.5, 0.5) * x + rng.uniform(-0.5, 0.5) * y)
-    tint = rng.uniform(0.5, 1, 3)
+    tint = rng.uniform(dimmest, 1, 3)
     light = rng.uniform(0.5, 0.95) * fall[..., None] * (tint / tint.max()) * (seen @ random_camera(rng).T)
     light += light.max() * rng.uniform(0.001, 0.008) * rng.standard_normal(light.shape)
     codes = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)) if coded else 255 * np.clip(light, 0, 1) ** (1 / 2.2)
@@ -45,10 +53,10 @@ def scene(seed: int, chart: bool = True, mirrored: bool = False, coded: bool = T
     return Scene(rgba[::-1].astype(np.float32), corners)
 
 
-def _corners(rng, width, height):
+def _corners(rng, width, height, share=None):
     """Return the corners (4, 2) of the card, turned and tilted anywhere in the picture, all inside it."""
     while True:
-        wide = rng.uniform(0.18, 0.8) * width
+        wide = (share or rng.uniform(0.18, 0.8)) * width
         flat = wide * np.array([(-1, -0.7), (1, -0.7), (1, 0.7), (-1, 0.7)]) / 2
         turn, tilt, axis = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, 45)), rng.uniform(0, 2 * np.pi)
         places = np.column_stack([flat @ _turn(turn).T @ _turn(axis).T, np.zeros(4)])

@@ -18,13 +18,13 @@ _QUAD = (0.85, 1.2)  # area of four corners over that of the hull
 _OBLONG = 4.0  # longer side over shorter
 
 
-def quads_of(picture: np.ndarray) -> np.ndarray:
+def quads_of(picture: np.ndarray, most: float = _MOST) -> np.ndarray:
     """Return (N, 4, 2) corners, clockwise on the screen, of even quadrilaterals in an (H, W, 3) uint8 picture.
 
     Pixels count from the upper left corner of the picture, whose row 0 is at the top; the same patch may be found
-    several times.
+    several times. most: of their longer side, as a part of the picture's.
     """
-    cv = opencv("the search for a colour chart")
+    cv = opencv("the search for charts")
     found = []
     for size in _SIZES:
         height, width = (round(side * size) for side in picture.shape[:2])
@@ -33,7 +33,7 @@ def quads_of(picture: np.ndarray) -> np.ndarray:
         small = picture if size == 1 else cv.resize(picture, (width, height), interpolation=cv.INTER_AREA)
         steep = _steepness(cv, small)
         for edge in _EDGES:
-            found += [corners / size for corners in _even_quads(cv, steep <= edge)]
+            found += [corners / size for corners in _even_quads(cv, steep <= edge, most)]
     return np.array(found).reshape(-1, 4, 2)
 
 
@@ -44,9 +44,9 @@ def _steepness(cv: ModuleType, picture: np.ndarray) -> np.ndarray:
     return np.hypot(*slopes).max(axis=-1)
 
 
-def _even_quads(cv: ModuleType, even: np.ndarray) -> Iterator[np.ndarray]:
+def _even_quads(cv: ModuleType, even: np.ndarray, most: float) -> Iterator[np.ndarray]:
     """Yield (4, 2) corners of connected even regions that are quadrilaterals; edges take a pixel off each side."""
-    largest = _MOST * max(even.shape)
+    largest = most * max(even.shape)
     outlines, _ = cv.findContours(even.astype(np.uint8), cv.RETR_CCOMP, cv.CHAIN_APPROX_NONE)
     for outline in outlines:
         _, (across, along), _ = cv.minAreaRect(outline)

@@ -17,7 +17,7 @@ from .quads import quads_of
 
 _LONGEST = 1400  # pixels: longer side of the picture that is searched
 _BRIGHT = 99.5  # percentile of the brightness that becomes white
-_EXPOSURES = (1.0, 4.0)  # the second shows a chart that is far darker than the rest
+EXPOSURES = (1.0, 4.0)  # the second shows a chart that is far darker than the rest
 _HALF = 0.45  # of the pitch: from a patch's centre to its edge, as ``sample_chart`` has it
 _MOST_LATTICES = 12
 _FALL = 0.99  # of a grey patch's brightness, at most that of the next one; 0.65 without shading
@@ -40,11 +40,11 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
     Any turn, perspective and tint; patches of 6 pixels or more in a picture of 1400. Raises InputError where the chart
     is mirrored or OpenCV is not installed.
     """
-    small, factor = _reduced(rgba)
+    small, factor = reduced(rgba, "the search for a colour chart")
     mirrored: Mirrored | None = None
     best: tuple[float, np.ndarray] | None = None
-    for exposure in _EXPOSURES:
-        found = lattices(quads_of(_picture(small, exposure)))
+    for exposure in EXPOSURES:
+        found = lattices(quads_of(as_shown(small, exposure)))
         for corners in _corners_of(found[:_MOST_LATTICES], small):
             try:
                 turned, _, fit = recognised(small, corners, where)
@@ -65,9 +65,12 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
     return FoundChart(*recognised(rgba, best[1] * factor, where))
 
 
-def _reduced(rgba: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a photograph of _LONGEST pixels at most, and the factors (2,) from its pixels to the photograph's."""
-    cv = opencv("the search for a colour chart")
+def reduced(rgba: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return a photograph of _LONGEST pixels at most, and the factors (2,) from its pixels to the photograph's.
+
+    what: the work, for the InputError where OpenCV is not installed.
+    """
+    cv = opencv(what)
     height, width = rgba.shape[:2]
     share = min(1.0, _LONGEST / max(height, width))
     if share == 1.0:
@@ -78,7 +81,7 @@ def _reduced(rgba: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return small, np.array((width, height)) / size
 
 
-def _picture(rgba: np.ndarray, exposure: float) -> np.ndarray:
+def as_shown(rgba: np.ndarray, exposure: float) -> np.ndarray:
     """Return (H, W, 3) uint8 as a screen shows it, row 0 at the top. Each channel is scaled, which undoes a tint."""
     light = np.nan_to_num(rgba[::-1, :, :3])
     white = np.maximum(np.percentile(light.reshape(-1, 3), _BRIGHT, axis=0), 1e-9)

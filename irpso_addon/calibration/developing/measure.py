@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...capture.images.exif import exposure_of
-from ...capture.images.exr_header import is_exr
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
 from ...core.errors import InputError
+from ..charts.grey_card import find_grey_card
 from ..charts.search import find_chart
 from ..radiometry.brackets import exif_amount, name_amount
 from ..radiometry.colour_fit import chart_report, chart_warnings, recognised
@@ -31,8 +31,9 @@ from ..radiometry.frames import (
     without_dark,
 )
 from ..radiometry.hdr import SATURATED
-from ..radiometry.response import Response, response_from_patches
+from ..radiometry.response import Response
 from ..radiometry.source import Exposing, Source
+from .greys import AUTO, grey_row_response, patch_response
 
 _GOOD = 3.0  # mean ΔE2000 of a chart that ends the search; above, the other photographs are searched too
 
@@ -62,20 +63,28 @@ class Output:
 
 
 @dataclass(frozen=True)
+class SearchedCard:
+    """A grey card that is found in a photograph. reflectance: for the scale; None for white balance alone."""
+
+    reflectance: float | None = None
+
+
+@dataclass(frozen=True)
 class Wanted:
     """What is measured and corrected. chart: the photograph with the patches or the chart; None for the capture's own.
 
-    greys: patches that give the curve. white: a grey patch, or three gains. colour_chart: corners (4, 2); or "auto", to
-    find it. The other fields are as the options of ``develop``.
+    greys: patches that give the curve; or "auto", the grey row of the colour chart. white: a grey patch, a card that is
+    searched, or three gains. colour_chart: corners (4, 2); or "auto", to find it. The other fields are as the options
+    of ``develop``.
     """
 
     response: Path | None = None
-    greys: tuple[Patch, ...] = ()
+    greys: tuple[Patch, ...] | str = ()
     chart: Path | None = None
     darks: tuple[Path, ...] = ()
     scale_dark: bool = False
     flats: tuple[Path, ...] = ()
-    white: Patch | tuple[float, float, float] | None = None
+    white: Patch | SearchedCard | tuple[float, float, float] | None = None
     colour_chart: np.ndarray | str | None = None
     exposing: Exposing | None = None
     saturated: float = SATURATED
@@ -111,8 +120,9 @@ def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generato
     shots = source.shots
     cameras = 1 + max(shot.camera for shot in shots)
     amounts = [a for shot in shots for a in shot.amounts or ()]
+    response = yield from work.response()
     corrections = Corrections(
-        response=work.response(),
+        response=response,
         reference=min(amounts, default=1.0),
         saturated=wanted.saturated,
         align_brackets=wanted.output.register,
@@ -126,26 +136,14 @@ def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generato
         flat = work.flat(corrections.response, dark)
     corrections = replace(corrections, darks=(dark,) * cameras, flats=(flat,) * cameras)
     if wanted.white is not None:
-        corrections = replace(corrections, gains=work.gains(corrections, wanted.white))
+        gains = yield from work.gains(corrections, wanted.white)
+        corrections = replace(corrections, gains=gains)
     if isinstance(wanted.colour_chart, str):
         found = yield from work.searched(corrections)
         corrections = replace(corrections, matrix=found)
     elif wanted.colour_chart is not None:
         corrections = replace(corrections, matrix=work.matrix(corrections, wanted.colour_chart))
     return Measured(corrections, work.figures, tuple(work.warnings), wanted.exposing, wanted.colour_space)
-
-
-def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...]) -> Response:
-    """Return the response curve of grey patches in one photograph. Raises InputError."""
-    if any(patch.reflectance is None for patch in patches):
-        raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
-    if is_exr(image.path):
-        raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
-    values = store.picture(image).values
-    rgb = values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
-    weight = np.ones(rgb.shape[:2])
-    means = [patch_mean(rgb, weight, patch, f"--grey-card: {image}") for patch in patches]
-    return response_from_patches(np.array(means), [patch.reflectance or 0.0 for patch in patches])
 
 
 class _Work:
@@ -156,19 +154,34 @@ class _Work:
         self.figures: dict = {}
         self.warnings: list[str] = []
 
-    def response(self) -> Response | None:
+    def response(self) -> Generator[Progress, None, Response | None]:
         if self.wanted.response is not None:
             response = read_response(self.wanted.response)
             self.figures["response"] = {"file": str(self.wanted.response), "residual": finite(response.residual)}
             return response
         if not self.wanted.greys:
             return None
-        shot = self.source.shots[0]
-        image = ImageRef(self.wanted.chart) if self.wanted.chart else shot.images[len(shot.images) // 2]
+        if isinstance(self.wanted.greys, str):
+            return (yield from self._grey_row())
+        image = self._middle(self._shots("")[0])
         response = patch_response(self.store, image, self.wanted.greys)
         patches = [f"{patch}={patch.reflectance}" for patch in self.wanted.greys]
         self.figures["response"] = {"chart": str(image), "patches": patches, "residual": finite(response.residual)}
         return response
+
+    def _grey_row(self) -> Generator[Progress, None, Response]:
+        """Return the curve of the colour chart's grey row, in the chart's photograph or the first that shows it."""
+        shots = self._shots("")
+        for k, shot in enumerate(shots):
+            yield Progress(0.1 * k / len(shots), f"grey row: {shot.name}")
+            image = self._middle(shot)
+            if (response := grey_row_response(self.store, image)) is not None:
+                self.figures["response"] = {"chart": str(image), "patches": AUTO, "residual": finite(response.residual)}
+                return response
+        raise InputError(
+            f"--grey-card auto: no 24-patch chart, whose grey row gives the curve, is found in {_many(shots)};"
+            " photograph it whole, larger and evenly lit, or give grey patches as X,Y,W,H=REFLECTANCE"
+        )
 
     def dark(self, response: Response | None) -> Dark:
         files, size = self.wanted.darks, self.source.shots[0].size
@@ -195,10 +208,16 @@ class _Work:
             )
         return flat
 
-    def gains(self, corrections: Corrections, white: Patch | tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return the factors of a white balance: as given, or measured on a patch."""
+    def gains(
+        self, corrections: Corrections, white: Patch | SearchedCard | tuple[float, float, float]
+    ) -> Generator[Progress, None, tuple[float, float, float]]:
+        """Return the factors of a white balance: as given, or measured on a patch or on the card that is found."""
+        shot = self.source.shots[0]
         if isinstance(white, Patch):
             shot = self._chart_shot(white.reflectance is not None, "omit =…")
+        elif isinstance(white, SearchedCard):
+            shot, white = yield from self._searched_card(corrections, white.reflectance)
+        if isinstance(white, Patch):
             rgba = developed(self.store, shot, corrections).rgba
             where = f"--white {white}: {shot.images[0]}"
             gains = white_gains(patch_mean(rgba[..., :3], rgba[..., 3], white, where), white.reflectance, where)
@@ -207,6 +226,23 @@ class _Work:
         self.figures["white_gains"] = [round(float(g), 6) for g in gains]
         red, green, blue = (float(g) for g in gains)
         return red, green, blue
+
+    def _searched_card(
+        self, corrections: Corrections, reflectance: float | None
+    ) -> Generator[Progress, None, tuple[Shot, Patch]]:
+        """Return the grey card of the chart's photograph, else of the first that shows it."""
+        shots = self._shots("omit =…" if reflectance is not None else "")
+        for k, shot in enumerate(shots):
+            yield Progress(0.2 * k / len(shots), f"grey card: {shot.name}")
+            where = f"--white {AUTO}: {shot.images[0]}"
+            card = find_grey_card(developed(self.store, shot, corrections).rgba, where)
+            if card is not None:
+                self.figures["grey_card"] = {"file": str(shot.images[0]), "patch": str(card)}
+                return shot, replace(card, reflectance=reflectance)
+        raise InputError(
+            f"--white {AUTO}: no grey card, an even and neutral rectangle, is found in {_many(shots)}; set the camera's"
+            " white balance near the lamp's, let nothing cover the card, or give its place as X,Y,W,H"
+        )
 
     def matrix(self, corrections: Corrections, corners: np.ndarray) -> np.ndarray:
         """Return the matrix of a chart at given corners, which includes white balance and scale."""
@@ -219,7 +255,7 @@ class _Work:
 
     def searched(self, corrections: Corrections) -> Generator[Progress, None, np.ndarray]:
         """Return the matrix of the chart that is found: in the chart's photograph, else in the first that shows it."""
-        shots = [self._chart_shot(True, "give one that has it")] if self.wanted.chart else list(self.source.shots)
+        shots = self._shots("give one that has it")
         best = None
         for k, shot in enumerate(shots):
             yield Progress(0.2 * k / len(shots), f"colour chart: {shot.name}")
@@ -233,16 +269,23 @@ class _Work:
             if mean <= _GOOD:
                 break
         if best is None:
-            many = f"any of the {len(shots)} photographs" if len(shots) > 1 else str(shots[0].images[0])
             raise InputError(
-                f"--colour-chart auto: no 24-patch chart is found in {many}; photograph it whole, larger and evenly"
-                " lit, or give its corners as X1,Y1,…,X4,Y4"
+                f"--colour-chart auto: no 24-patch chart is found in {_many(shots)}; photograph it whole, larger and"
+                " evenly lit, or give its corners as X1,Y1,…,X4,Y4"
             )
         _, where, shot, found = best
         report = chart_report(found.corners, found.chart, found.fit)
         self.figures["colour_chart"] = {"file": str(shot.images[0]), "found": True, **report}
         self.warnings += chart_warnings(where, found.corners, found.corners, found.chart, found.fit)
         return found.fit.matrix
+
+    def _shots(self, remedy: str) -> list[Shot]:
+        """Return the chart's photograph, or all. remedy: where it needs an exposure and has none."""
+        return [self._chart_shot(bool(remedy), remedy)] if self.wanted.chart else list(self.source.shots)
+
+    @staticmethod
+    def _middle(shot: Shot) -> ImageRef:
+        return shot.images[len(shot.images) // 2]
 
     def _ref(self, path: Path) -> ImageRef:
         return ImageRef(path, colour_space=self.wanted.colour_space)
@@ -266,6 +309,10 @@ class _Work:
             raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
         return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)
+
+
+def _many(shots: list[Shot]) -> str:
+    return f"any of the {len(shots)} photographs" if len(shots) > 1 else str(shots[0].images[0])
 
 
 def finite(value: float) -> float | None:

@@ -24,7 +24,9 @@ _LEAST_PATCHES, _LEAST_GREYS = 12, 3
 # Mean ΔE2000 after the fit. Of 60 random cameras and lamps every wrong order of the patches leaves 24 or more; a gamma
 # that was not undone leaves 6.8 if it is 2.2, and 3.4 if it is 1.4.
 _IS_A_CHART, _POOR = 12.0, 3.0
-_ROUNDS = 12
+_ROUNDS, _SETTLED = 60, 1e-5
+_MOST_GLOSS = 0.1  # reflectance: a chart that shines more is to be lit from another side
+_SHINES = 0.8  # of the mean ΔE2000 without gloss: with it, a chart that shines has less
 
 
 class Mirrored(InputError):
@@ -54,12 +56,14 @@ class Chart:
 class ColourFit:
     """matrix: (3, 3), camera's linear RGB to linear Rec. 709 reflectance as lit in the chart's middle.
 
-    shading: (2,) slopes of the log illumination over ``Chart.places``. before, after: (24,) ΔE2000, NaN where a patch
-    is not usable; before: brightness and shading corrected, colours not.
+    shading: (2,) slopes of the log illumination over ``Chart.places``. gloss: reflectance that the chart's shine adds
+    to all patches. before, after: (24,) ΔE2000, NaN where a patch is not usable; before: brightness and shading
+    corrected, colours and gloss not.
     """
 
     matrix: np.ndarray
     shading: np.ndarray
+    gloss: float
     before: np.ndarray
     after: np.ndarray
 
@@ -144,34 +148,50 @@ def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.nd
 
 
 def fitted(chart: Chart) -> ColourFit:
-    """Return the white-preserving matrix and the planar log shading that bring the patches nearest to their colours.
+    """Return the white-preserving matrix, planar log shading and gloss that bring the patches nearest to their colours.
 
-    Minimises Σ |J (M m exp(−p·x) − t)|² over M and p: m and t are a patch's measured and published colour, x its place.
-    J is the Jacobian of CIELAB at t, in the axes and tolerances of CIE94, so the sum is one of squared perceived
-    differences. M w = 1 for the mean white w of the grey row (Finlayson & Drew 1997), so greys stay neutral.
+    Minimises Σ |J (M m exp(−p·x) − g − t)|² over M, p and g ≥ 0: m and t are a patch's measured and published colour, x
+    its place. J is the Jacobian of CIELAB at t, in the axes and tolerances of CIE94, so the sum is one of squared
+    perceived differences. M w = 1 for the mean white w of the grey row (Finlayson & Drew 1997), so greys stay neutral.
+    A varnish reflects the lamp's own colour (Shafer 1985), which adds g to all channels; g stays 0 where it hardly
+    lowers ΔE2000, because noise of the dark patches looks like it.
     """
+    matt = _fit(chart, 0.0)
+    if (mean := np.nanmean(matt.after)) > 2 * _IS_A_CHART:
+        return matt
+    shiny = _fit(chart, _MOST_GLOSS)
+    return shiny if np.nanmean(shiny.after) < _SHINES * mean else matt
+
+
+def _fit(chart: Chart, most_gloss: float) -> ColourFit:
+    """Return the fit of a chart whose gloss is at most a reflectance."""
     known, use = patch_colours().reshape(COUNT, 3), chart.usable
     measured, target, x = chart.values[use], known[use], chart.places[use]
     grey = np.flatnonzero(use[GREY]) + GREY.start
     tolerance = _tolerances(target)
-    matrix, slopes = np.eye(3), np.zeros(2)
+    matrix, slopes, gloss = np.eye(3), np.zeros(2), 0.0
     for _ in range(_ROUNDS):
         evened = measured * np.exp(-x @ slopes)[:, None]
-        white = _white(chart.values[grey] * np.exp(-chart.places[grey] @ slopes)[:, None], known[grey])
+        white = _white(chart.values[grey] * np.exp(-chart.places[grey] @ slopes)[:, None], known[grey] + gloss)
         fixed = np.outer(np.ones(3), white) / (white @ white)
         free = np.linalg.svd(white[None])[2][1:]  # (2, 3), orthogonal to white
-        # Unknown: P (3, 2) of M = fixed + P free, row by row, and the change of the slopes.
+        # Unknown: P (3, 2) of M = fixed + P free, row by row, the change of the slopes, and the gloss.
         columns = np.einsum("ij,nk->nijk", np.eye(3), evened @ free.T).reshape(-1, 3, 6)
-        columns = np.concatenate([columns, -target[:, :, None] * x[:, None, :]], axis=-1)
-        left = (tolerance @ columns).reshape(-1, 8)
+        fall = -(target + gloss)[:, :, None] * x[:, None, :]
+        left = (tolerance @ np.concatenate([columns, fall, -np.ones((len(x), 3, 1))], axis=-1)).reshape(-1, 9)
         right = (tolerance @ (target - evened @ fixed.T)[..., None]).ravel()
         solution = np.linalg.lstsq(left, right, rcond=None)[0]
+        former, gloss = gloss, float(np.clip(solution[8], 0, most_gloss))
+        if gloss != solution[8]:
+            solution = np.linalg.lstsq(left[:, :8], right - gloss * left[:, 8], rcond=None)[0]
         matrix = fixed + solution[:6].reshape(3, 2) @ free
-        slopes = np.clip(slopes + solution[6:], -3, 3)
+        slopes = np.clip(slopes + solution[6:8], -3, 3)
+        if max(abs(gloss - former), *np.abs(solution[6:8])) < _SETTLED:
+            break
     evened = chart.values * np.exp(-chart.places @ slopes)[:, None]
     # The green of the white: brightness as a photographer would set it, colours as the file has them.
     before = _differences(evened / white[1], known, use)
-    return ColourFit(matrix, slopes, before, _differences(evened @ matrix.T, known, use))
+    return ColourFit(matrix, slopes, gloss, before, _differences(evened @ matrix.T - gloss, known, use))
 
 
 def chart_report(corners: np.ndarray, chart: Chart, fit: ColourFit) -> dict:
@@ -184,6 +204,7 @@ def chart_report(corners: np.ndarray, chart: Chart, fit: ColourFit) -> dict:
     return {"corners": corners.ravel().round(3).tolist(), "matrix": fit.matrix.round(6).tolist(),
             "brightness_right_over_left": round(float(np.exp(reach[0] * fit.shading[0])), 4),
             "brightness_bottom_over_top": round(float(np.exp(reach[1] * fit.shading[1])), 4),
+            "gloss": round(fit.gloss, 4),
             "delta_e_2000": {"before": figures(fit.before), "after": figures(fit.after)},
             "delta_e_2000_of_patches": {name: round(float(value), 2)
                                         for name, value in zip(NAMES, fit.after, strict=True) if np.isfinite(value)},
@@ -197,10 +218,12 @@ def chart_warnings(where: str, given: np.ndarray, corners: np.ndarray, chart: Ch
         yield f"{where}: the corners were not given clockwise from the dark skin patch, which is at {first}: corrected"
     if not chart.usable.all():
         yield f"{where}: patches left out, {chart.left_out_text}"
+    if fit.gloss == _MOST_GLOSS:
+        yield f"{where}: the chart shines ({fit.gloss:.0%} of white), so its colours are doubtful; light it from a side"
     if (mean := float(np.nanmean(fit.after))) > _POOR:
         yield (
             f"{where}: ΔE2000 is still {mean:.1f} on average; check that the photograph is linear (--response), the"
-            " corners are exact and the chart does not shine"
+            " corners are exact and no reflection lies on the chart"
         )
 
 

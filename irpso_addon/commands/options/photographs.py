@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...calibration.developing.greys import AUTO
 from ...calibration.radiometry.frames import Patch
 from ...calibration.radiometry.source import images_in
 from ...core.errors import InputError
@@ -56,12 +57,24 @@ def patch_option(option: str, text: str) -> Patch:
     numbers = number_list(option, place)
     if len(numbers) != 4 or not all(np.isfinite(number) and number == int(number) >= 0 for number in numbers):
         raise InputError(f"{option} {text}: write X,Y,W,H in pixels from the upper left corner, as 100,220,40,40")
-    reflectance = None
-    if equals:
-        (reflectance, *more) = number_list(option, value)
-        if more or not 0 < reflectance <= 1:
-            raise InputError(f"{option} {text}: a reflectance is above 0 and at most 1, as in =0.18")
-    return Patch(*(int(number) for number in numbers), reflectance)
+    return Patch(*(int(number) for number in numbers), reflectance_of(option, text, value) if equals else None)
+
+
+def reflectance_of(option: str, text: str, value: str) -> float:
+    """Return the reflectance after the = of an option's text. Raises InputError naming the option."""
+    (reflectance, *more) = number_list(option, value)
+    if more or not 0 < reflectance <= 1:
+        raise InputError(f"{option} {text}: a reflectance is above 0 and at most 1, as in =0.18")
+    return reflectance
+
+
+def greys_option(texts: Sequence[str] | None) -> tuple[Patch, ...] | str:
+    """Return the patches of --grey-card, or "auto". Raises InputError."""
+    if AUTO in (texts or ()):
+        if len(texts or ()) > 1:
+            raise InputError(f"--grey-card {AUTO}: finds all greys of the chart; omit the other --grey-card")
+        return AUTO
+    return tuple(patch_option("--grey-card", text) for text in texts or ())
 
 
 def corners_option(option: str, text: str) -> np.ndarray:

@@ -1,6 +1,7 @@
-"""Videos through Blender's movie reader, and the command that makes photographs of one."""
+"""Videos through Blender's movie reader, and the commands that make photographs of them."""
 
 import json
+import tomllib
 
 import bpy
 import numpy as np
@@ -10,6 +11,7 @@ from irpso_addon.blender.images import decode
 from irpso_addon.blender.movie import cicp_of, opened_movie
 from irpso_addon.capture.images.image import ImageRef, ImageStore
 from irpso_addon.core.errors import InputError
+from tests.builders.captures import write_png
 from tests.builders.command_line import run_cli
 from tests.builders.video import direction, lit, rec709, scene, write_video
 
@@ -78,3 +80,73 @@ def test_a_video_in_hdr_is_refused(video, tmp_path):
     assert cicp_of(path) == (9, 18) and cicp_of(video) == (1, 1)
     code, _, err = run_cli("frames", path, "-o", tmp_path / "out")
     assert code == 2 and "hdr.mkv: it is an HDR picture (PQ or HLG), which is not read; film without HDR" in err
+
+
+BALL = (70.0, 30.0, 22.0)  # x, y and radius in pixels, from the upper left corner
+
+
+def with_ball(height=64, width=96):
+    """Return normals and albedo of the scene with a matte ball."""
+    normals, albedo = scene(height, width)
+    y, x = np.mgrid[:height, :width] + 0.5
+    right, up = (x - BALL[0]) / BALL[2], -(y - BALL[1]) / BALL[2]
+    inside = np.hypot(right, up) < 1
+    toward = np.sqrt(np.maximum(1 - right**2 - up**2, 0))
+    ball = inside[..., None]
+    return np.where(ball, np.stack([right, up, toward], axis=-1), normals), np.where(ball, 0.6, albedo)
+
+
+def filmed(path, lights, size=(64, 96)):
+    normals, albedo = with_ball(*size)
+    write_video(path, [rec709(lit(normals, albedo, light)) for light in lights], "FFV1")
+
+
+def calibrate(source, out, *options):
+    place = ",".join(f"{number:g}" for number in BALL)
+    return run_cli("calibrate", source, "-o", out, "--ball", place, "--kind", "matte", "--json", *options)
+
+
+@pytest.mark.parametrize("form", ["a video", "two videos in a folder"])
+def test_videos_are_calibrated_without_a_step_between(form, tmp_path):
+    (tmp_path / "films").mkdir()
+    if form == "a video":
+        filmed(tmp_path / "films" / "a.mkv", LIGHTS)
+    else:
+        filmed(tmp_path / "films" / "a.mkv", LIGHTS[:12])
+        filmed(tmp_path / "films" / "b.mkv", LIGHTS[12:])
+    source = tmp_path / "films" / ("a.mkv" if form == "a video" else "")
+    code, out, err = calibrate(source, tmp_path / "capture", "--count", "8")
+    assert (code, err) == (0, "") and json.loads(out)["lights"] == 8
+    table = tomllib.loads((tmp_path / "capture" / "capture.toml").read_text())
+    for row in table["observation"]:
+        assert (tmp_path / "capture" / row["image"]).is_file()
+        stem, number = row["name"].removesuffix(".png").split("_")
+        truth = LIGHTS[int(number) - 1 + 12 * (stem == "b")]
+        assert np.degrees(np.arccos(np.dot(row["light_direction"], truth))) < 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["capture", "capture_photographs", "films"]
+
+
+def test_frames_of_a_video_whose_lights_are_not_found_are_removed(video, tmp_path):
+    code, _, err = run_cli("calibrate", video, "-o", tmp_path / "capture")
+    assert code == 2 and "no ball was found" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_video_of_another_size_than_the_photographs_is_refused(tmp_path):
+    folder = tmp_path / "films"
+    folder.mkdir()
+    filmed(folder / "a.mkv", LIGHTS)
+    write_png(folder / "photograph.png", np.full((64, 100, 3), 90, np.uint8), 8)
+    code, _, err = calibrate(folder, tmp_path / "capture")
+    assert code == 2 and "photograph.png: is 100×64 pixels where its camera has 96×64" in err
+    filmed(folder / "photograph.mkv", LIGHTS, (64, 100))  # a live photograph: the photograph's own video
+    (folder / "a.mkv").unlink()
+    code, _, err = calibrate(folder, tmp_path / "capture", "--count", "8")
+    assert code == 2 and "--count: is of videos, and" in err
+
+
+def test_videos_of_several_sizes_are_refused(tmp_path):
+    filmed(tmp_path / "a.mkv", LIGHTS)
+    filmed(tmp_path / "b.mkv", LIGHTS, (64, 100))
+    code, _, err = run_cli("frames", tmp_path / "a.mkv", tmp_path / "b.mkv", "-o", tmp_path / "out")
+    assert code == 2 and "b.mkv: is 100×64 pixels" in err and not (tmp_path / "out").exists()

@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.calibration.radiometry.colour_chart import patch_colours
 from irpso_addon.calibration.radiometry.colour_difference import delta_e_2000, lab_of_linear
-from irpso_addon.calibration.radiometry.colour_fit import NAMES, fitted, recognised, sample_chart
+from irpso_addon.calibration.radiometry.colour_fit import NAMES, chart_warnings, fitted, recognised, sample_chart
 from irpso_addon.capture import read_exr
 from irpso_addon.commands import develop
 from irpso_addon.core.encode import linear_from_srgb, srgb_from_linear
@@ -59,6 +59,25 @@ def test_random_cameras_lamps_and_gradients_in_8_bits_come_out_below_2(seed):
     assert left.mean() < 2
     white = 0.75 * tint * camera.sum(axis=1)
     np.testing.assert_allclose(fit.matrix @ white, 1, atol=0.03)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_shine_of_a_varnish_stays_out_of_the_matrix(seed):
+    rng = np.random.default_rng(seed)
+    camera, tint = chart.random_camera(rng), np.exp(rng.uniform(-0.7, 0, 3))
+    shown = {"camera": camera, "tint": tint, "shading": rng.uniform(-0.35, 0.35, 2), "noise": 0.005, "seed": seed}
+    # Fresnel's 4 % at roughness 0.7 under a lamp in front add 0.027 to every reflectance, in the lamp's colour.
+    light = chart.photographed(patches=patch_colours() + 0.027, **shown)
+    _, _, fit = recognised(chart.whole(encoded(light)), CORNERS, "x")
+    assert differences(fit.matrix, camera, tint, 0.7).mean() < 1 and abs(fit.gloss - 0.027) < 0.005  # was 3.4
+    _, _, matt = recognised(chart.whole(encoded(chart.photographed(**shown))), CORNERS, "x")
+    assert matt.gloss == 0
+
+
+def test_a_chart_that_shines_too_much_is_warned_of():
+    rgba = chart.whole(chart.photographed(patches=patch_colours() + 0.12))
+    order, found, fit = recognised(rgba, CORNERS, "x")
+    assert "the chart shines (10% of white)" in " ".join(chart_warnings("x", CORNERS, order, found, fit))
 
 
 def test_greys_stay_neutral_whatever_the_colours_say():

@@ -1,0 +1,95 @@
+"""Photographs from videos: the frames of different light, written as PNG files with the video's colours."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..calibration.video import FEWEST, LOOKED_AT, check_camera, chosen_frames, look_at
+from ..capture.images.colour_profile import ColourProfile, ProfileError, profile_of_h273
+from ..core.errors import InputError
+from ..core.files import new_folder
+from ..core.png import encode_png
+from .movie import Movie, opened_movie
+
+COUNT = 40  # photographs, where no number is given
+_LOOKING = 0.8  # of the work
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Photographs that were written. numbers: of the frames, from 1, in the order of the files. total: frames seen.
+
+    files: their names. warnings: lines.
+    """
+
+    files: tuple[str, ...]
+    numbers: tuple[int, ...]
+    total: int
+    warnings: tuple[str, ...]
+
+
+def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Generator[tuple[float, str], None, Frames]:
+    """Yield the fraction done and what is done; write at most ``count`` frames of videos into a new folder.
+
+    The videos show one subject by one camera on a tripod; their frames are chosen together. Raises InputError where the
+    camera moves, fewer than three lights differ, or a video cannot be read, and then writes nothing.
+    """
+    if count < FEWEST:
+        raise InputError(f"--count {count}: give {FEWEST} or more; 20 or more lights are needed for roughness")
+    where = str(videos[0]) if len(videos) == 1 else f"{videos[0].parent}: {len(videos)} videos"
+    with ExitStack() as stack:
+        movies = [stack.enter_context(opened_movie(path)) for path in videos]
+        profiles = [_profile(movie) for movie in movies]
+        for other in movies[1:]:
+            if other.size != movies[0].size:
+                raise InputError(
+                    f"{other.path}: is {other.size[0]}×{other.size[1]} pixels, {movies[0].path} {movies[0].size[0]}×"
+                    f"{movies[0].size[1]}; give videos of one camera and one size"
+                )
+        chosen = yield from _chosen_steps(movies, profiles, count, where)
+        files, greys = [], []
+        with new_folder(out) as folder:
+            for done, (number, index) in enumerate(chosen):
+                yield _LOOKING + (1 - _LOOKING) * done / len(chosen), "writing"
+                movie = movies[number]
+                picture = movie.frame(index)
+                greys.append(profiles[number].linearised(picture.values).mean(axis=-1))
+                name = "frame" if len(movies) == 1 else movie.path.stem
+                files.append(f"{name}_{index + 1:05d}.png")
+                encode_png(folder / files[-1], picture.values, picture.bits, movie.cicp)
+            moved = check_camera(greys, where)
+    warnings = []
+    if moved:
+        warnings.append(f"{where}: {moved} of the frames are shifted; irpso develop --register can correct that")
+    if len(chosen) < count:
+        warnings.append(f"{where}: only {len(chosen)} of {count} frames differ in light; carry the lamp farther around")
+    numbers = tuple(index + 1 for _, index in chosen)
+    return Frames(tuple(files), numbers, sum(movie.frames for movie in movies), tuple(warnings))
+
+
+def _chosen_steps(
+    movies: Sequence[Movie], profiles: Sequence[ColourProfile], count: int, where: str
+) -> Generator[tuple[float, str], None, list[tuple[int, int]]]:
+    """Yield the progress; return the frames to keep, as numbers of movies and indices in them."""
+    places: list[tuple[int, int]] = []
+    for number, movie in enumerate(movies):
+        looked_at = min(movie.frames, max(1, LOOKED_AT // len(movies)))
+        indices = np.unique(np.linspace(0, movie.frames - 1, looked_at).round().astype(int))
+        places += [(number, index) for index in indices.tolist()]
+    looks = []
+    for number, index in places:
+        yield _LOOKING * len(looks) / len(places), "looking for lights"
+        looks.append(look_at(movies[number].frame(index).values, profiles[number].linearised))
+    return [places[k] for k in chosen_frames(looks, count, where)]
+
+
+def _profile(movie: Movie) -> ColourProfile:
+    try:
+        return profile_of_h273(*movie.cicp)
+    except ProfileError as error:
+        raise InputError(f"{movie.path}: {error}; film without HDR, in Rec. 709") from error

@@ -1,0 +1,51 @@
+"""Response curves of greys in one photograph: patches whose places are given, or the grey row of a chart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...capture.images.exr_header import is_exr
+from ...capture.images.image import ImageRef, ImageStore
+from ...core.errors import InputError
+from ..charts.search import find_chart
+from ..radiometry.colour_chart import patch_colours
+from ..radiometry.colour_fit import GREY, sample_chart
+from ..radiometry.frames import Patch, patch_mean, read_frame
+from ..radiometry.response import Response, response_from_patches
+
+AUTO = "auto"
+
+
+def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...]) -> Response:
+    """Return the response curve of grey patches in one photograph. Raises InputError."""
+    if any(patch.reflectance is None for patch in patches):
+        raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
+    rgb = _codes(store, image)
+    means = [patch_mean(rgb, np.ones(rgb.shape[:2]), patch, f"--grey-card: {image}") for patch in patches]
+    return response_from_patches(np.array(means), [patch.reflectance or 0.0 for patch in patches])
+
+
+def grey_row_response(store: ImageStore, image: ImageRef) -> Response | None:
+    """Return the response curve of the grey row of the 24-patch chart in a photograph; None if it shows no chart.
+
+    The chart is found, and its uneven light and shine are measured, as if the file had its stated curve. Raises
+    InputError where fewer than two greys are neither clipped nor black.
+    """
+    codes, frame = _codes(store, image), read_frame(store, image)
+    where = f"--grey-card auto: {image}"
+    found = find_chart(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), where)
+    if found is None:
+        return None
+    weighed = np.concatenate([codes, frame.weight[..., None]], axis=-1)
+    seen = sample_chart(weighed, found.corners, where)
+    light = np.exp(seen.places @ found.fit.shading) * (patch_colours().reshape(-1, 3).mean(axis=-1) + found.fit.gloss)
+    usable = np.flatnonzero(seen.usable[GREY]) + GREY.start
+    return response_from_patches(seen.values[usable], light[usable].tolist())
+
+
+def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
+    """Return (H, W, 3) codes / largest code, row 0 at the bottom. Raises InputError for linear files."""
+    if is_exr(image.path):
+        raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
+    values = store.picture(image).values
+    return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)

@@ -1,0 +1,44 @@
+"""Videos among the photographs of ``calibrate``: their frames become photographs beside the output."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ...blender.frames import COUNT, frame_steps
+from ...calibration.photographs import videos_of
+from ...calibration.write import checked_output, frames_folder
+from ...core.errors import InputError
+from ...core.progress_bar import ProgressBar
+from .values import silent
+
+
+@contextmanager
+def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
+    """Yield the frames of the capture's videos, written to OUT_photographs; none where it has no video.
+
+    They are removed if the calibration fails. Raises InputError where a video shows no lights, or its camera moves.
+    """
+    videos = videos_of(Path(options.capture))
+    if not videos:
+        if options.count is not None:
+            raise InputError(f"--count: is of videos, and {options.capture} has none; leave it out")
+        yield ()
+        return
+    folder = frames_folder(checked_output(Path(options.output)))
+    bar = ProgressBar("frames", silent(options))
+    found = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
+    try:
+        for warning in found.warnings:
+            sys.stderr.write(f"irpso: {warning}\n")
+        if not silent(options):
+            shown = ", ".join(video.name for video in videos)
+            sys.stdout.write(f"{len(found.files)} of {found.total} frames of {shown} written to {folder}\n")
+        yield tuple(folder / name for name in found.files)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
