@@ -11,7 +11,7 @@ from ..charts.search import find_chart
 from ..radiometry.colour_chart import patch_colours
 from ..radiometry.colour_fit import GREY, sample_chart
 from ..radiometry.frames import Patch, patch_mean, read_frame
-from ..radiometry.response import Response, response_from_patches
+from ..radiometry.response import Response, measurable, response_from_patches
 
 AUTO = "auto"
 
@@ -39,7 +39,7 @@ def grey_row_response(store: ImageStore, image: ImageRef) -> Response | None:
     weighed = np.concatenate([codes, frame.weight[..., None]], axis=-1)
     seen = sample_chart(weighed, found.corners, where)
     light = np.exp(seen.places @ found.fit.shading) * (patch_colours().reshape(-1, 3).mean(axis=-1) + found.fit.gloss)
-    usable = np.flatnonzero(seen.usable[GREY]) + GREY.start
+    usable = np.flatnonzero((seen.usable & measurable(seen.values))[GREY]) + GREY.start
     return response_from_patches(seen.values[usable], light[usable].tolist())
 
 

@@ -150,6 +150,11 @@ def monotone(values: np.ndarray) -> np.ndarray:
     return np.concatenate([np.full(int(size), mean) for mean, size in blocks])
 
 
+def measurable(values: np.ndarray) -> np.ndarray:
+    """Return (P,) bool: patches (P, 3), codes / largest code, that are neither black nor clipped."""
+    return ((values > _LOW / 2) & (values < _HIGH + 0.01)).all(axis=-1)
+
+
 def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> Response:
     """Return the curve from grey patches in the same light: values (P, 3), codes / largest code; reflectances (P,).
 
@@ -166,7 +171,7 @@ def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> 
         raise InputError("a patch's reflectance must be above 0, as in X,Y,W,H=0.18")
     order = np.argsort(known, kind="stable")
     values, known = values[order], known[order]
-    if values.min() <= _LOW / 2 or values.max() >= _HIGH + 0.01:
+    if not measurable(values).all():
         raise InputError("a grey patch is black or clipped; choose an exposure in which none is")
     if (np.diff(values, axis=0) <= 0).any() or (np.diff(known) <= 0).any():
         raise InputError("grey patches of higher reflectance must have higher code values; check their positions")

@@ -88,7 +88,7 @@ def test_photographs_without_a_card_are_one_line(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
-@pytest.mark.parametrize("seed", [305, 316])
+@pytest.mark.parametrize("seed", [307, 311])
 def test_the_grey_row_of_a_chart_gives_the_curve(seed, tmp_path):
     shown = scene(seed, coded=False).rgba[::-1, :, :3]
     write_png(tmp_path / "chart.png", np.rint(255 * tone(shown)).astype(int), 8)
@@ -99,4 +99,6 @@ def test_the_grey_row_of_a_chart_gives_the_curve(seed, tmp_path):
     light = np.geomspace(0.05, 0.6, 40)
     found = curve(np.repeat(tone(light)[:, None], 3, axis=1))
     ratio = found / light[:, None]
-    assert np.abs(ratio / np.exp(np.log(ratio).mean(axis=0)) - 1).max() < 0.06  # as sRGB it would be 0.3
+    assert (
+        np.abs(ratio / np.exp(np.log(ratio).mean(axis=0)) - 1).max() < 0.06
+    )  # as sRGB it would be 0.27; with the lamp's fall-off 0.19
