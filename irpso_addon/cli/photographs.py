@@ -80,6 +80,8 @@ def add_develop(commands: argparse._SubParsersAction) -> None:
                      help="colours and scale from a 24-patch chart: auto finds it; or the corners of its patches,"
                      " clockwise from that of dark skin")  # fmt: skip
     add.add_argument("--brackets", choices=("exif", "names"), help="merge the exposures of each light")
+    add.add_argument("--bursts", choices=("exif", "pictures"),
+                     help="average the photographs of each light, found by their times or as alike")  # fmt: skip
     add.add_argument(
         "--exposure", choices=("exif", "names"), help="scale each frame by its exposure, and merge nothing"
     )

@@ -37,13 +37,17 @@ def run(options: Namespace) -> dict:
     out = Path(options.output)
     check_unused(out)
     wanted = _wanted(options)
-    source = read_source(options.capture, decode, wanted.exposing, options.colour_space, wanted.left_out)
+    exposing, colour_space = wanted.exposing, options.colour_space
+    source = read_source(options.capture, decode, exposing, colour_space, wanted.left_out, options.bursts)
     bar = ProgressBar("develop", silent(options))
     settings = {k: v for k, v in vars(options).items() if k not in ("command", "json", "quiet") and v}
     report = bar.run(develop_steps(ImageStore(decode), source, wanted, out, settings), tuple)
     for warning in report["warnings"]:
         sys.stderr.write(f"irpso: {warning}\n")
     summary = {key: report[key] for key in _SHOWN if key in report}
+    if options.bursts and not silent(options):
+        taken = sum(len(shot.images) for shot in source.shots)
+        sys.stdout.write(f"bursts: {taken} photographs averaged to {len(source.shots)}\n")
     if "grey_card" in summary and not silent(options):
         sys.stdout.write(
             "grey card: found in {file} at {patch}; look whether it is the card\n".format(**summary["grey_card"])

@@ -26,14 +26,20 @@ def directory(tags, at, order="<"):
     return struct.pack(order + "H", len(tags)) + entries + bytes(4) + extra
 
 
-def exif(seconds=None, f_number=None, iso=None, order="<", orientation=1, focal_35mm=None, size=None):
-    """Return an EXIF block (a TIFF structure) with exposure and lens in its own directory; rationals as pairs."""
+def exif(seconds=None, f_number=None, iso=None, order="<", orientation=1, focal_35mm=None, size=None, time=None):
+    """Return an EXIF block (a TIFF structure) with exposure and lens in its own directory; rationals as pairs.
+
+    time: as in "2026:05:01 12:00:07.25".
+    """
     head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
     first = [(274, SHORT, [orientation]), (34665, LONG, [8 + 2 + 24 + 4])]
     tags = [(33434, RATIONAL, [seconds])] if seconds else []
     tags += [(33437, RATIONAL, [f_number])] if f_number else []
     tags += [(34855, SHORT, [iso])] if iso else []
     tags += [(41989, SHORT, [focal_35mm])] if focal_35mm else []
+    if time:
+        date, _, part = time.encode().partition(b".")
+        tags += [(36867, ASCII, date + b"\0"), (37521, ASCII, part + b"\0")]
     tags += [(40962, LONG, [size[0]]), (40963, LONG, [size[1]])] if size else []
     return head + directory(first, 8, order) + directory(tags, 8 + 2 + 24 + 4, order)
 

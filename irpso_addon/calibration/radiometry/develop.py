@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ...capture.inspect.checks import middle_window
 from ...core.errors import InputError
 from ...core.steps import map_steps
 from ..register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
+from .bursts import averaged
 from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
 from .hdr import SATURATED, merge
 from .response import Response
@@ -25,9 +27,10 @@ _CROP = 384  # pixels: longest side of the crop for registration
 
 @dataclass(frozen=True)
 class Shot:
-    """The photographs of one light. name: for reports. images: one, or a bracket. camera: index.
+    """The photographs of one light. name: for reports. images: one, a bracket, or a burst. camera: index.
 
-    amounts: exposures of the images, or None without exposure correction. size: their required (width, height).
+    amounts: exposures of the images, or None without exposure correction: then several are a burst. size: their
+    required (width, height).
     """
 
     name: str
@@ -75,11 +78,15 @@ def corrected(store: ImageStore, shot: Shot, index: int, corrections: Correction
 
 def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Developed:
     """Return one light's image from its photographs. Raises InputError where one of them is unusable."""
-    frames = [corrected(store, shot, i, corrections) for i in range(len(shot.images))]
     figures: dict = {"files": [image.path.name for image in shot.images]}
-    if shot.amounts is None:
-        rgba = np.concatenate([frames[0].rgb, frames[0].weight[..., None]], axis=-1)
+    if shot.amounts is None and len(shot.images) > 1:
+        read = partial(corrected, store, shot, corrections=corrections)
+        rgba, figures["burst_shifts"] = averaged(read, shot.images, corrections.align_brackets)
+    elif shot.amounts is None:
+        frame = corrected(store, shot, 0, corrections)
+        rgba = np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1)
     else:
+        frames = [corrected(store, shot, i, corrections) for i in range(len(shot.images))]
         amounts = [amount / corrections.reference for amount in shot.amounts]
         figures["exposures"] = [round(amount, 6) for amount in amounts]
         if corrections.align_brackets and len(frames) > 1:

@@ -21,6 +21,7 @@ from ...core.errors import InputError
 from ...core.files import natural
 from ..photographs import is_photograph
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
+from .bursts import bursts_of
 from .develop import Shot
 
 _SAME_LIGHT_DEGREES = 0.01
@@ -62,23 +63,26 @@ def read_source(
     exposing: Exposing | None = None,
     colour_space: str = "auto",
     left_out: Sequence[Path] = (),
+    bursts: str | None = None,
 ) -> Source:
     """Return the photographs to develop of a capture or a folder.
 
-    left_out: files that do not show the subject, such as dark frames. Raises InputError where no photograph is left or
-    an exposure is unknown.
+    left_out: files that do not show the subject, such as dark frames. bursts: how bursts are found, one of
+    ``bursts.KINDS``. Raises InputError where no photograph is left, or an exposure is unknown.
     """
+    if bursts and exposing:
+        raise InputError("--bursts averages photographs of one exposure; omit --brackets and --exposure")
     path = Path(path)
     others = {p.resolve() for p in left_out}
     lists = (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
     if lists if path.is_dir() else path.is_file():
-        return _listed(read_spec(path, colour_space), decoder, exposing, others)
+        return _listed(read_spec(path, colour_space), decoder, exposing, others, bursts)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
     images = [p for p in images_in(path) if p.resolve() not in others and p.stem.lower() != "mask"]
     if not images:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
-    brackets, warnings = brackets_of_images(images, exposing)
+    brackets, warnings = _grouped(images, exposing, bursts, decoder)
     shots = [Shot(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts) for b in brackets]
     if exposing is None:
         shots = [replace(shot, amounts=None) for shot in shots]
@@ -101,8 +105,16 @@ def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tupl
     return [Bracket(p.stem, (p,), (amount,)) for p, (_, amount) in zip(paths, amounts, strict=True)], []
 
 
-def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | None, others: set[Path]) -> Source:
-    if exposing is None:
+def _grouped(
+    paths: Sequence[Path], exposing: Exposing | None, bursts: str | None, decoder: Decoder | None
+) -> tuple[list[Bracket], list[str]]:
+    return bursts_of(paths, bursts, ImageStore(decoder)) if bursts else brackets_of_images(paths, exposing)
+
+
+def _listed(
+    spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | None, others: set[Path], bursts: str | None
+) -> Source:
+    if exposing is None and not bursts:
         capture = build_capture(spec, decoder)
         shots = [Shot(s.name, (s.image,), None, s.camera) for s in spec.observations]
         return Source(tuple(_sized(shots, capture)), capture)
@@ -110,9 +122,9 @@ def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | Non
         raise InputError(f"{odd[0].image}: parts of one EXR have no exposures of their own; omit the option")
     listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(spec.observations)))}
     paths = [shot.image.path for shot in spec.observations]
-    if exposing.merged:
+    if bursts or (exposing and exposing.merged):
         paths += _beside(spec, exposing, others | set(listed))
-    brackets, warnings = brackets_of_images(list(dict.fromkeys(paths)), exposing)
+    brackets, warnings = _grouped(list(dict.fromkeys(paths)), exposing, bursts, decoder)
     chosen: list[tuple[int, Bracket]] = []
     for bracket in brackets:
         resolved = {path.resolve() for path in bracket.paths}
@@ -121,13 +133,14 @@ def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | Non
             _same_light(spec, named)
             chosen.append((named[0], bracket))
     if len(chosen) < len(brackets):
-        warnings.append(f"{spec.source}: {len(brackets) - len(chosen)} brackets in its folders are not in its list")
+        what = "bursts" if bursts else "brackets"
+        warnings.append(f"{spec.source}: {len(brackets) - len(chosen)} {what} in its folders are not in its list")
     chosen.sort(key=lambda pair: pair[0])
     firsts = tuple(spec.observations[n] for n, _ in chosen)
     capture = build_capture(replace(spec, observations=firsts), decoder)
     shots = [
-        Shot(s.name, tuple(replace(s.image, path=p) for p in bracket.paths), bracket.amounts, s.camera)
-        for s, (_, bracket) in zip(firsts, chosen, strict=True)
+        Shot(s.name, tuple(replace(s.image, path=p) for p in b.paths), b.amounts if exposing else None, s.camera)
+        for s, (_, b) in zip(firsts, chosen, strict=True)
     ]
     return Source(tuple(_sized(shots, capture)), capture, tuple(warnings))
 
@@ -136,11 +149,13 @@ def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:
     return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in shots]
 
 
-def _beside(spec: CaptureSpec, exposing: Exposing, known: set[Path]) -> list[Path]:
-    """Return the unlisted images with an exposure in the folders of a list."""
+def _beside(spec: CaptureSpec, exposing: Exposing | None, known: set[Path]) -> list[Path]:
+    """Return the unlisted images in the folders of a list, with an exposure where exposures are read."""
     masks = {view.mask.path.resolve() for view in spec.views if view.mask}
     folders = dict.fromkeys(shot.image.path.parent for shot in spec.observations)
     unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in known | masks]
+    if exposing is None:
+        return unlisted
     if exposing.by == "exif":
         return [path for path in unlisted if exposure_of(read_bytes(path))]
     return [path for path in unlisted if name_amount(path.stem, exposing.given)]

@@ -1,4 +1,4 @@
-"""EXIF 2.3 tags of photographs, read by Pillow: exposure, lens and orientation; and rotation of pixels."""
+"""EXIF 2.3 tags of photographs, read by Pillow: exposure, time, lens and orientation; and rotation of pixels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ _DAMAGE = (SyntaxError, OSError, EOFError, ValueError, LookupError, TypeError, s
 _FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN = 41989, 40962, 40963
 _DIAGONAL_35MM = math.hypot(36.0, 24.0)  # millimetres
 _SAME_SHAPE = 0.01  # by how much the proportions of a picture that is not cropped may differ from its tags'
+_TIME, _SUBSECOND = 36867, 37521  # when the photograph was taken
 _MAKE, _MODEL, _LENS, _FOCAL_LENGTH = 271, 272, 42036, 37386
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
 
@@ -83,6 +85,17 @@ def exposure_of(data: bytes) -> Exposure | None:
     tags = tiff_tags(_exif_block(data))
     seconds, f_number, iso = (_positive(tags.get(tag)) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
     return Exposure(seconds, f_number, iso) if seconds else None
+
+
+def time_of(data: bytes) -> float | None:
+    """Return when a photograph was taken, in seconds of an epoch of its clock; None if its file does not tell."""
+    tags = tiff_tags(_exif_block(data))
+    text = str(tags.get(_TIME) or "").strip("\0 ")
+    part = str(tags.get(_SUBSECOND) or "").strip("\0 ")
+    with suppress(ValueError):
+        taken = datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
+        return taken + (float(f"0.{part}") if part.isdecimal() else 0.0)
+    return None
 
 
 def lens_of(data: bytes) -> dict[str, str | float]:
