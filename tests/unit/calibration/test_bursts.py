@@ -66,6 +66,8 @@ def test_a_pixel_that_clips_in_one_photograph_has_no_weight(tmp_path):
     truth = 1.6 * lit(NORMALS, ALBEDO, LIGHTS[0])
     near = (truth > 0.9).any(axis=-1)
     assert (weight[(truth > 1.05).any(axis=-1)] == 0).all() and weight[~near].min() == 1
+    at_the_clip = np.abs(truth.max(axis=-1) - 1) < 0.5 * NOISE
+    assert (weight[at_the_clip] > 0).mean() < 0.25  # a half, if the first photograph decided
     seen = near & (weight > 0)
     assert np.abs((rgb - truth)[seen].mean()) < 0.01
 
