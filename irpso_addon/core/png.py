@@ -15,12 +15,18 @@ _COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 
 
 def encode_png(path: Path | str, array: np.ndarray, bits: int = 16, cicp: tuple[int, int] | None = None) -> None:
-    """Write (H, W, C) values in 0…1, already encoded, row 0 at the bottom, as a PNG of 8 or 16 bits; C of 1 to 4.
+    """Write ``png_bytes`` to a file. Raises InputError where it cannot be written."""
+    data = png_bytes(array, bits, cicp)
+    with replacing_file(Path(path)) as partial:
+        partial.write_bytes(data)
+
+
+def png_bytes(array: np.ndarray, bits: int = 16, cicp: tuple[int, int] | None = None) -> bytes:
+    """Return (H, W, C) values in 0…1, already encoded, row 0 at the bottom, as a PNG of 8 or 16 bits; C of 1 to 4.
 
     cicp: colour primaries and transfer function by ITU-T H.273, to state in the file.
     Code values are round(value · (2^bits − 1)), exactly. Written here with zlib because Pillow has no RGB of 16 bits,
     and Blender's saver takes pixels through its scene's colour management and gives no say over rounding.
-    Raises InputError where it cannot be written.
     """
     array = np.asarray(array, np.float64)
     array = array[..., None] if array.ndim == 2 else array
@@ -37,8 +43,7 @@ def encode_png(path: Path | str, array: np.ndarray, bits: int = 16, cicp: tuple[
     colours = () if cicp is None else (b"cICP" + bytes((*cicp, 0, 1)),)  # RGB, full range
     chunks = (b"IHDR" + header, *colours, b"IDAT" + zlib.compress(filtered.tobytes(), 6), b"IEND")
     framed = [struct.pack(">I", len(one) - 4) + one + struct.pack(">I", zlib.crc32(one)) for one in chunks]
-    with replacing_file(Path(path)) as partial:
-        partial.write_bytes(SIGNATURE + b"".join(framed))
+    return SIGNATURE + b"".join(framed)
 
 
 def png_chunks(data: bytes) -> dict[bytes, bytes]:

@@ -15,7 +15,7 @@ from ...capture.errors import CaptureError
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Picture, Samples, mask_of_picture, samples_of_picture
 from ...core.errors import InputError
-from ..colour_spaces import use_of
+from ..colour_spaces import to_rec_709, use_of
 from ..images import decode
 
 # Custom properties of an image: part and layer of an EXR with several, and the colour space that a capture states for
@@ -95,7 +95,10 @@ def _in_memory(image, where: str, space: str) -> Photograph:
         width, height = current.size
         values = np.empty(width * height * current.channels, np.float32)
         current.pixels.foreach_get(values)
-        return Picture(values.reshape(height, width, current.channels), 32 if current.is_float else 8)
+        values = values.reshape(height, width, current.channels)
+        if current.is_float and not current.colorspace_settings.is_data and current.channels >= 3:
+            values[..., :3] = to_rec_709(values[..., :3])
+        return Picture(values, 32 if current.is_float else 8)
 
     def read() -> Samples:
         # Blender keeps floats linear, whatever the colour space of their file; "auto" reads floats as linear.

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...capture.types import Light
 from ...core.errors import InputError
+from ..colour_spaces import to_rec_709
 from .light_units import area_intensity, point_intensity, spot_cone, spot_intensity, sun_intensity
 from .scene import world_matrix
 
@@ -37,7 +38,7 @@ def light_of(obj: Any) -> Light:
     if getattr(data, "use_temperature", False):
         colour *= np.array(data.temperature_color, np.float64)
     distant = data.type == "SUN"
-    intensity = colour * _INTENSITY[data.type](power)
+    intensity = to_rec_709(colour) * _INTENSITY[data.type](power)
     if (intensity < 0).any() or not intensity.any():
         raise InputError(f"{where} gives {'negative' if intensity.any() else 'no'} light; set its strength and colour")
     matrix = world_matrix(obj)

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from ...capture.camera import Camera
 from ...capture.types import Light
+from ..colour_spaces import from_rec_709
 from .light_units import area_power, point_power, spot_power, sun_strength
 from .scene import DISTORTION
 from .scene_capture import ASPECT
@@ -48,10 +51,11 @@ def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) ->
     """
     from mathutils import Vector
 
-    strongest = max(light.intensity)
+    colour = from_rec_709(np.array(light.intensity))
+    strongest = float(colour.max())
     obj.data.type = _type_of(light)
     data = obj.data  # its class has changed with its type
-    data.color = [value / strongest for value in light.intensity]
+    data.color = (colour / strongest).tolist()
     for name, value in (("exposure", 0.0), ("normalize", True), ("use_temperature", False)):
         if hasattr(data, name):  # since Blender 4.5
             setattr(data, name, value)

@@ -15,20 +15,14 @@ from functools import lru_cache
 import numpy as np
 
 from ...core.encode import linear_from_srgb
-from .primaries import REC_709, to_rec_709
+from .primaries import P3_D65, REC_709, REC_2020, to_rec_709
 
 Curve = Callable[[np.ndarray], np.ndarray]
 # Linear Rec. 709 to XYZ relative to D50, white to white: the colorants of sRGB profiles (ICC, sRGB.icc; Bradford).
 _REC709_TO_XYZ = np.array([[0.43607, 0.38515, 0.14307], [0.22249, 0.71687, 0.06061], [0.01392, 0.09708, 0.71410]])
 _GREY = np.linspace(0, 1, 256)
 _SAME_CURVE, _SAME_MATRIX = 0.003, 0.005  # below: the profile counts as linear or as sRGB itself
-_D65 = (0.3127, 0.3290)
-# Of ITU-T H.273: x and y of red, green, blue and white.
-_PRIMARIES = {
-    1: REC_709,
-    9: (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *_D65),
-    12: (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65),
-}
+_PRIMARIES = {1: REC_709, 9: REC_2020, 12: P3_D65}  # by the codes of ITU-T H.273
 _PRIMARY_NAMES = {1: "Rec. 709", 9: "Rec. 2020", 12: "Display P3"}
 _UNSPECIFIED, _PQ, _HLG = 2, 16, 18
 

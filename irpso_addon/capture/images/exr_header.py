@@ -24,7 +24,7 @@ class ExrPart:
     """name: "" for an unnamed single part. channels: name → "uint", "half" or "float". width, height: display window.
 
     subsampled: whether a channel has fewer samples than pixels. chromaticities: x and y of red, green, blue and white;
-    None where the file does not state them.
+    None where the file does not state them. colour_space: its colorInteropID, which Blender 5 writes instead; or "".
     """
 
     name: str
@@ -33,6 +33,7 @@ class ExrPart:
     height: int
     subsampled: bool
     chromaticities: tuple[float, ...] | None = None
+    colour_space: str = ""
 
 
 def is_exr(path: Path) -> bool:
@@ -117,4 +118,5 @@ def _part(path: Path, header: dict[str, bytes]) -> ExrPart:
     if x1 < x0 or y1 < y0:
         raise CaptureError(f"{path}: says it has no pixels; export it again", "image_unknown")
     primaries = struct.unpack("<8f", header["chromaticities"]) if "chromaticities" in header else None
-    return ExrPart(header.get("name", b"").decode(), channels, x1 - x0 + 1, y1 - y0 + 1, subsampled, primaries)
+    space = header.get("colorInteropID", b"").rstrip(b"\0").decode()
+    return ExrPart(header.get("name", b"").decode(), channels, x1 - x0 + 1, y1 - y0 + 1, subsampled, primaries, space)

@@ -16,7 +16,7 @@ from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import ImageHeader, read_bytes, read_header
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
-from .primaries import to_rec_709
+from .primaries import BY_NAME, NO_COLOURS, to_rec_709
 from .raw import decode_raw, is_raw, raw_size
 
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
@@ -198,10 +198,17 @@ class ImageStore:
 
 def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | None:
     """Return the matrix from an EXR part's primaries to Rec. 709; None where it has these, or one channel."""
-    if part.chromaticities is None or len(set(rgb)) == 1:
+    chromaticities = part.chromaticities or BY_NAME.get(part.colour_space)
+    if len(set(rgb)) == 1:
         return None
+    if chromaticities is None:
+        if part.colour_space in NO_COLOURS:
+            return None
+        raise CaptureError(
+            f"{image}: is in the colour space '{part.colour_space}'; export it as linear Rec. 709", "image_unknown"
+        )
     try:
-        return to_rec_709(part.chromaticities)
+        return to_rec_709(chromaticities)
     except ValueError as error:
         raise CaptureError(
             f"{image}: its chromaticities are those of no colour space; export it as linear Rec. 709", "image_unknown"

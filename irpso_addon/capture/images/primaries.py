@@ -1,4 +1,4 @@
-"""Colours of other primaries as linear Rec. 709: ACES, Rec. 2020, P3, by the chromaticities of an OpenEXR header."""
+"""Colours of other primaries as linear Rec. 709: ACES, Rec. 2020, P3, by their chromaticities or by name."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ import numpy as np
 
 # x and y of red, green, blue and white. ITU-R BT.709; also what OpenEXR takes for a file that states none.
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+_D65, _ACES_WHITE = REC_709[6:], (0.32168, 0.33767)
+REC_2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *_D65)  # ITU-R BT.2020
+P3_D65 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65)  # SMPTE EG 432-1
+# Linear spaces by the name that Blender 5 and OpenColorIO 2.5 write as colorInteropID, without chromaticities (Color
+# Interop Forum 2024); those of ACES: SMPTE ST 2065-1 and Academy S-2014-004.
+BY_NAME = {
+    "lin_rec709_scene": REC_709, "lin_rec2020_scene": REC_2020, "lin_p3d65_scene": P3_D65,
+    "lin_ap1_scene": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, *_ACES_WHITE),
+    "lin_ap0_scene": (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, *_ACES_WHITE),
+}  # fmt: skip
+NO_COLOURS = ("", "data", "unknown")  # names that tell no space
 _SAME = 2e-3  # the digits that programs write for the same primaries
 # Cone responses of XYZ after Bradford (Lam 1985), as in ICC.1:2010, Annex E.
 _BRADFORD = np.array([(0.8951, 0.2664, -0.1614), (-0.7502, 1.7135, 0.0367), (0.0389, -0.0685, 1.0296)])

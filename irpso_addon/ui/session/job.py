@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...blender.colour_spaces import use_of
+from ...blender.colour_spaces import to_rec_709, use_of
 from ...blender.materials import material
 from ...blender.mesh import extract_mesh
 from ...blender.occluders import WITH_SURFACE, with_occluders
@@ -34,6 +34,7 @@ from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
 from .scene_capture import capture_of, capture_path, is_marked, knows_distance, wants_distance
 
+_ROUNDING = 1e-5  # of a colour that is brought to another space
 _MESH = "mesh"  # the origin of a mesh's maps, beside its name
 
 
@@ -171,6 +172,9 @@ def _given_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[i
     if parameter.is_normal:
         return np.float32((0, 0, 1))
     values = item.color if parameter.components == 3 else [item.value] * parameter.components
+    if parameter.color_space == "sRGB" and parameter.components == 3:
+        values = to_rec_709(np.array(values))
+        values = np.where(np.abs(values - np.clip(values, low, high)) < _ROUNDING, np.clip(values, low, high), values)
     values = np.float32(values)
     if values.min() < low or values.max() > high:
         raise InputError(f"{parameter.name}: the given value must lie between {low:g} and {high:g}")
@@ -203,6 +207,8 @@ def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarr
     if values.shape[-1] < parameter.components:
         raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
     encoded = use_of(image) == "srgb"  # and where they are floats, Blender has decoded them
+    if image.is_float and not image.colorspace_settings.is_data and values.shape[-1] == 3:
+        values = to_rec_709(values)  # Blender has brought them to the file's own space
     if encoded and image.is_float and parameter.color_space != "sRGB":
         values = srgb_from_linear(values)
     if parameter.is_normal:

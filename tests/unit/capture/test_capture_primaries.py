@@ -19,10 +19,12 @@ MATRICES = {
 COLOURS = np.random.default_rng(4).uniform(0.2, 0.9, (4, 6, 3)).astype(np.float32)
 
 
-def written(path, chromaticities, colours=COLOURS, kind=np.float32):
+def written(path, chromaticities, colours=COLOURS, kind=np.float32, name=None):
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if chromaticities:
         header["chromaticities"] = chromaticities
+    if name:
+        header["colorInteropID"] = name
     pixels = np.ascontiguousarray(colours[::-1].astype(kind))
     OpenEXR.File(header, {"RGB": pixels}).write(str(path))
     return ImageStore().samples(ImageRef(path))
@@ -33,6 +35,20 @@ def test_an_aces_file_becomes_linear_rec_709(tmp_path, chromaticities):
     found = written(tmp_path / "a.exr", chromaticities).rgba
     np.testing.assert_allclose(found[..., :3], COLOURS @ np.array(MATRICES[chromaticities]).T, atol=3e-5)
     assert (found[..., 3] == 1).all()
+
+
+@pytest.mark.parametrize(("name", "space"), [("lin_ap0_scene", ACES), ("lin_ap1_scene", ACES_CG)])
+def test_a_file_that_names_its_space_alone_becomes_linear_rec_709(tmp_path, name, space):
+    # As Blender 5 writes renders of a file whose working space is ACEScg.
+    found = written(tmp_path / "a.exr", None, name=name).rgba
+    np.testing.assert_allclose(found[..., :3], COLOURS @ np.array(MATRICES[space]).T, atol=3e-5)
+    for plain in ("lin_rec709_scene", "data"):
+        np.testing.assert_array_equal(written(tmp_path / "b.exr", None, name=plain).rgba[..., :3], COLOURS)
+
+
+def test_a_space_that_is_not_known_is_refused(tmp_path):
+    with pytest.raises(CaptureError, match=r"a.exr: is in the colour space 'g24_rec709_display'; export it as linear"):
+        written(tmp_path / "a.exr", None, name="g24_rec709_display")
 
 
 @pytest.mark.parametrize("chromaticities", [None, REC_709, tuple(np.round(REC_709, 3))])
