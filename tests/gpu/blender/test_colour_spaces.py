@@ -53,7 +53,7 @@ colorspaces:
 SCRIPT = """
 import json, sys
 import bpy
-from irpso_addon.blender.colour_spaces import use_of, use_space
+from irpso_addon.blender.colour_spaces import use_of, use_space, working_matrix
 from irpso_addon.blender.images import decode
 image = bpy.data.images.new("a", 2, 2)
 found = {"uses": []}
@@ -63,36 +63,50 @@ for use in ("data", "srgb", "linear"):
         found["uses"].append([image.colorspace_settings.name, use_of(image)])
     except Exception as error:
         found["uses"].append([type(error).__name__, str(error)])
+if "InputError" not in [use[0] for use in found["uses"]]:
+    found["matrix"] = working_matrix().tolist()
 found["codes"] = decode(sys.argv[1]).values[..., :3].tolist()
 print("FOUND", json.dumps(found))
 """
 
 
-def asked(tmp_path, srgb):
+def asked(tmp_path, config):
     codes = np.arange(0, 240, 20, dtype=np.uint8).reshape(2, 2, 3)
     write_png(tmp_path / "a.png", codes, 8)
-    (tmp_path / "config.ocio").write_text(CONFIG.replace("SRGB", srgb))
-    environment = os.environ | {"OCIO": str(tmp_path / "config.ocio")}
+    environment = os.environ | {"OCIO": config}
     command = [sys.executable, "-c", SCRIPT, str(tmp_path / "a.png")]
     told = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     line = next((one for one in told.stdout.splitlines() if one.startswith("FOUND")), None)
     assert line, told.stdout + told.stderr
     found = json.loads(line.removeprefix("FOUND"))
     np.testing.assert_allclose(found["codes"], codes[::-1] / 255, atol=1e-6)
-    return found["uses"]
+    return found["uses"], found.get("matrix")
+
+
+def made(tmp_path, srgb):
+    """Write a configuration whose space for textures has a name."""
+    (tmp_path / "config.ocio").write_text(CONFIG.replace("SRGB", srgb))
+    return str(tmp_path / "config.ocio")
 
 
 @pytest.mark.bpy_only
 def test_names_are_those_of_the_configuration_and_codes_stay(tmp_path):
-    data, srgb, linear = asked(tmp_path, "sRGB - Texture")
+    (data, srgb, linear), _ = asked(tmp_path, made(tmp_path, "sRGB - Texture"))
     assert (data, srgb) == (["Raw", "data"], ["sRGB - Texture", "srgb"])
     assert linear[0] == "InputError" and "no colour space for linear Rec. 709" in linear[1]
 
 
 @pytest.mark.bpy_only
 def test_a_configuration_without_srgb_is_named(tmp_path):
-    _, srgb, _ = asked(tmp_path, "Print")
+    (_, srgb, _), _ = asked(tmp_path, made(tmp_path, "Print"))
     assert srgb[0] == "InputError" and "no colour space for sRGB textures" in srgb[1]
+
+
+@pytest.mark.bpy_only
+def test_the_academys_own_configuration_is_known_and_renders_in_acescg(tmp_path):
+    uses, matrix = asked(tmp_path, "ocio://cg-config-v1.0.0_aces-v1.3_ocio-v2.1")  # OpenColorIO holds it
+    assert uses == [["Raw", "data"], ["sRGB - Texture", "srgb"], ["Linear Rec.709 (sRGB)", "linear"]]
+    np.testing.assert_allclose(matrix, SPACES["ACEScg"], atol=1e-4)
 
 
 # Linear Rec. 709 to ACEScg (AP1 primaries, Bradford) and to Rec. 2020 (ITU-R BT.2087), as published.
