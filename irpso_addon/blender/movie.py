@@ -21,6 +21,9 @@ from .colour_spaces import use_space
 from .images import loaded
 
 _UNSPECIFIED, _REC709 = 2, 1  # codes of ITU-T H.273
+# Elements of Matroska: its head, the tracks and the pictures behind them, and in a track its colours.
+_MATROSKA, _TRACKS, _CLUSTER = bytes.fromhex("1a45dfa3"), bytes.fromhex("1654ae6b"), bytes.fromhex("1f43b675")
+_COLOUR, _PRIMARIES, _TRANSFER = bytes.fromhex("55b0"), bytes.fromhex("55bb"), bytes.fromhex("55ba")
 _HELD = 16  # frames that Blender caches: 8 MB each at 1920 × 1080
 
 
@@ -74,11 +77,33 @@ def opened_movie(path: Path) -> Iterator[Movie]:
 def cicp_of(path: Path) -> tuple[int, int]:
     """Return colour primaries and transfer function of a video by ITU-T H.273; Rec. 709 where its file tells none.
 
-    Read from the box colr of MP4 and MOV files (ISO/IEC 14496-12, 12.1.5).
+    Read from the box colr of MP4 and MOV files (ISO/IEC 14496-12, 12.1.5), and the element Colour of MKV and WebM (RFC
+    9559, 5.1.4.1.28.16).
     """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        at = max(data.find(b"colrnclx"), data.find(b"colrnclc"))
-        codes = data[at + 8 : at + 12] if at >= 0 else b""
-    primaries, transfer = (int.from_bytes(codes[i : i + 2], "big") for i in (0, 2))
+        if data[:4] == _MATROSKA:
+            primaries, transfer = _matroska_codes(data)
+        else:
+            at = max(data.find(b"colrnclx"), data.find(b"colrnclc"))
+            codes = data[at + 8 : at + 12] if at >= 0 else b""
+            primaries, transfer = (int.from_bytes(codes[i : i + 2], "big") for i in (0, 2))
     known = [_REC709 if code in (0, _UNSPECIFIED) else code for code in (primaries, transfer)]
     return known[0], known[1]
+
+
+def _matroska_codes(data: mmap.mmap) -> tuple[int, int]:
+    """Return primaries and transfer function of a Matroska file, 0 for what it does not tell."""
+    tracks = data.find(_TRACKS)
+    at = data.find(_COLOUR, tracks, data.find(_CLUSTER, tracks)) if tracks >= 0 else -1
+    if at < 0:
+        return 0, 0
+    lead = 9 - data[at + 2].bit_length()  # bytes of the size, by its leading zeros
+    start = at + 2 + lead
+    size = int.from_bytes(data[at + 2 : start], "big") - (1 << 7 * lead)
+    colours = data[start : start + size]
+    found = []
+    for element in (_PRIMARIES, _TRANSFER):
+        place = colours.find(element)
+        long = colours[place + 2] & 0x7F if place >= 0 else 0
+        found.append(int.from_bytes(colours[place + 3 : place + 3 + long], "big"))
+    return found[0], found[1]

@@ -73,13 +73,38 @@ def test_another_file_than_a_video_is_refused(tmp_path):
         pass
 
 
-def test_a_video_in_hdr_is_refused(video, tmp_path):
-    # The box of an MP4's colours: Rec. 2020, HLG. Appended here, because no encoder is at hand.
-    path = tmp_path / "hdr.mkv"
-    path.write_bytes(video.read_bytes() + b"\0\0\0\x13colrnclx\0\x09\0\x12\0\x09\x80")
-    assert cicp_of(path) == (9, 18) and cicp_of(video) == (1, 1)
+@pytest.mark.parametrize(
+    ("suffix", "display", "codes"),
+    [("mp4", "Rec.2100-PQ", (9, 16)), ("mkv", "Rec.2100-HLG", (9, 18)), ("mkv", "sRGB", (1, 1))],
+)
+def test_a_video_in_hdr_is_refused(suffix, display, codes, tmp_path):
+    path = tmp_path / f"hdr.{suffix}"
+    filmed_by_blender(path, {"mp4": "MPEG4", "mkv": "MKV"}[suffix], display)
+    assert cicp_of(path) == codes
     code, _, err = run_cli("frames", path, "-o", tmp_path / "out")
-    assert code == 2 and "hdr.mkv: it is an HDR picture (PQ or HLG), which is not read; film without HDR" in err
+    said = "shows 1 light" if display == "sRGB" else "it is an HDR picture (PQ or HLG), which is not read; film without"
+    assert code == 2 and f"hdr.{suffix}: {said}" in err
+
+
+def filmed_by_blender(path, container, display):
+    """Write two frames of a grey sky in H.265 of 10 bits."""
+    scene = bpy.data.scenes.new("film")
+    try:
+        scene.display_settings.display_device = display
+    except TypeError:
+        pytest.skip("Blender before 5.0 writes no HDR video")
+    scene.view_settings.view_transform = "Standard"
+    scene.world = bpy.data.worlds.new("sky")
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    scene.render.resolution_x = scene.render.resolution_y = 64
+    scene.frame_end, scene.render.filepath = 2, str(path)
+    output, codec = scene.render.image_settings, scene.render.ffmpeg
+    output.media_type, output.file_format, output.color_depth = "VIDEO", "FFMPEG", "8"
+    codec.format, codec.codec = container, "H265"
+    output.color_depth = "10"
+    bpy.ops.render.render(animation=True, scene=scene.name)
 
 
 BALL = (70.0, 30.0, 22.0)  # x, y and radius in pixels, from the upper left corner
