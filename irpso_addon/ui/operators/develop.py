@@ -10,7 +10,7 @@ import numpy as np
 from bpy.props import EnumProperty, StringProperty
 
 from ...blender.images import decode
-from ...calibration.developing.measure import Progress, Wanted
+from ...calibration.developing.measure import Progress, SearchedCard, Wanted
 from ...calibration.developing.write import develop_steps
 from ...calibration.radiometry.source import images_in, read_source
 from ...capture.images.image import ImageStore
@@ -27,6 +27,7 @@ _COLOURS = (
     ("NONE", "None", "The camera's own colors"),
     ("AUTO", "Find Chart", "The 24-patch chart is found in the photographs, or in the chart's own"),
     ("MARKED", "Marked Chart", "The chart lies at the corners that were clicked"),
+    ("GREY", "Find Gray Card", "White balance by a gray card that is found, an even and neutral rectangle"),
 )
 _FILES = {"subtype": "FILE_PATH", **RELATIVE_PATH}
 
@@ -118,6 +119,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
             chart=absolute(chart, "Chart") if chart else None,
             darks=tuple(_files(self.dark, "Dark Frames")),
             flats=tuple(_files(self.flat, "Flat Fields")),
+            white=SearchedCard() if self.colours == "GREY" else None,
             colour_chart=corners,
             colour_space=settings.colour_space,
         )
@@ -129,6 +131,8 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
         if chart := report.get("colour_chart"):
             before, after = (chart["delta_e_2000"][key]["mean"] for key in ("before", "after"))
             found = f"Colors of the chart: ΔE2000 {before:.1f} → {after:.1f} on average; linear images"
+        if card := report.get("grey_card"):
+            found = f"Gray card found in {Path(card['file']).name} at {card['patch']}; linear images"
         return imported(self, out, report["warnings"], found)
 
 

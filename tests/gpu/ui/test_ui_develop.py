@@ -56,6 +56,17 @@ def test_a_marked_chart_in_its_own_photograph(settings, tmp_path):
     assert not any(settings.chart_corners) and settings.chart_photograph == ""  # of the former capture
 
 
+def test_a_gray_card_is_found_for_the_white_balance(settings, tmp_path):
+    shown = scene(340, chart=False, card=True, dimmest=0.85)
+    settings.chart_photograph = str(tmp_path / "card.png")
+    write_png(tmp_path / "card.png", np.rint(shown.rgba[::-1, :, :3] * 65535).astype(int), 16)
+    assert bpy.ops.irpso.develop(colours="GREY") == {"FINISHED"}
+    report = json.loads((Path(settings.capture_path) / "report.json").read_text())
+    x, y = shown.corners.mean(axis=0).astype(int)
+    seen = shown.rgba[-1 - y, x, :3] * report["white_gains"]
+    assert report["grey_card"]["file"].endswith("card.png") and np.ptp(seen) < 0.05 * seen.mean()
+
+
 def test_dark_frames_are_subtracted(settings, tmp_path):
     write_exr(tmp_path / "dark.exr", {"": dict.fromkeys("RGB", np.full(SHOWN.rgba.shape[:2], 0.05, np.float32))})
     assert bpy.ops.irpso.develop(colours="NONE", dark=str(tmp_path / "dark.exr")) == {"FINISHED"}
