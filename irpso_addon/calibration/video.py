@@ -68,7 +68,8 @@ def chosen_frames(looks: Sequence[Look], count: int, where: str) -> list[int]:
         gap = float(differences[nearest])
         if chosen and gap < (_ONE_LIGHT if len(chosen) < FEWEST else _SAME_LIGHT):
             break
-        best = _substitute(small, nearest, _ALIKE * gap, quality, usable)
+        free = usable & ~np.isin(np.arange(len(looks)), chosen)
+        best = _substitute(small, nearest, _ALIKE * gap, quality, free)
         away = _rms(small - small[best])
         differences = np.minimum(differences, away) if chosen else away
         chosen.append(best)
@@ -110,11 +111,11 @@ def _quality(small: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
     return sharpness / (1 + speed / max(float(np.median(speed)), 1e-9))
 
 
-def _substitute(small: np.ndarray, index: int, reach: float, quality: np.ndarray, usable: np.ndarray) -> int:
+def _substitute(small: np.ndarray, index: int, reach: float, quality: np.ndarray, free: np.ndarray) -> int:
     """Return the best frame of the run about ``index`` whose light differs by at most ``reach``, or a neighbour."""
     alike = _rms(small - small[index]) <= reach
     alike[max(index - 1, 0) : index + 2] = True
-    alike &= usable
+    alike &= free
     first, last = index, index
     while first > 0 and alike[first - 1]:
         first -= 1

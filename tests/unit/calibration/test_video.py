@@ -62,6 +62,13 @@ def test_frames_in_which_the_lamp_rests_are_preferred():
     assert np.mean([resting[k] for k in chosen]) >= 0.75  # of all frames 0.375
 
 
+def test_no_frame_is_chosen_twice_though_its_neighbours_are_less_sharp():
+    lights = around(24)
+    frames = filmed(lights, lambda frame, k: blurred(frame) if k % 3 else frame)
+    chosen = chosen_frames(looks_of(frames), 16, "v")
+    assert len(chosen) == len(set(chosen)) == 16
+
+
 def test_faded_frames_are_left_out():
     lights = around(80)
     frames = filmed(lights, lambda frame, k: frame * min(1, k / 15, (79 - k) / 15))
