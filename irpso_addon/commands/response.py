@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..blender.images import decode
-from ..calibration.developing.greys import grey_row_response, patch_response
+from ..calibration.developing.greys import AUTO, MATT_ONLY, grey_row_response, patch_response
 from ..calibration.radiometry.curve_file import write_response
 from ..calibration.radiometry.frames import Patch
 from ..calibration.radiometry.response import Response, bracket_step, response_from_brackets
@@ -30,7 +30,9 @@ def run(options: Namespace) -> dict:
     path, store = Path(options.photographs), ImageStore(decode)
     warnings: list[str] = []
     if options.grey_card:
-        response = _from_greys(path, greys_option(options.grey_card), store)
+        greys = greys_option(options.grey_card)
+        response = _from_greys(path, greys, store)
+        warnings += [f"{path}: {MATT_ONLY}"] if greys == AUTO else []
     else:
         exposing = Exposing(options.brackets, True, exposure_list("--exposures", options.exposures))
         response, warnings = _from_brackets(path, exposing, store, options)

@@ -33,7 +33,7 @@ from ..radiometry.frames import (
 from ..radiometry.hdr import SATURATED
 from ..radiometry.response import Response
 from ..radiometry.source import Exposing, Source
-from .greys import AUTO, grey_row_response, patch_response
+from .greys import AUTO, MATT_ONLY, grey_row_response, patch_response
 
 _GOOD = 3.0  # mean ΔE2000 of a chart that ends the search; above, the other photographs are searched too
 
@@ -177,6 +177,7 @@ class _Work:
             image = self._middle(shot)
             if (response := grey_row_response(self.store, image)) is not None:
                 self.figures["response"] = {"chart": str(image), "patches": AUTO, "residual": finite(response.residual)}
+                self.warnings.append(f"--grey-card {AUTO}: {image}: {MATT_ONLY}")
                 return response
         raise InputError(
             f"--grey-card auto: no 24-patch chart, whose grey row gives the curve, is found in {_many(shots)};"
