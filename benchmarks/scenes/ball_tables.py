@@ -13,18 +13,20 @@ import numpy as np
 from mathutils import Quaternion, Vector
 
 from irpso_addon.blender.scenes.cycles import only_lamp, place_lamp
+from irpso_addon.calibration.balls.ball import tangents
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import read_exr
 
 from . import render
 
-WIDTH, HEIGHT, SAMPLES = 480, 360, 4
+WIDTH, HEIGHT, SAMPLES = 960, 720, 2
 WITH = (("mirror",), ("matte",), (), ("mirror", "mirror"), ("matte", "matte"), (), ("mirror", "matte"), ())
 _DISTANCE = 10.0  # from the camera to the table
 _SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, of the picture's width
 _NEAR, _NEAR_DISTANCES = 0.5, (1.2, 4.0)  # part of the scenes with near lamps; their distance, in picture widths
 _CLOTH, _CLOTH_ALBEDO = 0.2, (0.003, 0.02)  # part of the scenes on black cloth
 _TRIES = 200
+_RAYS = 400  # to a ball
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ class BallTable:
     """What was photographed. images: (K, H, W, 3) float32 radiance, row 0 at the bottom.
 
     lamps: (K, 3) unit directions to suns; or, where they are near, places. balls: (kind, centre (3,), radius) each, in
-    camera axes, which are the world's. cloth: the table is black cloth. text: the scene in words.
+    camera axes, which are the world's. visible: the part of each ball's disc that nothing hides. cloth: the table is
+    black cloth. text: the scene in words.
     """
 
     images: np.ndarray
@@ -40,6 +43,7 @@ class BallTable:
     near: bool
     camera: Camera
     balls: tuple[tuple[str, np.ndarray, float], ...]
+    visible: tuple[float, ...]
     cloth: bool
     text: str
 
@@ -66,6 +70,7 @@ def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMP
     near, cloth, away = rng.random() < _NEAR, rng.random() < _CLOTH, _width(fov) * rng.uniform(*_NEAR_DISTANCES)
     words = _table(rng, up, cloth)
     balls = _things(rng, up, fov, WITH[seed // 2 % len(WITH)])
+    visible = tuple(_visible(scene, centre, radius) for _, centre, radius in balls)
     wide = math.radians(rng.uniform(1.0, 4.0))
     lamp = only_lamp(scene, "POINT" if near else "SUN", away * math.tan(wide / 2))
     lamps = np.array([0, 0, -_DISTANCE]) + away * lights if near else lights
@@ -81,7 +86,7 @@ def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMP
         f"{' and '.join(kind for kind, _, _ in balls) or 'no ball'}, {words}, tilt {np.degrees(tilt):.0f}°,"
         f" lamps {f'{away / _width(fov):.1f} widths away' if near else 'distant'}"
     )
-    return BallTable(np.array(images), lamps, near, camera, tuple(balls), cloth, text)
+    return BallTable(np.array(images), lamps, near, camera, tuple(balls), visible, cloth, text)
 
 
 def _width(fov: float) -> float:
@@ -217,6 +222,20 @@ def _ball(rng: np.random.Generator, kind: str, centre: np.ndarray, radius: float
     else:
         material = _material(rng.uniform(0.3, 0.85) * rng.uniform(0.85, 1, 3), 1.0, specular=0.0)
     bpy.context.object.data.materials.append(material)
+
+
+def _visible(scene, centre: np.ndarray, radius: float) -> float:
+    """Return the part of a ball's disc that the camera, at the origin, sees."""
+    distance = float(np.linalg.norm(centre))
+    away = np.sqrt((np.arange(_RAYS) + 0.5) / _RAYS) * radius / math.sqrt(distance**2 - radius**2)
+    turn = np.arange(_RAYS) * np.pi * (3 - np.sqrt(5))
+    axis = centre / distance
+    across, upward = tangents(axis)
+    rays = axis + away[:, None] * (np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * upward)
+    bpy.context.view_layer.update()
+    graph = bpy.context.evaluated_depsgraph_get()
+    hits = [scene.ray_cast(graph, (0, 0, 0), Vector(ray).normalized()) for ray in rays]
+    return float(np.mean([hit[0] and np.linalg.norm(np.array(hit[1]) - centre) < 1.01 * radius for hit in hits]))
 
 
 def _clutter(rng: np.random.Generator, up: np.ndarray, foot: np.ndarray, half: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,10 @@ _SKIRT = 0.2  # of the peak: border of a highlight's region
 _HALF = 0.5  # of the highest peak: least peak of another candidate
 _CANDIDATES = 4
 _USUAL_AREA, _LARGE_AREA, _HUGE_AREA = 0.02, 0.12, 0.35  # of the ball's disc
+_HALO, _HALO_PIXELS = 1.2, 1.0  # of the clipped core's radius, and pixels more: the border of its halo
+_ROUND = 0.95  # least compactness of a lamp's clipped core; two discs that touch have 0.9
+_FILLED = 0.2  # least clipped part of a clipped lamp's region
+_FACING = 3.0  # power of n·v in a spot's score
 _COMPACT = 0.5
 _RIVAL = 0.5  # of the best candidate's score
 _SECOND = 0.1  # of the best score: a clipped spot may be the lamp, and the larger spot an overexposed object
@@ -73,10 +77,10 @@ def find_highlights(view: BallView) -> list[Sight | str]:
         at = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))
         ambient = np.partition(grey, at, axis=0)[at]
     found, spots = [], []
-    for image, usable in zip(grey, view.usable, strict=True):
+    signals = np.where(shrunk, grey - ambient, 0)
+    for number, (image, usable) in enumerate(zip(grey, view.usable, strict=True)):
         clipped = ~usable & (image > 0) & inside
-        signal = np.where(shrunk, image - ambient, 0)
-        sight, spot = _sight(view, signal, _saturated(image, signal, clipped), shrunk)
+        sight, spot = _sight(view, signals, number, _saturated(image, signals[number], clipped), shrunk)
         found.append(sight)
         spots.append(spot)
     return _without_hidden(found, spots, view.ball.name)
@@ -120,15 +124,15 @@ def reflected(ball: Ball, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _sight(
-    view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray
+    view: BallView, signals: np.ndarray, number: int, clipped: np.ndarray, inside: np.ndarray
 ) -> tuple[Sight | str, _Blob | None]:
-    """Return the sight, or in words why there is none, and the spot that it is of."""
-    ball, name = view.ball, view.ball.name
+    """Return a photograph's sight, or in words why there is none, and the spot that it is of."""
+    ball, name, signal = view.ball, view.ball.name, signals[number]
     blobs = _blobs(signal, clipped, inside)
     if not blobs:
         return f"{name}: no highlight", None
     disc = inside.sum()
-    lamps = _lamps(blobs)
+    lamps = [_weighed(view, signals, number, blob) for blob in _lamps(blobs)]
     blob = max(lamps, key=lambda b: b.score)
     if blob.area > _HUGE_AREA * disc:
         return f"{name}: no highlight: the bright spot covers {blob.area / disc:.0%} of the ball; expose less", None
@@ -171,6 +175,22 @@ def _lamps(blobs: list[_Blob]) -> list[_Blob]:
     return saturated or [blob for blob in blobs if blob.peak > _DIMMER * highest]
 
 
+def _weighed(view: BallView, signals: np.ndarray, number: int, blob: _Blob) -> _Blob:
+    """Return a spot whose score tells the lamp from what it lights.
+
+    Things on the table are reflected in most photographs at one place; the lamp's place is new in each. A glossy
+    table's highlight is new, too, but lies nearer to the rim than the lamp, which is above the table.
+    """
+    again = 0.0
+    if len(signals) >= _FEWEST_FOR_AMBIENT:
+        own = np.maximum(signals[:, blob.region], 0)
+        shared = np.minimum(own, own[number]).sum(axis=1) / max(float(own[number].sum()), 1e-300)
+        again = float((shared.sum() - 1) / (len(shared) - 1))
+    facing = float(reflected(view.ball, view.pixels[0, 0] + blob.centre * view.block)[2])
+    filled = min(blob.saturated / _FILLED, 1.0) if blob.saturated > 0 else 1.0
+    return replace(blob, score=blob.score * filled * (1 - again) ** 2 * facing**_FACING)
+
+
 def _direction_error(ball: Ball, pixel: np.ndarray, blob_error: float) -> float:
     """Return the standard error (radians) of the direction reflected at a pixel, from highlight and outline."""
     step = 0.01 * ball.radius_px
@@ -198,10 +218,45 @@ def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[
             break
         row, column = np.unravel_index(np.argmax(np.where(left, smooth, -np.inf)), smooth.shape)
         threshold = max(_SKIRT * peak, 2 * noise)
-        region = _grown(inside & (smooth > threshold), (int(row), int(column)))
-        left &= ~region
+        region = around = _grown(left & (smooth > threshold), (int(row), int(column)))
+        if clipped[row, column]:
+            region = around & _near_core(_grown(around & clipped, (int(row), int(column))))
+        left &= ~around | clipped & ~region  # another clipped core may touch this one
         blobs.append(_measured(signal, clipped, region, inside, noise))
     return blobs
+
+
+def _near_core(core: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: what the halo of a clipped core reaches.
+
+    A lamp's image is round, or an ellipse at the rim. Of another shape only the largest disc counts: the highlight of a
+    glossy table beside the lamp may touch it.
+    """
+    places = np.argwhere(core)
+    if _compactness(places) < _ROUND:
+        low = places.min(axis=0)
+        within = np.pad(core[tuple(np.s_[a:b] for a, b in zip(low, places.max(axis=0) + 1, strict=True))], 1)
+        radius = 0
+        while within.any():
+            last, radius = within, radius + 1
+            within = ~_widened(~within, 1)
+        deepest = np.argwhere(last) + low - 1
+        middle = deepest[np.linalg.norm(deepest - deepest.mean(axis=0), axis=1).argmin()]
+        places = places[np.linalg.norm(places - middle, axis=1) <= radius]
+    squares, axes = np.linalg.eigh(_covariance(places))
+    away = (np.moveaxis(np.indices(core.shape), 0, -1) - places.mean(axis=0)) @ axes
+    return ((away / (2 * _HALO * np.sqrt(squares) + _HALO_PIXELS)) ** 2).sum(axis=-1) <= 1
+
+
+def _covariance(places: np.ndarray) -> np.ndarray:
+    """Return the covariance (2, 2) of a region: of pixels (N, 2) and within them."""
+    away = places - places.mean(axis=0)
+    return away.T @ away / len(places) + np.eye(2) / 12
+
+
+def _compactness(places: np.ndarray) -> float:
+    """Return 1 for pixels (N, 2) of an ellipse, less for other shapes."""
+    return min(len(places) / (4 * np.pi * float(np.sqrt(np.linalg.det(_covariance(places))))), 1.0)
 
 
 def _measured(signal: np.ndarray, clipped: np.ndarray, region: np.ndarray, inside: np.ndarray, noise: float) -> _Blob:
@@ -220,8 +275,7 @@ def _measured(signal: np.ndarray, clipped: np.ndarray, region: np.ndarray, insid
     away = places - centre
     covariance = (weight[:, None] * away).T @ away / total
     area = float(region.sum())
-    own = np.cov(np.argwhere(region).T, bias=True) + np.eye(2) / 12
-    compact = min(area / (4 * np.pi * np.sqrt(np.linalg.det(own))), 1.0)
+    compact = _compactness(np.argwhere(region))
     random = noise * np.sqrt((away**2).sum() / 2) / total
     unsampled = _ONE_PIXEL * max(0.0, 1 - np.linalg.eigvalsh(covariance)[0] / _SPREAD)
     shape = _SHAPE_ERROR * np.sqrt(np.trace(covariance))

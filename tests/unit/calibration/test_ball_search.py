@@ -154,6 +154,13 @@ def test_only_the_true_lights_agree_with_the_shadow(table):
     assert shadow.agreement(np.full_like(stack, 0.0005), ball, LIGHTS) is None
 
 
+def test_a_shadow_under_lamps_a_few_radii_away_agrees_as_well():
+    lamps = np.asarray(BALLS[1].centre) + 7 * BALLS[1].radius * LIGHTS
+    stack = np.stack([i[..., :3].mean(axis=-1) for i in photographs(Scene(spheres=BALLS[1:], near=True), lamps)])
+    ball = Ball("b", EMPTY.camera, np.asarray(BALLS[1].centre), BALLS[1].radius, circle_of(BALLS[1])[1], (0.0, 0.0))
+    assert shadow.agreement(stack, ball, LIGHTS, inverse=1 / 7)[0] > 0.95  # with one scale a photograph 0.87
+
+
 def test_a_faint_outline_in_all_photographs_outweighs_a_strong_edge_in_one():
     y, x = np.mgrid[:80, :80] + 0.5
     disc = 0.5 + 0.05 * (np.hypot(x - 40.3, y - 39.6) < 20)

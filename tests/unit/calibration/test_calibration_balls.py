@@ -186,6 +186,31 @@ def test_the_grey_of_a_matte_ball_is_not_taken_for_a_lamp_of_a_few_pixels(bright
     assert off.max() < 1.0 and (off < 4 * said).all()
 
 
+def test_a_clipped_thing_that_most_photographs_show_is_not_taken_for_the_lamp():
+    rng, lights = np.random.default_rng(1), cap(8, 60)
+    (centre, radius), view = PLACES["perspective"], CAMERAS["perspective"]
+    thing = 0.05 * mirror_image(view, [(centre, radius)], unit([0.9, 0.1, -0.4]), width=14.0, room=0.0)
+    images = [
+        photographed(
+            mirror_image(view, [(centre, radius)], lamp, width=8.0) + (n % 3 > 0) * thing, rng, 0.8, 0.003, 1.0
+        )
+        for n, lamp in enumerate(lights)
+    ]
+    assert degrees(directions(calibrated(images, [ball_of(view, np.array(centre), radius)])), lights).max() < 1.0
+
+
+def test_the_highlight_of_a_glossy_table_beside_the_lamp_does_not_pull_it():
+    rng, lights = np.random.default_rng(1), unit(np.array([(np.cos(a), np.sin(a), 0.9) for a in range(6)]))
+    (centre, radius), view = PLACES["perspective"], CAMERAS["perspective"]
+    images = []
+    for light in lights:  # the table's highlight touches the lamp's, nearer to the rim, and is as large
+        below = unit(light - (0, 0, 1.0))
+        both = [mirror_image(view, [(centre, radius)], at, width=24.0, room=0.02) for at in (light, below)]
+        images.append(photographed(sum(both), rng, 0.8, 0.003, 1.0))
+    off = degrees(directions(calibrated(images, [ball_of(view, np.array(centre), radius)])), lights)
+    assert off.max() < 4.0 and off.mean() < 2.0
+
+
 def test_an_overexposed_matte_ball_gets_a_warning():
     rng, (centre, radius), view = np.random.default_rng(1), PLACES["perspective"], CAMERAS["perspective"]
     lamp = 0.08 * mirror_image(view, [(centre, radius)], unit([0.3, 0.2, 0.9]), room=0.0)

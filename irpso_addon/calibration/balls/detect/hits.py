@@ -14,16 +14,19 @@ from . import evidence
 from .falloff import inverse_distance
 from .outline import Outline, fitted, measured
 from .pictures import Pictures
-from .shadow import Table, agreement
+from .shadow import Table, agreement, table_light
 
 _LEAST_SUPPORT = 0.3
 _TESTED = 60
 _LEAST_SHARE = 0.6  # of the photographs: each shows a light
 _LEAST_MOVED = 0.12
 _LEAST_FIT = 0.93
-_LEAST_SHADOW = 0.75
+# Least agreement with the shadow: of a circle without an outline; less, where all of the outline shows.
+_SHADOW_OF_OUTLINE = {"mirror": (1.24, 0.52), "mirror on cloth": (0.82, 0.1), "matte": (0.9, 0.42)}
+_CLOTH = 0.06  # of white: light of a darker table
 _DOUBT = 0.15  # more agreement with the shadow, where photographs show no light, or directions no edge
 PROMISING = 0.3  # agreement with the shadow that a better outline may raise
+_MIRROR_SHARE = 0.85  # of the photographs: a mirror ball shows the lamp in all, or in all but one of seven
 _SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # without a shadow
 _STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizon is a circle inside the outline
 _SHADOW_STEPS = (0.06, 0.03, 0.015, 0.01)  # of the radius
@@ -35,13 +38,17 @@ _SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below
 
 @dataclass(frozen=True)
 class Hit:
-    """A ball in ``pictures``, whose pixel coordinates its outline and evidence have."""
+    """A ball in ``pictures``, whose pixel coordinates its outline and evidence have.
+
+    clear: support of the outline that the edges gave, before its shadow measured it.
+    """
 
     pictures: Pictures
     outline: Outline
     kind: str
     ball: Ball
     seen: evidence.Evidence
+    clear: float
     shadow: float | None
     table: Table | None = None
     inverse: tuple[float, float] = (0.0, np.inf)
@@ -91,9 +98,9 @@ def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: fl
         if shadow_agrees is None:
             sure = seen.share >= _SURE_SHARE and seen.moved >= _SURE_MOVED and seen.fit >= _SURE_FIT
             if sure and outline.support >= _SURE_SUPPORT:
-                hits.append(Hit(pictures, outline, kind, ball, seen, None))
+                hits.append(Hit(pictures, outline, kind, ball, seen, outline.support, None))
         elif shadow_agrees[0] >= wanted:
-            hits.append(Hit(pictures, outline, kind, ball, seen, *shadow_agrees))
+            hits.append(Hit(pictures, outline, kind, ball, seen, outline.support, *shadow_agrees))
     return hits
 
 
@@ -110,8 +117,7 @@ def improved(pictures: Pictures, circle: np.ndarray, kind: str, whole: Pictures)
     outlines = distinct(old)
     if kind == "mirror":
         outlines = [measured(pictures.steady, x, y, radius), *outlines]
-    least = PROMISING if kind == "mirror" else _LEAST_SHADOW
-    hits = [hit for outline in outlines for hit in tested(pictures, outline, [kind], least)]
+    hits = [hit for outline in outlines for hit in tested(pictures, outline, [kind], PROMISING)]
     if kind == "mirror":
         best = [_with_distance(hit, whole) for hit in sorted(hits, key=lambda hit: -hit.score)[:_CLIMBED]]
         hits = [_measured_by_shadow(_scanned(hit)) if _measurable(hit) else hit for hit in best]
@@ -125,9 +131,16 @@ def _measurable(hit: Hit) -> bool:
 
 
 def _wanted(hit: Hit) -> float:
-    """Return the least agreement with the shadow. The lights of a circle of few pixels fit many a shadow."""
-    doubtful = hit.seen.share < _SURE_SHARE or hit.outline.support < _LEAST_SUPPORT
-    return _LEAST_SHADOW + doubtful * _DOUBT + (hit.outline.radius < SMALL) * _SMALL_DOUBT
+    """Return the least agreement with the shadow, less where edges outline the ball clearly.
+
+    Shadows of other things and near lamps lower the agreement of balls. On black cloth a mirror ball has few edges; on
+    a bright table a shining thing that is nearly round reaches 0.87. The lights of a circle of few pixels fit many a
+    shadow.
+    """
+    bright = table_light(hit.pictures.values, hit.ball) > _CLOTH
+    least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or bright else "mirror on cloth"]
+    doubtful = hit.seen.share < (_SURE_SHARE if hit.kind == "matte" else _MIRROR_SHARE)
+    return least - clear * hit.clear + doubtful * _DOUBT + (hit.outline.radius < SMALL) * _SMALL_DOUBT
 
 
 def _with_distance(hit: Hit, whole: Pictures) -> Hit:

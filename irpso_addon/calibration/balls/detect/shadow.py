@@ -19,6 +19,8 @@ _GRAZING = 0.02  # cosine between the table's normal and a light: the light is a
 _FULL = 0.8  # quantile over photographs: a pixel in light
 _LEAST_LIT, _FAINTEST = 0.01, 0.001  # of white: darker pixels, and means of pixels, show no shadow
 _CLEAR = 5.0  # deviations of the noise: a shadow shows
+_SHADED, _BRIGHTEST = 0.5, 1.3  # of a photograph's light: less is in shadow, more is of another thing
+_PLANES, _FLAT = 3, 0.01  # fits of a photograph's light; weight of a slope of 0
 _SOFT = 0.1  # of the radius: deviation of means on black cloth
 _BRIGHT = 4.0  # of the cloth's value: brighter things count no more in means
 _LIT_PART = 0.2  # of the pixels: so many show whether there is a shadow
@@ -59,9 +61,7 @@ def agreement(
     if seen is None:
         return None
     pixels, values, lit = seen
-    ratio = values / lit
-    ratio = ratio / np.maximum(np.quantile(ratio, _FULL, axis=1, keepdims=True), 1e-6)
-    darkness = _centred(np.clip(1.25 - 1.5 * ratio, 0, 1))
+    darkness = _centred(np.clip(1.25 - 1.5 * _evened(values / lit, pixels), 0, 1))
     if darkness.std() < _SEEN:
         return 0.0, Table(np.array([0.0, 0.0, 1.0]), 1.0)
     middle = around.outline[:-1].mean(axis=0)
@@ -100,12 +100,34 @@ def _lit(
     return (pixels[lit > clear], values[:, lit > clear], lit[lit > clear]) if enough else None
 
 
+def _evened(ratio: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return values (K, N) over planes fitted to each photograph's lit ones: the light of a near lamp falls off."""
+    place = (pixels - pixels.mean(axis=0)) / max(float(np.ptp(pixels)), 1.0)
+    design = np.concatenate([np.ones((len(pixels), 1)), place], axis=1)
+    products = (design[:, :, None] * design[:, None]).reshape(-1, 9)
+    flat = _FLAT * len(pixels) * np.diag((0.0, 1.0, 1.0))
+    full = np.maximum(np.quantile(ratio, _FULL, axis=1, keepdims=True), 1e-6)
+    plane, most = np.broadcast_to(full, ratio.shape), np.minimum(ratio, _BRIGHTEST * full)
+    for _ in range(_PLANES):
+        lit = (ratio > _SHADED * plane).astype(np.float64)
+        square = (lit @ products).reshape(-1, 3, 3) + flat
+        slope = np.linalg.solve(square, ((lit * most) @ design)[..., None])[..., 0]
+        plane = np.maximum(slope @ design.T, _SHADED * full)
+    return ratio / plane
+
+
 def _means(stack: np.ndarray, pixels: np.ndarray, sigma: float, most: float) -> np.ndarray:
     """Return weighted means (K, N) around pixels, of values up to ``most``: the ball's own light spreads no farther."""
     low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
     part = np.minimum(stack[:, low[0] : high[0], low[1] : high[1]], most)
     rows, columns = (pixels - low).T
     return np.stack([blurred(image, sigma)[rows, columns] for image in part])
+
+
+def table_light(stack: np.ndarray, ball: Ball) -> float:
+    """Return the median value, over white, of what lies around a ball where a lamp lights it."""
+    pixels = _around(ball, (stack.shape[1], stack.shape[2]), _PIXELS)
+    return float(np.median(np.quantile(stack[:, *pixels.T], _FULL, axis=0))) if len(pixels) else 0.0
 
 
 def _around(ball: Ball, shape: tuple[int, int], most: int) -> np.ndarray:
