@@ -219,7 +219,7 @@ def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[
         row, column = np.unravel_index(np.argmax(np.where(left, smooth, -np.inf)), smooth.shape)
         threshold = max(_SKIRT * peak, 2 * noise)
         region = around = _grown(left & (smooth > threshold), (int(row), int(column)))
-        if clipped[row, column]:
+        if clipped[row, column] and _compactness(np.argwhere(around)) < _ROUND:
             region = around & _near_core(_grown(around & clipped, (int(row), int(column))))
         left &= ~around | clipped & ~region  # another clipped core may touch this one
         blobs.append(_measured(signal, clipped, region, inside, noise))
