@@ -97,7 +97,8 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 class Calibrated:
     """Calibrated lights. shots: indices of the photographs in the spec. names: theirs. camera: index.
 
-    found: the balls that a search found, also those that calibration does not use.
+    request: what was asked for. radius: of the balls, as given. found: the balls that a search found, also those that
+    calibration does not use.
     """
 
     spec: CaptureSpec
@@ -106,6 +107,8 @@ class Calibrated:
     names: tuple[str, ...]
     result: Calibration
     warnings: tuple[str, ...]
+    request: Request
+    radius: float | None = None
     found: tuple[FoundBall, ...] = ()
 
     @property
@@ -130,7 +133,7 @@ def calibrate_steps(
     highlight is not the lamp's; they are left out.
     Raises InputError, also where more than half of the photographs show no light.
     """
-    number = _camera_number(spec, view)
+    number, asked = _camera_number(spec, view), request
     capture = build_capture(spec, decoder)
     shots = tuple(n for n, shot in enumerate(spec.observations) if shot.camera == number)
     camera = capture.cameras[number]
@@ -168,7 +171,7 @@ def calibrate_steps(
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
-    return Calibrated(spec, number, shots, names, result, tuple(warnings), found)
+    return Calibrated(spec, number, shots, names, result, tuple(warnings), asked, radius, found)
 
 
 def _without(dropped: Collection[str], name: str, light: FoundLight) -> FoundLight:
@@ -294,6 +297,12 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
         lights.append(row)
     return {
         "kind": result.kind,
+        "asked": {
+            "lights": calibrated.request.lights,
+            "radius": calibrated.radius,
+            "distance": calibrated.request.distance,
+            "albedo": calibrated.request.albedo,
+        },
         "near": result.near,
         "how": result.how,
         "camera": "perspective" if result.views[0].ball.camera.perspective else "orthographic",

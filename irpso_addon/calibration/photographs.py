@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ..capture import read
@@ -32,6 +33,7 @@ _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
 _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
+_EITHER = ({"crop", "corners"}, {"card_width", table.CARD_DISTANCE})  # keys of which a table has one
 _PATH_KEYS = ("image", "mask", "cameras")
 
 
@@ -132,21 +134,21 @@ def calibrated_table(
     cameras: Mapping[int, Mapping[str, Any]],
     lights: Mapping[int, Light | None],
     folder: Path,
-    card_distance: float | None = None,
+    card: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
     """Return the text of a capture.toml in ``folder``: the spec's, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot. card_distance: written where it is
-    given and the source has neither it nor ``card_width``. Everything else of a capture.toml
-    stays, except comments. Image paths become relative to ``folder``.
+    cameras: camera index → keys. lights: shot index → light; None removes the shot. card: keys of the card, in
+    place of the source's. Everything else of a capture.toml stays, except comments. Image paths become relative to
+    ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)
         home = spec.source.parent
     else:
         source, home = _as_table(spec), Path(".")
-    if card_distance is not None and not {table.CARD_DISTANCE, "card_width"} & set(source):
-        source = {**source, table.CARD_DISTANCE: card_distance}
+    replaced = {other for pair in _EITHER if pair & set(card) for other in pair}
+    source = {key: value for key, value in source.items() if key not in replaced} | dict(card)
     source = {**source, "camera": [dict(row) for row in source.get("camera", [])]}
     for number, keys in cameras.items():
         if number < len(source["camera"]):

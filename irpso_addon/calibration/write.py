@@ -62,17 +62,17 @@ def write_lights(
     lights: Sequence[Light],
     report: dict[str, Any],
     out: Path,
-    card_distance: float | None = None,
+    card: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Write a table and a report of lights that no ball shows: into a new folder, or as OUT.toml. All or nothing.
 
-    keys: of the cameras. lights: one for each photograph. card_distance: of a card, in the lights' unit. Raises
-    InputError where writing fails.
+    keys: of the cameras. lights: one for each photograph. card: keys of the table in place of the
+    source's, lengths in the lights' unit. Raises InputError where writing fails.
     """
     cameras = dict.fromkeys(range(len(spec.views)), keys) if keys else {}
     by_number = dict(enumerate(lights))
     text = json.dumps(report, indent=1) + "\n"
-    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder, card_distance), text)
+    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder, card), text)
 
 
 def _write(

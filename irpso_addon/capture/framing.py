@@ -8,7 +8,7 @@ their pictures resampled; the world and the lights stay.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -16,11 +16,12 @@ from typing import Literal
 import numpy as np
 
 from ..core.optional import present
+from ..core.steps import at_once
 from .bounds import bounded, weight_and_clipped
 from .camera import Camera
 from .distortion import undistorted
 from .errors import CaptureError
-from .frame.find import Found, find_corners
+from .frame.find import Found, corner_steps
 from .types import Capture
 
 AUTO = "auto"  # corners that are found in the photographs
@@ -60,8 +61,10 @@ class Framing:
             raise CaptureError(f"card_width is {self.card_width:g}; give a length above 0", "value")
 
 
-def framed(capture: Capture, framing: Framing) -> Capture:
+def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, Capture]:
     """Return a capture of the chosen part of the pictures, which are resampled as they are read.
+
+    Yields the fraction done while corners are searched.
 
     A framed pixel is the weighted mean of what it shows; it is a lower bound where a part of it is clipped. A scale
     applies to all cameras, the others to a capture of one. Raises CaptureError where the part is none of the picture,
@@ -70,7 +73,7 @@ def framed(capture: Capture, framing: Framing) -> Capture:
     if framing == Framing():
         return capture
     if framing.corners == AUTO:
-        framing, _ = with_found_corners(capture, framing)
+        framing, _ = yield from found_corner_steps(capture, framing)
     part = next((name for name in ("crop", "corners", "card_width") if getattr(framing, name)), None)
     if part and len(capture.cameras) != 1:
         raise CaptureError(f"{part}: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", part)
@@ -89,17 +92,23 @@ def framed(capture: Capture, framing: Framing) -> Capture:
     )
 
 
-def with_found_corners(capture: Capture, framing: Framing) -> tuple[Framing, Found]:
-    """Return the framing with corners found in the photographs, and how: see ``find_corners``.
+framed = at_once("framed", framed_steps)
+
+
+def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, None, tuple[Framing, Found]]:
+    """Return the framing with corners found in the photographs, and how: see ``corner_steps``.
 
     Printed markers also give the card's width, in millimetres, where neither it nor the card's distance is known.
     """
-    found = find_corners(capture)
+    found = yield from corner_steps(capture)
     first, second, third, fourth = found.corners
     width = framing.card_width
     if width is None and capture.card_distance is None and capture.cameras[0].perspective:
         width = found.width
     return replace(framing, corners=(first, second, third, fourth), card_width=width), found
+
+
+with_found_corners = at_once("with_found_corners", found_corner_steps)
 
 
 @dataclass(frozen=True)

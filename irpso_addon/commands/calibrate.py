@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..calibration.balls.lights import Request
 from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
 from ..calibration.write import checked_output, write_calibration, write_lights
+from ..capture.formats.table import CARD_DISTANCE
 from ..capture.framing import framed
 from ..capture.spec import CaptureSpec, build_capture
 from ..capture.types import Capture
@@ -23,7 +25,7 @@ from ..core.optional import present
 from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
 from ..gpu import context, probe
-from ..pipeline.flat_card import FlatCard, flat_card_steps
+from ..pipeline.flat_card import FlatCard, flat_card_steps, width_keys
 from ..pipeline.known_shape import KnownShape, known_shape_steps
 from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
@@ -111,15 +113,17 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     """Find near lights over a flat card and write them. Raises InputError and then writes nothing."""
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
-    found = _without_ball(options, flat_card_steps(_capture(spec)))
-    if not (keys or spec.views[0].lens):  # the unit of the positions is the assumed width
-        camera = found.capture.cameras[0]
-        keys = {"world_width": camera.width / camera.scale[0]}
+    whole = _whole(spec)
+    found = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
+    if not (keys or spec.views[0].lens):
+        keys = width_keys(whole.cameras[0])
+    stated = spec.card_distance is not None or spec.framing.card_width is not None
+    card = {} if stated else {CARD_DISTANCE: found.capture.card_distance}
     line = (
         f"{len(found.lights)} near lights, with their positions, by their fall-off over a flat card;"
         f" {_errors(found.found.degrees)}, and {found.distance_error:.0%} of their distance"
     )
-    return _written_without_ball(options, spec, keys, found, line, found.capture.card_distance)
+    return _written_without_ball(options, spec, keys, found, line, card)
 
 
 def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
@@ -142,9 +146,13 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
 
 
 def _capture(spec: CaptureSpec) -> Capture:
+    return framed(_whole(spec), spec.framing)
+
+
+def _whole(spec: CaptureSpec) -> Capture:
     probe.probe()
     context.ensure()
-    return framed(build_capture(spec, decode), spec.framing)
+    return build_capture(spec, decode)
 
 
 def _without_ball(options: Namespace, steps: Generator[float, None, Found]) -> Found:
@@ -158,11 +166,11 @@ def _written_without_ball(
     keys: dict[str, Any],
     found: Uncalibrated | KnownShape | FlatCard,
     line: str,
-    card_distance: float | None = None,
+    card: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict:
     """Write the lights, print a line and the warnings, and return the answer."""
     report, out = found.report(), Path(options.output)
-    write_lights(spec, keys, found.lights, report, out, card_distance)
+    write_lights(spec, keys, found.lights, report, out, card)
     if not silent(options):
         lines = [line, *(f"warning: {warning}" for warning in found.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")

@@ -61,6 +61,11 @@ class FlatCard:
         }
 
 
+def width_keys(whole: Camera) -> dict[str, float]:
+    """Return the keys of a camera without a known lens: the width of its whole picture is the positions' unit."""
+    return {"world_width": whole.width / whole.scale[0]}
+
+
 def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, FlatCard]:
     """Yield the fraction done; return the near lights of a flat card's capture, whose own lights do not count.
 

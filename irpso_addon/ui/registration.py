@@ -15,7 +15,7 @@ MODULES = (
     "properties.schedule_settings",
     "properties.scene_settings",
     "operators.capture_import",
-    "operators.ball_lights",
+    "operators.find_lights",
     "operators.sample",
     "operators.develop",
     "operators.rigs",

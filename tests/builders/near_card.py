@@ -43,3 +43,13 @@ def write_near_card(folder, **settings):
     write_capture(capture, folder)
     write_exr(folder.parent / "truth.exr", {"normal": {c: values["normal"][..., i] for i, c in enumerate("XYZ")}})
     return folder
+
+
+def write_unlit_card(folder):
+    """Write a flat card of 40 × 60 pixels without its lights and its distance; return the capture that has them."""
+    shape = 40, 60
+    values = smooth_maps(shape, {}, seed=3) | {"normal": np.broadcast_to((0.0, 0.0, 1.0), (*shape, 3))}
+    capture, _ = near_card(values=values)
+    unlit = tuple(replace(shot, light=Light((0.0, 0.0, 1.0))) for shot in capture.observations)
+    write_capture(replace(capture, observations=unlit, card_distance=None), folder)
+    return capture

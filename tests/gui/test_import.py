@@ -201,7 +201,7 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     ready.open_sidebar("IRPSO")
     directions = write_ball(tmp_path)
     given = f"photographs={str(tmp_path)!r}, found_by='NONE'"
-    ready.run(f"bpy.ops.irpso.lights_from_ball('INVOKE_DEFAULT', {given})")
+    ready.run(f"bpy.ops.irpso.find_lights('INVOKE_DEFAULT', {given})")
     ready.settle()
     ready.screenshot("finding lights: dialog")
     ready.key("Return")
@@ -213,7 +213,7 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     found = np.array([one.light.vector for one in read_capture(tmp_path / "capture.toml").observations])
     assert np.degrees(np.arccos(np.clip((found * directions).sum(axis=-1), -1, 1))).mean() < 3
     ready.run("bpy.context.scene.irpso.capture_path = ''")
-    ready.run(f"bpy.ops.irpso.lights_from_ball('INVOKE_DEFAULT', {given})")
+    ready.run(f"bpy.ops.irpso.find_lights('INVOKE_DEFAULT', {given})")
     ready.settle()
     ready.key("Return")
     ready.settle()

@@ -18,6 +18,7 @@ from ...capture.write import table_text
 from ...core.errors import InputError
 from ...core.files import check_unused, natural, new_folder
 from ...core.steps import map_steps
+from ..developing.corrections_file import photograph_at
 from ..developing.measure import Measured, Output, Progress
 from ..developing.write import write_developed_steps
 from ..photographs import relative_path
@@ -69,9 +70,10 @@ def apply_steps(
     shots = source.shots
     store = ImageStore(decoder)
     lamps = matched(rig, [_name(shot) for shot in shots], way, str(photographs))
-    check_photographs(rig, shots, lamps, store)
+    taken = [photograph_at(_file(shot), shot.images[0].path) for shot in shots]
+    check_photographs(rig, shots, taken, lamps, store)
     if given is None:
-        check_exposures(rig, shots, lamps)
+        check_exposures(rig, shots, taken, lamps)
     cameras = [rig.spec.observations[lamp].camera for lamp in lamps]
     shots = tuple(replace(shot, camera=n, size=rig.spec.views[n].size) for shot, n in zip(shots, cameras, strict=True))
     measured = None if measured is None else _for_cameras(measured, len(rig.spec.views))

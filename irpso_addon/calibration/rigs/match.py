@@ -10,7 +10,7 @@ from pathlib import Path
 from ...capture.images.image import ImageStore
 from ...core.errors import InputError
 from ...core.files import natural
-from ..developing.corrections_file import photograph_at
+from ..developing.corrections_file import Photograph
 from ..radiometry.develop import Shot
 from ..radiometry.frames import SAME_STOPS
 from .rig import Rig
@@ -55,9 +55,14 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
     return [known.index(key) for key in wanted]
 
 
-def check_photographs(rig: Rig, shots: Sequence[Shot], lamps: Sequence[int], store: ImageStore) -> None:
-    """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's."""
-    for shot, lamp in zip(shots, lamps, strict=True):
+def check_photographs(
+    rig: Rig, shots: Sequence[Shot], taken: Sequence[Photograph], lamps: Sequence[int], store: ImageStore
+) -> None:
+    """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's.
+
+    taken: what each shot was taken with.
+    """
+    for shot, found, lamp in zip(shots, taken, lamps, strict=True):
         path, known = shot.images[0].path, rig.photographs[lamp]
         view, size = rig.spec.views[rig.spec.observations[lamp].camera], store.size(shot.images[0])
         if view.size is not None and size != view.size:
@@ -70,27 +75,25 @@ def check_photographs(rig: Rig, shots: Sequence[Shot], lamps: Sequence[int], sto
                 f"{path}: is a {_kind(path.name)} file, and the rig's corrections are for {_kind(known.file)} files;"
                 " give the camera's own files as for the rig"
             )
-        found = photograph_at(path.name, path).lens
         for key, value in known.lens.items():
-            if key in found and not _same(found[key], value):
+            if key in found.lens and not _same(found.lens[key], value):
                 raise InputError(
-                    f"{path}: was taken with {key.replace('_', ' ')} {_shown(found[key])}, the rig's photographs with"
-                    f" {_shown(value)}; calibrate a rig for this camera and lens"
+                    f"{path}: was taken with {key.replace('_', ' ')} {_shown(found.lens[key])}, the rig's photographs"
+                    f" with {_shown(value)}; calibrate a rig for this camera and lens"
                 )
 
 
-def check_exposures(rig: Rig, shots: Sequence[Shot], lamps: Sequence[int]) -> None:
+def check_exposures(rig: Rig, shots: Sequence[Shot], taken: Sequence[Photograph], lamps: Sequence[int]) -> None:
     """Raise InputError for the first photograph of another exposure than that of the rig's, by EXIF."""
-    for shot, lamp in zip(shots, lamps, strict=True):
-        known, path = rig.photographs[lamp].exposure, shot.images[0].path
-        found = photograph_at(path.name, path).exposure
+    for shot, photograph, lamp in zip(shots, taken, lamps, strict=True):
+        known, found = rig.photographs[lamp].exposure, photograph.exposure
         if known is None or found is None:
             continue
         stops = math.log2(found.amount / known.amount)
         if abs(stops) >= SAME_STOPS:
             raise InputError(
-                f"{path}: is exposed {abs(stops):.1f} stops {'more' if stops > 0 else 'less'} than the rig's"
-                " photographs; set the camera as for the rig, or scale with --exposure exif"
+                f"{shot.images[0].path}: is exposed {abs(stops):.1f} stops {'more' if stops > 0 else 'less'} than the"
+                " rig's photographs; set the camera as for the rig, or scale with --exposure exif"
             )
 
 

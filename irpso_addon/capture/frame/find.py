@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
 from ...core.encode import srgb_from_linear
+from ...core.steps import at_once, map_steps
 from ..bounds import without_bounds
 from ..errors import CaptureError
 from ..types import Capture
 from .homography import homography, mapped
-from .markers import seen_markers
+from .markers import Seen, seen_markers
 from .rectangle import dominant, fitted, quadrilaterals
 from .sheet import Sheet
 
 Corners = tuple[tuple[float, float], ...]
 _PICTURES = 9  # photographs that are read
+_READ = 0.5  # fraction of the work, at the end of reading
 _BRIGHT = 99.0  # percentile that is shown white
 _APART = 0.006  # of the picture's diagonal: how far a photograph's own corners may lie from all the photographs' median
 _AGREE = 0.5  # share of the photographs read
@@ -47,23 +51,29 @@ class Found:
         return f"{points}, {by} in {self.photographs} of {self.read} photographs"
 
 
-def find_corners(capture: Capture) -> Found:
+def corner_steps(capture: Capture) -> Generator[float, None, Found]:
     """Return the corners of the flat subject of one camera: the field of a printed sheet, or the dominant rectangle.
 
-    Reads up to nine photographs. Raises CaptureError where neither shows, several could be meant or the photographs
-    disagree, and InputError without OpenCV.
+    Yields the fraction done. Reads up to nine photographs. Raises CaptureError where neither shows, several could be
+    meant or the photographs disagree, and InputError without OpenCV.
     """
     if len(capture.cameras) != 1:
         raise CaptureError(
             f"corners auto: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", "corners"
         )
-    count = len(capture.observations)
-    numbers = sorted({round(k * (count - 1) / (_PICTURES - 1)) for k in range(_PICTURES)})
-    pictures = [_radiance(capture, number) for number in numbers]
+    last = len(capture.observations) - 1
+    numbers = sorted({round(k * last / (_PICTURES - 1)) for k in range(_PICTURES)})
+    pictures = []
+    for done, number in enumerate(numbers):
+        yield _READ * done / len(numbers)
+        pictures.append(_radiance(capture, number))
+    yield _READ
     codes = [display_codes(picture) for picture in pictures]
     height, width = codes[0].shape
     together = [display_codes(np.max(pictures, axis=0)), display_codes(np.median(pictures, axis=0))]
-    found = _by_markers(codes, together) or _by_outline(codes, together, capture.name)
+    total, looks = 2 * (len(codes) + len(together)), count(1)
+    looking = _search_steps(codes, together, capture.name)
+    found = yield from map_steps(looking, lambda _: _READ + (1 - _READ) * next(looks) / total)
     outside = [f"{x:.0f},{y:.0f}" for x, y in found.corners if not (0 <= x <= width and 0 <= y <= height)]
     if outside:
         raise CaptureError(
@@ -72,6 +82,9 @@ def find_corners(capture: Capture) -> Found:
             "corners",
         )
     return found
+
+
+find_corners = at_once("find_corners", corner_steps)
 
 
 def display_codes(radiance: np.ndarray) -> np.ndarray:
@@ -85,12 +98,20 @@ def _radiance(capture: Capture, number: int) -> np.ndarray:
     return np.nan_to_num(without_bounds(capture.observations[number].read())[..., :3].mean(axis=-1), posinf=0.0)
 
 
-def _by_markers(codes: list[np.ndarray], together: list[np.ndarray]) -> Found | None:
+def _search_steps(codes: list[np.ndarray], together: list[np.ndarray], name: str) -> Generator[None, None, Found]:
+    """Yield before each look at a picture; return the corners by markers, else by the outline."""
+    found = []
+    for picture in (*codes, *together):
+        yield
+        found.append(seen_markers(picture))
+    if any(seen is not None for seen in found):
+        return _by_markers(found[: len(codes)], found[len(codes) :])
+    return (yield from _by_outline(codes, together, name))
+
+
+def _by_markers(each: list[Seen | None], together: list[Seen | None]) -> Found:
     """Return the field's corners by all markers that a photograph or all of them together show."""
-    each = [seen_markers(picture) for picture in codes]
-    seen = [found for found in (*each, *map(seen_markers, together)) if found is not None]
-    if not seen:
-        return None
+    seen = [found for found in (*each, *together) if found is not None]
     sheet = max((found.sheet for found in seen), key=lambda sheet: sum(found.sheet == sheet for found in seen))
     same = [found for found in seen if found.sheet == sheet]
     by_number: dict[int, list[np.ndarray]] = {}
@@ -101,12 +122,15 @@ def _by_markers(codes: list[np.ndarray], together: list[np.ndarray]) -> Found | 
     pixels = np.concatenate([np.median(places, axis=0) for places in by_number.values()])
     corners = mapped(homography(plane, pixels), sheet.field_corners)
     agree = sum(found is not None and found.sheet == sheet for found in each)
-    return Found(_points(corners), agree, len(codes), sheet)
+    return Found(_points(corners), agree, len(each), sheet)
 
 
-def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) -> Found:
+def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) -> Generator[None, None, Found]:
     """Return the dominant rectangle of all photographs together, fitted again in each. Raises CaptureError."""
-    outlines = [dominant(quadrilaterals(picture)) for picture in together]
+    outlines = []
+    for picture in together:
+        yield
+        outlines.append(dominant(quadrilaterals(picture)))
     if any(rival for _, rival in outlines):
         raise CaptureError(f"corners auto: '{name}' shows several rectangles of about one size; {_REMEDY}", "corners")
     first = next((outline for outline, _ in outlines if outline is not None), None)
@@ -116,7 +140,11 @@ def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) 
             f" {_REMEDY}",
             "corners",
         )
-    own = [found for found in (fitted(picture, first) for picture in codes) if found is not None]
+    own = []
+    for picture in codes:
+        yield
+        if (corners := fitted(picture, first)) is not None:
+            own.append(corners)
     diagonal = math.hypot(*codes[0].shape)
     middle = np.median(own, axis=0) if own else first
     near = [found for found in own if np.linalg.norm(found - middle, axis=1).max() < _APART * diagonal]

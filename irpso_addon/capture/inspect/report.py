@@ -14,7 +14,7 @@ import numpy as np
 from ...core.steps import at_once, map_steps
 from .. import places
 from ..errors import CaptureError
-from ..framing import framed
+from ..framing import framed_steps
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder
@@ -106,7 +106,8 @@ def inspect_steps(
         return Report(path, tuple(facts), (*_errors(error), *findings))
     texels = 0
     try:
-        part = framed(capture, spec.framing)
+        looking = framed_steps(capture, spec.framing)
+        part = yield from map_steps(looking, lambda done: f"Looking for corners: {done:.0%}")
         texels = int(np.count_nonzero(part.masks[0]))
         capture = replace(capture, card_distance=part.card_distance)
         facts += _facts(spec, capture, part)

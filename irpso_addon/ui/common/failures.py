@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 
 import bpy
 from bpy.app.handlers import persistent
@@ -21,6 +22,7 @@ _SETTINGS = {
     "start without --resume": "forget it, and recover anew",
     "run without --resume": "forget it, and recover anew",
     "--resume": "Restore",
+    "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window": "use Mark in Photograph",
     "--skip-damaged": "Leave Out Damaged Images",
 }
 
@@ -28,17 +30,22 @@ _log = logging.getLogger(__name__)
 _messages: list[str] = []  # the panel's messages, until the user dismisses them or starts a recovery
 
 
-def words(error: Exception) -> str:
-    """Return the message of an IrpsoError or a MemoryError in one line, with Blender's names of settings."""
+def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the message of an IrpsoError or a MemoryError in one line, with Blender's names of settings.
+
+    names: those of a dialog, before the usual ones.
+    """
     text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
-    for option, setting in _SETTINGS.items():
+    for option, setting in (*names.items(), *_SETTINGS.items()):
         text = text.replace(option, setting)
     return text
 
 
-def refused(operator: bpy.types.Operator, error: Exception) -> set[str]:
-    """Report an IrpsoError or a MemoryError as the operator's, and return how the operator ends."""
-    operator.report({"ERROR"}, words(error))
+def refused(
+    operator: bpy.types.Operator, error: Exception, names: Mapping[str, str] = MappingProxyType({})
+) -> set[str]:
+    """Report an IrpsoError or a MemoryError as the operator's; return how the operator ends. names: as ``words``."""
+    operator.report({"ERROR"}, words(error, names))
     return {"CANCELLED"}
 
 
@@ -55,10 +62,10 @@ def reported(doing: str) -> Iterator[None]:
         report(doing, error)
 
 
-def report(doing: str, error: Exception) -> str:
-    """Show an exception in the panel, once even if it is raised often, and return its text."""
+def report(doing: str, error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Show an exception in the panel, once even if it is raised often, and return its text. names: as ``words``."""
     if isinstance(error, IrpsoError | MemoryError):
-        text, expected = words(error), True
+        text, expected = words(error, names), True
     else:
         what = " ".join(str(error).split()) or type(error).__name__
         text, expected = f"{doing} has ended: {what}", False

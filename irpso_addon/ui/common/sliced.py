@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import bpy
@@ -19,10 +20,12 @@ _SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # of work between redraws, and from 
 class SlicedOperator:
     """Base of a ``bpy.types.Operator`` whose ``execute`` calls ``begin``.
 
-    doing: the work, for the status bar and for failures. A subclass defines ``finished``.
+    doing: the work, for the status bar and for failures. names: option in messages → its name in the dialog. A subclass
+    defines ``finished``.
     """
 
     doing = ""
+    names: Mapping[str, str] = MappingProxyType({})
     _steps: Generator[float, None, Any] | None = None
     _timer: Any = None
 
@@ -32,6 +35,7 @@ class SlicedOperator:
         In a window this goes on in time slices, with the progress in the status bar; Esc cancels.
         """
         self._steps = steps
+        failures.clear()
         context.window_manager.progress_begin(0, 1)
         if not bpy.app.background and context.window is not None:
             self._timer = context.window_manager.event_timer_add(_TIMER_SECONDS, window=context.window)
@@ -68,8 +72,10 @@ class SlicedOperator:
             self._leave(context, set())
             return self.finished(context, end.value)
         except InputError as error:
+            if self._timer is not None:  # the report's popup goes away with the mouse
+                failures.report(self.doing, error, self.names)
             self._leave(context, set())
-            return failures.refused(self, error)
+            return failures.refused(self, error, self.names)
         if self._timer is not None:
             context.workspace.status_text_set(f"{self.doing}: {part:.0%}. Esc cancels")
         return None

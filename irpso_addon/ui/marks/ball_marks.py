@@ -71,7 +71,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
         """Read the circles (N, 3) and highlights, in pixels from the upper left corner. Raises InputError."""
         self._path = absolute(context.scene.irpso.capture_path, "Capture")
         report = report_beside(self._path)
-        self._kind = report["kind"]
+        self._kind, self._asked = report["kind"], report["asked"]
         self._circles = np.array([ball["circle"] for ball in report["balls"]][:_MOST], float)
         self._spots = [
             (light["name"], np.array(spot)) for light in report["lights"] for spot in light["highlights"] if spot
@@ -80,9 +80,10 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
 
     def _found(self) -> set[str]:
         numbers = " ".join(f"{number:.3f}" for number in self._circles.ravel())
-        return bpy.ops.irpso.lights_from_ball(
+        return bpy.ops.irpso.find_lights(
             photographs=str(self._path), kind=self._kind, found_by="CIRCLE", circles=numbers,
-            dropped="\n".join(sorted(self._lost)),
+            dropped="\n".join(sorted(self._lost)), lights=self._asked["lights"], radius=self._asked["radius"] or 0,
+            distance=self._asked["distance"] or 0, albedo=self._asked["albedo"] or (0, 0, 0),
         )  # fmt: skip
 
     def confirmed(self, context) -> bool:
@@ -149,7 +150,7 @@ def report_beside(table: Path) -> dict[str, Any]:
     if path is None:
         raise InputError(f"{table.name}: has no report of a calibration beside it; use Find Lights first")
     report = json.loads(path.read_text(encoding="utf-8"))
-    if not all("circle" in ball for ball in report.get("balls", [{}])):
+    if not report.get("asked"):
         raise InputError(f"{path.name}: names no circles of balls; use Find Lights again")
     return report
 

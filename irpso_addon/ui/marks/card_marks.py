@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Generator, Hashable, Iterator
 
 import bpy
 import numpy as np
 from bpy.props import FloatVectorProperty
 
 from ...blender.images import decode
-from ...capture.frame.find import find_corners
+from ...capture.frame.find import Found, corner_steps
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.spec import build_capture
-from ...core.errors import InputError
-from ..common import failures
 from ..common.file_paths import absolute
 from ..common.polls import has_files
+from ..common.sliced import SlicedOperator
 from ..overlay.paint import HALO, Painter
 from ..session.scene_capture import knows_distance, spec_of
 from .marking import Marking
@@ -147,12 +146,13 @@ class IRPSO_OT_mark_chart(_CornerMarking, bpy.types.Operator):
         settings.chart_corners = (around(corners * (1, -1)) * (1, -1)).ravel().tolist()
 
 
-class IRPSO_OT_find_corners(bpy.types.Operator):
+class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
     """Find the card in its photographs: by printed markers around it, or as the one rectangle that shows"""
 
     bl_idname = "irpso.find_corners"
     bl_label = "Find Corners"
     bl_options = {"INTERNAL", "UNDO"}
+    doing = "Finding corners"
 
     @classmethod
     def poll(cls, context):
@@ -161,11 +161,15 @@ class IRPSO_OT_find_corners(bpy.types.Operator):
 
     def execute(self, context):
         """Read some photographs and store the corners."""
+        return self.begin(context, self._searched(context.scene.irpso))
+
+    def _searched(self, settings) -> Generator[float, None, Found]:
+        """Yield the fraction done; return the corners. Raises InputError."""
+        return (yield from corner_steps(build_capture(spec_of(settings), decode)))
+
+    def finished(self, context, found: Found) -> set[str]:
+        """Store the corners, and the width of a printed sheet's field."""
         settings = context.scene.irpso
-        try:
-            found = find_corners(build_capture(spec_of(settings), decode))
-        except InputError as error:
-            return failures.refused(self, error)
         take_corners(settings, np.array(found.corners))
         # A sheet has an upper left corner of its own.
         settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()

@@ -30,8 +30,8 @@ from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 from ..common.sliced import SlicedOperator
 from ..session import session
-from .ball_lights import free_table
 from .capture_import import begin_check
+from .find_lights import free_table
 
 _RENDERING = 0.95  # of the work
 _CHILD = (

@@ -10,8 +10,8 @@ from ..operators.capture_import import checking
 from ..operators.scene_setup import capture_lights
 from ..properties import findings, upkeep
 from ..properties.scene_settings import CUSTOM
-from ..session.job import subject_object
 from ..session.scene_capture import wants_distance
+from .mesh import draw_mesh
 from .sidebar import BeforeRun
 
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
@@ -33,7 +33,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.scale_y = 1.0 if settings.capture_path else 1.5
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             row = layout.row(align=True)
-            row.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
+            row.operator("irpso.find_lights", text="Find Lights…", icon="LIGHT_SUN")
             row.operator("irpso.mark_balls", text="", icon="MESH_CIRCLE")
             row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
@@ -157,17 +157,7 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
             return
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
-        column.prop(settings, "object")
-        if settings.object is None and (active := subject_object(context)) is not None:
-            column.label(text=f"Active: {active.name}", icon="OBJECT_DATA", translate=False)
-        chosen = subject_object(context)
-        if chosen is not None and len(chosen.material_slots) > 1:
-            column.prop(settings, "slots")
-            if settings.slots == "ACTIVE" and (material := chosen.active_material) is not None:
-                column.label(text=f"Active: {material.name}", icon="MATERIAL", translate=False)
-            if settings.slots == "NAMED":
-                column.prop(settings, "slot_list", text="Names")
-        column.prop(settings, "occluders")
+        draw_mesh(column, context)
         column.prop(settings, "resolution")
         column.prop(settings, "shadows")
 

@@ -105,7 +105,7 @@ def make_job(context) -> SceneJob:
     if obj is not None:
         material.check_object(obj)
         slots = wanted_slots(settings, obj)
-        mesh = with_occluders(extract_mesh(obj, slots), _occluders(settings, obj))
+        mesh = mesh_of(settings, obj)
     origin = _MESH if obj is not None else str(capture.source or context.scene.name)
     name = capture.name if obj is None else obj.name if slots is None else material.slots_subject(obj, slots)
     name = material.subject_name(name, origin)
@@ -147,6 +147,11 @@ def wanted_slots(settings, obj) -> tuple[int, ...] | None:
     if settings.slots == "ACTIVE":
         return (obj.active_material_index,)
     return slots_of_text(settings.slot_list, slot_names(obj))
+
+
+def mesh_of(settings, obj) -> MeshData:
+    """Return the mesh of the settings' slots, with the objects around it. Raises InputError."""
+    return with_occluders(extract_mesh(obj, wanted_slots(settings, obj)), _occluders(settings, obj))
 
 
 def _occluders(settings, obj) -> list[Any]:

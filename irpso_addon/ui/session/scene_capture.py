@@ -11,14 +11,14 @@ import numpy as np
 
 from ...blender.images import decode
 from ...blender.scenes.scene_capture import photographed_lights, scene_steps
-from ...capture.framing import Framing, framed
+from ...capture.framing import Framing, framed_steps
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import naming_remedy, sound_steps
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec, build_steps
 from ...capture.types import Capture
 from ...core.errors import InputError
-from ...core.steps import run_steps
+from ...core.steps import map_steps, run_steps
 from ..common.file_paths import absolute
 
 
@@ -34,7 +34,8 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
         if settings.source == "SCENE":
             return (yield from _scene_steps(scene))
         spec = yield from spec_steps(settings)
-        return framed((yield from build_steps(spec, decode)), spec.framing)
+        capture = yield from build_steps(spec, decode)
+        return (yield from map_steps(framed_steps(capture, spec.framing), lambda _: None))
 
 
 def spec_steps(settings) -> Generator[None, None, CaptureSpec]:

@@ -1,64 +1,22 @@
 """``calibrate --ball none`` with ``--blend`` or ``--flat``: lights over a known shape, through the public command."""
 
 import json
-from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender.scenes.scene import camera_from_object, empty_blend
 from irpso_addon.capture.read import read_capture
-from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.capture.write import write_capture
-from tests.builders.command_line import dome_lights, run_cli, smooth_maps
-from tests.builders.near_card import DISTANCE, near_card
-
-LAMPS, SIDE = 8, 72
-STRENGTHS = np.exp(0.3 * np.random.default_rng(3).standard_normal(LAMPS))
-
-
-def _photographs(camera, places, near):
-    """Return radiance (K, H, W, 3) and mask of a matt sphere of radius 1 at the origin; computed from its equation."""
-    across = camera.points(1.0) - camera.position
-    ray = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    b = ray @ camera.position
-    inside = b**2 - camera.position @ camera.position + 1
-    mask = inside > 0.02
-    normal = camera.position + ray * (-b - np.sqrt(np.maximum(inside, 0)))[..., None]
-    albedo = 0.45 + 0.25 * np.sin(9 * normal)
-    pictures = []
-    for place, strength in zip(places, STRENGTHS, strict=True):
-        toward = place - normal if near else np.broadcast_to(place / np.linalg.norm(place), normal.shape)
-        far = np.linalg.norm(toward, axis=-1)
-        shading = np.maximum((toward * normal).sum(axis=-1), 0) / far**3
-        scale = strength * (place @ place if near else 1)
-        pictures.append((albedo * shading[..., None] * scale).astype(np.float32) * mask[..., None])
-    return pictures, mask
+from tests.builders.command_line import run_cli
+from tests.builders.known_shape import LAMPS, write_sphere
+from tests.builders.near_card import DISTANCE, write_unlit_card
 
 
 def _capture(folder, near, moved=0.0):
-    """Write mesh and photographs of two cameras; return the places of the lamps."""
-    empty_blend()
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, location=(moved, 0, 0))
-    bpy.context.object.name = "Sphere"
-    bpy.ops.object.shade_smooth()
-    shots, cameras, masks = [], [], []
-    places = 3.2 * dome_lights(LAMPS, widest=55.0)
-    for number, turn in enumerate((0.0, 0.9)):
-        bpy.ops.object.camera_add(location=(5 * np.sin(turn), 0, 5 * np.cos(turn)), rotation=(0, turn, 0))
-        bpy.context.object.data.angle = np.radians(30)
-        bpy.context.view_layer.update()
-        cameras.append(camera_from_object(bpy.context.object, SIDE, SIDE))
-        pictures, mask = _photographs(cameras[-1], places, near)
-        masks.append(mask)
-        for k in range(number, LAMPS, 2):
-            image = np.concatenate([pictures[k], np.ones((SIDE, SIDE, 1), np.float32)], axis=-1)
-            shots.append(Observation(f"{number}-{k}", lambda i=image: i, Light((0.0, 0.0, 1.0)), number))
-    write_capture(Capture("sphere", tuple(shots), tuple(cameras), tuple(masks)), folder / "capture")
+    """Write mesh and photographs of two cameras; return the places of the lamps and their strengths."""
+    found = write_sphere(folder, near, moved)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"), check_existing=False)
-    order = [*range(0, LAMPS, 2), *range(1, LAMPS, 2)]
-    return places[order], STRENGTHS[order]
+    return found
 
 
 def _calibrate(folder, *options):
@@ -93,11 +51,7 @@ def test_a_mesh_that_is_elsewhere_is_refused(tmp_path):
 
 
 def test_near_lights_of_a_flat_card_are_found(tmp_path):
-    shape = 40, 60
-    values = smooth_maps(shape, {}, seed=3) | {"normal": np.broadcast_to((0.0, 0.0, 1.0), (*shape, 3))}
-    capture, _ = near_card(values=values)
-    unlit = tuple(replace(shot, light=Light((0.0, 0.0, 1.0))) for shot in capture.observations)
-    write_capture(replace(capture, observations=unlit, card_distance=None), tmp_path / "capture")
+    capture = write_unlit_card(tmp_path / "capture")
     code, _, err = run_cli(
         "calibrate", tmp_path / "capture", "--ball", "none", "--flat", "-o", tmp_path / "out", "--quiet"
     )

@@ -1,4 +1,4 @@
-"""The button that finds lights from a ball."""
+"""The button that finds lights: from balls, from a known mesh, a flat card or relief."""
 
 import math
 from types import SimpleNamespace
@@ -11,10 +11,12 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.ui.marks import ball_marks
-from irpso_addon.ui.operators.ball_lights import free_table
+from irpso_addon.ui.operators.find_lights import free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
 from tests.builders.ball_scenes import photographs as photographs_of
 from tests.builders.balls import cap, degrees, mirror_image, photographed, trace
+from tests.builders.known_shape import write_sphere
+from tests.builders.near_card import DISTANCE, write_unlit_card
 from tests.builders.relief import write_ball
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -37,7 +39,7 @@ def photographs(tmp_path):
 
 
 def press(folder, kind="mirror", **given):
-    return bpy.ops.irpso.lights_from_ball(photographs=str(folder), kind=kind, fov=math.radians(30), **given)
+    return bpy.ops.irpso.find_lights(photographs=str(folder), kind=kind, fov=math.radians(30), **given)
 
 
 def test_with_nothing_but_the_folder_the_ball_is_searched(tmp_path):
@@ -46,7 +48,7 @@ def test_with_nothing_but_the_folder_the_ball_is_searched(tmp_path):
     scene = Scene(spheres=(Sphere("matte", place(scene, 0.3, -0.2, 0.6), 0.6),), camera=scene.camera)
     for number, image in enumerate(photographs_of(scene, LIGHTS)):
         write_exr(tmp_path / f"{number}.exr", {"": {c: image[..., i] for i, c in enumerate("RGB")}})
-    assert bpy.ops.irpso.lights_from_ball(photographs=str(tmp_path), fov=math.radians(30)) == {"FINISHED"}
+    assert bpy.ops.irpso.find_lights(photographs=str(tmp_path), fov=math.radians(30)) == {"FINISHED"}
     capture = read_capture(bpy.context.scene.irpso.capture_path)
     assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 3.0
 
@@ -54,7 +56,7 @@ def test_with_nothing_but_the_folder_the_ball_is_searched(tmp_path):
 def test_without_a_ball_the_subjects_shading_shows_the_lights(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     directions = write_ball(tmp_path)
-    assert bpy.ops.irpso.lights_from_ball(photographs=str(tmp_path), found_by="NONE") == {"FINISHED"}
+    assert bpy.ops.irpso.find_lights(photographs=str(tmp_path), found_by="NONE") == {"FINISHED"}
     settings = bpy.context.scene.irpso
     assert settings.capture_path == str(tmp_path / "capture.toml")
     found = [one.light.vector for one in read_capture(settings.capture_path).observations]
@@ -62,12 +64,85 @@ def test_without_a_ball_the_subjects_shading_shows_the_lights(tmp_path):
     assert (tmp_path / "capture_report.json").is_file()
 
 
+@pytest.mark.parametrize("near", [False, True])
+def test_a_mesh_of_the_scene_shows_the_lights_and_is_then_the_subject(tmp_path, near):
+    places, _ = write_sphere(tmp_path, near)
+    bpy.context.view_layer.objects.active = bpy.data.objects["Sphere"]
+    given = {"photographs": str(tmp_path / "capture"), "found_by": "MESH"}
+    assert bpy.ops.irpso.find_lights(**given, lights="near" if near else "auto") == {"FINISHED"}
+    settings = bpy.context.scene.irpso
+    assert settings.subject == "MESH"
+    found = np.array([one.light.vector for one in read_capture(settings.capture_path).observations])
+    if near:
+        assert np.linalg.norm(found - places, axis=-1).max() < 0.03 * 3.2
+    else:
+        assert degrees(found, places / np.linalg.norm(places, axis=-1, keepdims=True)).max() < 1.0
+
+
+def test_without_a_mesh_there_is_no_known_mesh(tmp_path):
+    write_sphere(tmp_path, near=False)
+    bpy.data.objects.remove(bpy.data.objects["Sphere"])
+    with pytest.raises(RuntimeError, match="Object: is no mesh; choose the mesh that the photographs show"):
+        bpy.ops.irpso.find_lights(photographs=str(tmp_path / "capture"), found_by="MESH")
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_near_lamps_are_found_over_the_framed_part_of_a_flat_card_of_known_width(tmp_path, marked):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    capture, settings = write_unlit_card(tmp_path / "card"), bpy.context.scene.irpso
+    shown = 60
+    if marked:
+        settings.capture_path, shown = str(tmp_path / "card"), 50
+        settings.framing, settings.crop = "CROP", (4, 0, shown, 40)
+    width = shown / 60 * 2 * DISTANCE * math.tan(math.radians(15))
+    given = {"photographs": str(tmp_path / "card"), "found_by": "FLAT", "card_width": width}
+    assert bpy.ops.irpso.find_lights(**given) == {"FINISHED"}
+    found = read_capture(settings.capture_path)
+    assert found.card_distance == pytest.approx(DISTANCE, rel=1e-5) and found.masks[0].shape == (40, shown)
+    for light, shot in zip(found.observations, capture.observations, strict=True):
+        assert np.linalg.norm(np.array(light.light.vector) - shot.light.vector) < 0.02 * 260
+
+
+def test_corners_of_a_flat_card_that_are_found_are_those_of_the_new_capture(tmp_path):
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    write_unlit_card(tmp_path)
+    with pytest.raises(RuntimeError, match="corners auto: .*; use Mark in Photograph"):
+        bpy.ops.irpso.find_lights(photographs=str(tmp_path), found_by="FLAT", card="FIND")
+    assert not (tmp_path / "capture_1.toml").exists()
+
+
+def test_what_is_marked_stays_when_lights_of_the_same_photographs_are_found_again(photographs):
+    mask = {"found_by": "MASK", "mask": str(photographs.parent / "ball.exr")}
+    press(photographs, **mask)
+    settings = bpy.context.scene.irpso
+    settings.framing, settings.crop, settings.picture_scale = "CROP", (3, 2, 40, 30), 0.5
+    press(settings.capture_path, **mask)
+    assert settings.capture_path.endswith("capture_1.toml")
+    assert (settings.framing, tuple(settings.crop), settings.picture_scale) == ("CROP", (3, 2, 40, 30), 0.5)
+
+
+def test_a_string_makes_positions_of_one_balls_directions_and_a_correction_keeps_it(photographs):
+    mask = {"found_by": "MASK", "mask": str(photographs.parent / "ball.exr")}
+    press(photographs, **mask, radius=RADIUS, distance=9.0)
+    settings = bpy.context.scene.irpso
+    assert settings.near_lights and settings.card_distance == pytest.approx(RADIUS - CENTRE[2], rel=0.01)
+    bpy.ops.irpso.mark_balls(moves=[0.0] * 30)
+    for light in read_capture(settings.capture_path).observations:
+        assert np.linalg.norm(np.array(light.light.vector) - CENTRE) == pytest.approx(9.0, rel=0.01)
+
+
+def test_messages_have_the_names_of_the_dialogs_entries(photographs):
+    with pytest.raises(RuntimeError, match="one ball gives a direction only; add a second ball, or Lamp Distance"):
+        press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr"), lights="near")
+
+
 def test_photographs_in_which_no_ball_is_found_are_one_line(tmp_path):
     for number in range(3):
         grey = np.random.default_rng(number).uniform(0.2, 0.3, (60, 80)).astype(np.float32)
         write_exr(tmp_path / f"{number}.exr", {"": dict.fromkeys("RGB", grey)})
     with pytest.raises(RuntimeError, match="no ball was found"):
-        bpy.ops.irpso.lights_from_ball(photographs=str(tmp_path))
+        bpy.ops.irpso.find_lights(photographs=str(tmp_path))
     assert not (tmp_path / "capture.toml").exists()
 
 

@@ -1,0 +1,274 @@
+"""Finds the lights of a folder of photographs, from balls or from shading, and imports it as a capture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
+
+from ...blender.images import decode
+from ...calibration.balls.lights import Request
+from ...calibration.job import BallRequest, calibrate_steps
+from ...calibration.photographs import lens_of_files, read_photographs, with_camera
+from ...calibration.write import write_calibration
+from ...capture.formats.table import TABLE
+from ...capture.spec import CaptureSpec
+from ...core.errors import InputError
+from ..common import failures
+from ..common.features import RELATIVE_PATH
+from ..common.file_paths import absolute, first_free
+from ..common.sliced import SlicedOperator
+from ..panels.mesh import draw_mesh
+from ..session import session
+from ..session.scene_capture import knows_distance, spec_of
+from ..session.shading_lights import WAYS, ShadingRequest, known_mesh, shading_light_steps
+from .capture_import import begin_check
+
+_KINDS = (
+    ("auto", "Automatic", "Mirror balls if any are found, else matte ones. For a mask or a circle choose the kind"),
+    ("mirror", "Mirror", "A shiny ball: its highlight gives the light's direction"),
+    ("matte", "Matte", "A ball like plaster: its shading gives direction and strength. Needs linear images"),
+)
+_FOUND_BY = (
+    ("AUTO", "Balls", "Mirror or matte balls beside the subject, which are searched in the photographs"),
+    ("MASK", "Ball in a Mask", "A ball that an image shows, white on black"),
+    ("CIRCLE", "Ball in a Circle", "A ball whose center and radius in pixels are known"),
+    ("MESH", "Known Mesh", "No ball: the shading of a mesh of this scene that the photographs show"),
+    ("FLAT", "Flat Card", "No ball: the fall-off of lamps that stand near a flat, matt card"),
+    ("NONE", "Relief", "No ball: distant lights, by the shading and material of a subject with relief"),
+)
+_DISTANCES = (
+    ("auto", "Automatic", "Positions where the photographs tell them, else directions"),
+    ("distant", "Distant", "Directions"),
+    ("near", "Near", "Positions"),
+)
+_CARDS = (
+    ("FRAME", "As Framed", "The part that Frame, under Subject, shows; of another folder the whole photographs"),
+    ("FIND", "Find Corners", "Its corners are searched: by printed markers, or as the one rectangle that shows"),
+)
+_OF_PHOTOGRAPHS = ("picture_scale", "chart_photograph", "chart_corners")  # settings that other lights leave as they are
+_OF_CARD = ("framing", "crop", "corners", "card_distance", "card_width")
+
+
+def free_table(folder: Path) -> Path:
+    """Return the first path of capture.toml, capture_1.toml, … in a folder that does not exist."""
+    return first_free(folder, Path(TABLE).stem, Path(TABLE).suffix)
+
+
+@lru_cache(maxsize=1)  # a dialog is drawn often
+def _cameras(photographs: str, changed: float) -> tuple[str, ...]:
+    """Return the names of the cameras of photographs; () where there are none."""
+    try:
+        return tuple(view.name for view in read_photographs(Path(photographs)).views)
+    except InputError:
+        return ()
+
+
+def _camera_names(operator, context, text: str) -> tuple[str, ...]:
+    try:
+        path = absolute(operator.photographs, "Photographs")
+        return _cameras(str(path), path.stat().st_mtime) if operator.photographs else ()
+    except (InputError, OSError):
+        return ()
+
+
+class FindLights(SlicedOperator, bpy.types.Operator):
+    """Find the light of every photograph from a ball in the picture, or from the subject's shading, and import them"""
+
+    bl_idname = "irpso.find_lights"
+    bl_label = "Find Lights"
+    bl_options = {"REGISTER"}
+    doing = "Finding lights"
+    names = {
+        "--ball none": "From: Relief", "--ball auto": "From: Balls", "second --ball": "second ball", "--ball": "From",
+        "--kind mirror": "Mirror", "--kind matte": "Matte", "--kind": "Surface", "--view": "Camera",
+        "--flat without --blend": "From: Flat Card", "--flat": "From: Flat Card", "--lights distant": "Lights: Distant",
+        "--lights": "Lights", "--radius": "Ball Radius", "--distance": "Lamp Distance", "--fov": "Field of View",
+        "--inside-out": "Inside Out",
+    }  # fmt: skip
+
+    photographs: StringProperty(
+        name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
+        subtype="FILE_PATH", **RELATIVE_PATH,
+    )  # fmt: skip
+    found_by: EnumProperty(name="From", description="What shows the lights", items=_FOUND_BY, default="AUTO")
+    kind: EnumProperty(name="Surface", description="Surface of the ball", items=_KINDS, default="auto")
+    mask: StringProperty(
+        name="Mask", description="Image of the photographs' size, white on the ball, black elsewhere",
+        subtype="FILE_PATH", **RELATIVE_PATH,
+    )  # fmt: skip
+    circle: FloatVectorProperty(
+        name="X, Y, Radius",
+        description="Center and radius of the ball in pixels, from the upper left corner",
+        size=3,
+        min=0,
+    )
+    circles: StringProperty(
+        name="Circles", description="Center and radius of several balls, x y radius x y radius …, in place of one",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )  # fmt: skip
+    dropped: StringProperty(
+        name="Dropped", description="Photographs, one in a line, whose highlight is not the lamp's",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )  # fmt: skip
+    camera: StringProperty(name="Camera", description="The camera that saw the balls", search=_camera_names)
+    lights: EnumProperty(name="Lights", description="Directions or positions", items=_DISTANCES, default="auto")
+    radius: FloatProperty(
+        name="Ball Radius", description="Of all balls, in the unit of the lights' positions: say millimeters. 0:"
+        " unknown", min=0, soft_max=1000, precision=3,
+    )  # fmt: skip
+    distance: FloatProperty(
+        name="Lamp Distance", description="From the ball to all lamps, in the unit of Ball Radius: the length of a"
+        " string by which the lamp is held. It makes positions of one ball's directions. 0: unknown",
+        min=0, soft_max=10_000, precision=3,
+    )  # fmt: skip
+    albedo: FloatVectorProperty(
+        name="Albedo", description="Red, green and blue of a matte ball: makes strengths absolute. 0: they are relative"
+        " to the first photograph's", size=3, min=0, max=1, precision=3,
+    )  # fmt: skip
+    card: EnumProperty(name="Card", description="Where the flat card is", items=_CARDS, default="FRAME")
+    card_width: FloatProperty(
+        name="Card Width", description="Of what is shown of the card, in the unit of the lights' positions. 0: that of"
+        " the capture or of printed markers; else positions are in widths of the picture",
+        min=0, soft_max=10_000, precision=3,
+    )  # fmt: skip
+    inside_out: BoolProperty(
+        name="Inside Out", description="Take the other of two answers, if the relief looks inside out. Only a mask with"
+        " the subject's outline tells them apart",
+    )  # fmt: skip
+    fov: FloatProperty(
+        name="Field of View", description="The camera's, over the image's width. 0: that of the capture's camera, or of"
+        " the photographs' EXIF",
+        subtype="ANGLE", min=0, max=math.radians(170),
+    )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether no recovery runs: both would share the GPU."""
+        return session.idle(cls)
+
+    def invoke(self, context, event):
+        """Open the dialog."""
+        self.photographs = self.photographs or context.scene.irpso.capture_path
+        return context.window_manager.invoke_props_dialog(self, width=420)
+
+    def draw(self, context) -> None:
+        """Draw the dialog: the entries that the chosen way needs."""
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(self, "photographs")
+        column.prop(self, "found_by")
+        for name in self._entries(context):
+            column.prop(self, name)
+        if self.found_by == "MESH":
+            draw_mesh(column, context)
+        column.prop(self, "fov")
+
+    def _entries(self, context) -> list[str]:
+        """Return the names of the entries of the chosen way."""
+        if self.found_by in WAYS:
+            return {"MESH": ["lights"], "FLAT": ["card", "card_width"], "NONE": ["inside_out"]}[self.found_by]
+        several = ["camera"] * (len(_camera_names(self, context, "")) > 1)
+        place = {"MASK": ["mask"], "CIRCLE": ["circle"]}.get(self.found_by, [])
+        sizes = ["radius", *["distance"] * (self.radius > 0), *["albedo"] * (self.kind == "matte")]
+        return [*several, "kind", *place, "lights", *sizes]
+
+    def execute(self, context):
+        """Find the lights, write a new table beside the photographs and import it. On an error nothing is written."""
+        return self.begin(context, self._found(context.scene.irpso))
+
+    def finished(self, context, result):
+        """Import the table, keep what was set for the same photographs, and report the first warning."""
+        (path, warnings, card_distance), settings = result, context.scene.irpso
+        kept = {}
+        if self._same:
+            names = _OF_PHOTOGRAPHS if self.found_by == "FLAT" else (*_OF_CARD, *_OF_PHOTOGRAPHS)
+            kept = {name: _plain(getattr(settings, name)) for name in names}
+        bpy.ops.irpso.import_capture(filepath=str(path))
+        for name, value in kept.items():
+            setattr(settings, name, value)
+        if self.found_by == "MESH":
+            settings.subject = "MESH"
+        given = card_distance is not None and not knows_distance(settings)
+        if given:
+            settings.card_distance = card_distance
+        if given or settings.card_distance or settings.card_width:
+            begin_check(context.scene)  # the one of the import did not know them
+        if warnings:
+            more = f" (and {len(warnings) - 1} more, in the report beside it)" if len(warnings) > 1 else ""
+            self.report({"WARNING"}, failures.words(InputError(warnings[0]), self.names) + more)
+        look = f"; look at {path.stem}_balls.png" if self.found_by not in WAYS else ""
+        below = "; Card Distance is that of the table below the balls" if given else ""
+        self.report({"INFO"}, f"Lights written to {path.name}{look}{below}")
+        return {"FINISHED"}
+
+    def _found(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], float | None]]:
+        """Yield the fraction done; return the table's path, the warnings, and a card's distance if balls tell it.
+
+        Raises InputError.
+        """
+        shading = self._shading() if self.found_by in WAYS else None
+        balls = [] if shading else self._balls()
+        source, spec = self._photographs(settings, [ball.mask for ball in balls if ball.mask])
+        keys = {"fov_degrees": math.degrees(self.fov)} if self.fov > 0 else lens_of_files(spec, decode)
+        if keys:
+            spec = with_camera(spec, keys, "Field of View")
+        table = free_table(source if source.is_dir() else source.parent)
+        if shading:
+            return table, (yield from shading_light_steps(spec, keys, shading, table)), None
+        r, g, b = self.albedo
+        albedo = (r, g, b) if self.kind == "matte" and min(r, g, b) > 0 else None
+        request = Request(self.kind, self.lights, self.distance if self.radius else None, albedo)
+        found = yield from calibrate_steps(
+            spec, balls, request, decode, self.radius or None, self.camera or None, self.dropped.splitlines()
+        )
+        write_calibration(found, table, keys)
+        return table, found.warnings, found.card_distance if found.result.near and len(spec.views) == 1 else None
+
+    def _photographs(self, settings, masks: list[Path]) -> tuple[Path, CaptureSpec]:
+        """Return the path of the photographs and their spec, framed as the scene's settings if it is their capture."""
+        if not self.photographs:
+            raise InputError("Photographs: no folder is chosen; choose the folder of the photographs")
+        source = absolute(self.photographs, "Photographs")
+        if not source.exists():
+            raise InputError(f"{source}: does not exist; choose the folder of the photographs")
+        self._same = settings.capture_path != "" and absolute(settings.capture_path, "Capture") == source
+        return source, spec_of(settings) if self._same else read_photographs(source, settings.colour_space, masks)
+
+    def _shading(self) -> ShadingRequest:
+        mesh = known_mesh() if self.found_by == "MESH" else None
+        return ShadingRequest(self.found_by, self.lights, self.inside_out, self.card == "FIND", self.card_width, mesh)
+
+    def _balls(self) -> list[BallRequest]:
+        if self.circles:
+            numbers = np.reshape([float(number) for number in self.circles.split()], (-1, 3))
+            return [BallRequest(None, tuple(circle)) for circle in numbers.tolist()]
+        return [self._ball()]
+
+    def _ball(self) -> BallRequest:
+        if self.found_by == "AUTO":
+            return BallRequest()
+        if self.kind == "auto":
+            raise InputError("Surface: is Automatic; for a mask or a circle choose Mirror or Matte")
+        if self.found_by == "CIRCLE":
+            if not self.circle[2] > 0:
+                raise InputError("Radius: is 0; set the ball's radius in pixels")
+            return BallRequest(None, tuple(self.circle))
+        mask = absolute(self.mask, "Mask") if self.mask else None
+        if mask is None or not mask.is_file():
+            fault = "no file is chosen" if mask is None else f"{mask} does not exist"
+            raise InputError(f"Mask: {fault}; paint the ball white on black, in an image of the photographs' size")
+        return BallRequest(mask)
+
+
+def _plain(value):
+    """Return a setting's value that stays when the setting changes."""
+    return value if isinstance(value, str | float | int) else tuple(value)
+
+
+CLASSES = (FindLights,)

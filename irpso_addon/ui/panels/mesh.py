@@ -1,0 +1,21 @@
+"""The rows of a mesh that photographs show, for the panel of the subject and for dialogs."""
+
+from __future__ import annotations
+
+from ..session.job import subject_object
+
+
+def draw_mesh(column, context) -> None:
+    """Draw the object, its slots and what stands around it. column: a layout that splits properties."""
+    settings = context.scene.irpso
+    column.prop(settings, "object")
+    if settings.object is None and (active := subject_object(context)) is not None:
+        column.label(text=f"Active: {active.name}", icon="OBJECT_DATA", translate=False)
+    chosen = subject_object(context)
+    if chosen is not None and len(chosen.material_slots) > 1:
+        column.prop(settings, "slots")
+        if settings.slots == "ACTIVE" and (material := chosen.active_material) is not None:
+            column.label(text=f"Active: {material.name}", icon="MATERIAL", translate=False)
+        if settings.slots == "NAMED":
+            column.prop(settings, "slot_list", text="Names")
+    column.prop(settings, "occluders")

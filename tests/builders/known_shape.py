@@ -1,0 +1,57 @@
+"""A matt sphere of radius 1 under lamps, seen by two cameras of a scene that also holds its mesh."""
+
+import bpy
+import numpy as np
+
+from irpso_addon.blender.scenes.scene import camera_from_object, empty_blend
+from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.write import write_capture
+from tests.builders.command_line import dome_lights
+
+LAMPS, SIDE = 8, 72
+STRENGTHS = np.exp(0.3 * np.random.default_rng(3).standard_normal(LAMPS))
+
+
+def _photographs(camera, places, near):
+    """Return radiance (K, H, W, 3) and mask of a matt sphere of radius 1 at the origin; computed from its equation."""
+    across = camera.points(1.0) - camera.position
+    ray = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    b = ray @ camera.position
+    inside = b**2 - camera.position @ camera.position + 1
+    mask = inside > 0.02
+    normal = camera.position + ray * (-b - np.sqrt(np.maximum(inside, 0)))[..., None]
+    albedo = 0.45 + 0.25 * np.sin(9 * normal)
+    pictures = []
+    for place, strength in zip(places, STRENGTHS, strict=True):
+        toward = place - normal if near else np.broadcast_to(place / np.linalg.norm(place), normal.shape)
+        far = np.linalg.norm(toward, axis=-1)
+        shading = np.maximum((toward * normal).sum(axis=-1), 0) / far**3
+        scale = strength * (place @ place if near else 1)
+        pictures.append((albedo * shading[..., None] * scale).astype(np.float32) * mask[..., None])
+    return pictures, mask
+
+
+def write_sphere(folder, near, moved=0.0):
+    """Leave the mesh in the open file and write photographs of two cameras as FOLDER/capture.
+
+    moved: of the mesh. Return the places (K, 3) of the lamps and their strengths.
+    """
+    empty_blend()
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, location=(moved, 0, 0))
+    bpy.context.object.name = "Sphere"
+    bpy.ops.object.shade_smooth()
+    shots, cameras, masks = [], [], []
+    places = 3.2 * dome_lights(LAMPS, widest=55.0)
+    for number, turn in enumerate((0.0, 0.9)):
+        bpy.ops.object.camera_add(location=(5 * np.sin(turn), 0, 5 * np.cos(turn)), rotation=(0, turn, 0))
+        bpy.context.object.data.angle = np.radians(30)
+        bpy.context.view_layer.update()
+        cameras.append(camera_from_object(bpy.context.object, SIDE, SIDE))
+        pictures, mask = _photographs(cameras[-1], places, near)
+        masks.append(mask)
+        for k in range(number, LAMPS, 2):
+            image = np.concatenate([pictures[k], np.ones((SIDE, SIDE, 1), np.float32)], axis=-1)
+            shots.append(Observation(f"{number}-{k}", lambda i=image: i, Light((0.0, 0.0, 1.0)), number))
+    write_capture(Capture("sphere", tuple(shots), tuple(cameras), tuple(masks)), folder / "capture")
+    order = [*range(0, LAMPS, 2), *range(1, LAMPS, 2)]
+    return places[order], STRENGTHS[order]
