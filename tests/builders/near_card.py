@@ -45,10 +45,17 @@ def write_near_card(folder, **settings):
     return folder
 
 
-def write_unlit_card(folder):
-    """Write a flat card of 40 × 60 pixels without its lights and its distance; return the capture that has them."""
-    shape = 40, 60
+def write_unlit_card(folder, border=(0, 0)):
+    """Write a flat card of 40 × 60 pixels without its lights and its distance; return the capture that has them.
+
+    border: rows and columns of black table on each side of it.
+    """
+    rows, columns = border
+    shape = 40 + 2 * rows, 60 + 2 * columns
     values = smooth_maps(shape, {}, seed=3) | {"normal": np.broadcast_to((0.0, 0.0, 1.0), (*shape, 3))}
+    card = np.zeros((*shape, 1))
+    card[rows : rows + 40, columns : columns + 60] = 1
+    values["base_color"] = values["base_color"] * card
     capture, _ = near_card(values=values)
     unlit = tuple(replace(shot, light=Light((0.0, 0.0, 1.0))) for shot in capture.observations)
     write_capture(replace(capture, observations=unlit, card_distance=None), folder)

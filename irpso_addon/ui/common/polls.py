@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-NO_CAPTURE = "No capture: import a folder of photographs, an .lp list or a capture.toml"
+NO_CAPTURE = "No capture: find the lights of a folder of photographs, or import photographs with known lights"
 
 
 def usable(operator: type[bpy.types.Operator], there: object, otherwise: str) -> bool:

@@ -18,6 +18,7 @@ from bpy.props import StringProperty
 from ...blender.images import decode
 from ...blender.scenes.scene import middle_of
 from ...blender.scenes.scene_capture import wide_lights
+from ...calibration.photographs import is_photograph
 from ...capture.inspect import sufficiency
 from ...capture.inspect.frames import Finding
 from ...capture.inspect.report import Report, inspect_steps
@@ -188,14 +189,14 @@ class ImportCapture(bpy.types.Operator):
 
     def execute(self, context):
         """Make the files the scene's capture and begin the check. If they are no capture, the settings stay."""
-        settings, chosen = context.scene.irpso, self.filepath or self.directory
+        settings, chosen, path = context.scene.irpso, self.filepath or self.directory, None
         try:
             if not chosen:
                 raise InputError("no file or folder was chosen; choose a capture")
             path = capture_at(absolute(chosen, "Capture"))
             spec = read_spec(path, settings.colour_space)
         except InputError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, _refusal(error, path))
             return {"CANCELLED"}
         settings.source = "FILES"
         if settings.capture_path != (kept := _kept_path(path)):  # the same capture keeps its card distance
@@ -210,6 +211,16 @@ class ImportCapture(bpy.types.Operator):
         self.report({"INFO"}, f"{spec.name}: {len(spec.observations)} images")
         _warn(self, settings)
         return {"FINISHED"}
+
+
+def _refusal(error: InputError, path: Path | None) -> str:
+    """Return the message of a refused capture; photographs without a list of lights are sent to Find Lights."""
+    if getattr(error, "code", "") != "kind" or path is None or not path.is_dir():
+        return str(error)
+    suffixes = {file.suffix.lower() for file in path.iterdir()}
+    if ".lp" in suffixes or not any(is_photograph(Path(f"x{suffix}")) for suffix in suffixes):
+        return str(error)
+    return f"{path}: holds photographs without a list of their lights; use Find Lights"
 
 
 def _kept_path(path: Path) -> str:

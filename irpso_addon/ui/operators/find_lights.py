@@ -27,7 +27,7 @@ from ..panels.mesh import draw_mesh
 from ..session import session
 from ..session.scene_capture import knows_distance, spec_of
 from ..session.shading_lights import WAYS, ShadingRequest, known_mesh, shading_light_steps
-from .capture_import import begin_check
+from .capture_import import begin_check, capture_at
 
 _KINDS = (
     ("auto", "Automatic", "Mirror balls if any are found, else matte ones. For a mask or a circle choose the kind"),
@@ -75,6 +75,38 @@ def _camera_names(operator, context, text: str) -> tuple[str, ...]:
         return _cameras(str(path), path.stat().st_mtime) if operator.photographs else ()
     except (InputError, OSError):
         return ()
+
+
+class ChoosePhotographs(bpy.types.Operator):
+    """Choose the folder of photographs of one subject, each under another lamp; their lights are found next"""
+
+    bl_idname = "irpso.choose_photographs"
+    bl_label = "Choose Photographs"
+    bl_options = {"INTERNAL"}
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_image: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether no recovery runs."""
+        return session.idle(cls)
+
+    def invoke(self, context, event):
+        """Open the file browser."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Open the dialog of Find Lights for the chosen folder."""
+        try:
+            path = capture_at(absolute(self.filepath or self.directory, "Photographs"))
+        except InputError as error:
+            return failures.refused(self, error)
+        bpy.ops.irpso.find_lights("INVOKE_DEFAULT", photographs=str(path))
+        return {"FINISHED"}
 
 
 class FindLights(SlicedOperator, bpy.types.Operator):
@@ -271,4 +303,4 @@ def _plain(value):
     return value if isinstance(value, str | float | int) else tuple(value)
 
 
-CLASSES = (FindLights,)
+CLASSES = (ChoosePhotographs, FindLights)

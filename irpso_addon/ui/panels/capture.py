@@ -15,8 +15,8 @@ from .mesh import draw_mesh
 from .sidebar import BeforeRun
 
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
-_MOST_FINDINGS = 8
-_FIRST_FACTS = 3  # kind, number of images, maps that they suffice for; the panel Details has the rest
+_MOST_ERRORS, _MOST_FINDINGS = 8, 1  # that stand above; more warnings would push Recover out of view
+_FIRST_FACTS = ("images", "cameras", "enough for")  # the panel Details has the rest
 
 
 class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
@@ -33,26 +33,24 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.scale_y = 1.0 if settings.capture_path else 1.5
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             row = layout.row(align=True)
-            row.operator("irpso.find_lights", text="Find Lights…", icon="LIGHT_SUN")
+            finds = "irpso.find_lights" if settings.capture_path else "irpso.choose_photographs"
+            row.operator(finds, text="Find Lights…", icon="LIGHT_SUN")
             row.operator("irpso.mark_balls", text="", icon="MESH_CIRCLE")
             row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
                 layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")
                 return
-            layout.prop(settings, "capture_path", text="")
-            column = layout.column()
-            column.use_property_split, column.use_property_decorate = True, False
-            column.prop(settings, "colour_space")
+            row = layout.row(align=True)
+            row.prop(settings, "capture_path", text="")
+            _draw_check_again(row, context)
         else:
             layout.operator("irpso.import_cameras", text="Import Cameras…", icon="OUTLINER_OB_CAMERA")
             layout.operator("irpso.assign_images", icon="FILE_IMAGE")
             _draw_light(layout, context)
-        column = layout.column()
-        column.use_property_split, column.use_property_decorate = True, False
-        column.prop(settings, "light_strengths")
-        column.prop(settings, "refine_directions")
         _draw_check(layout, context, settings)
-        if settings.source == "FILES":
+        if settings.source == "SCENE":
+            _draw_check_again(layout, context)
+        else:
             layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
         draw_observation(layout, context)
 
@@ -87,6 +85,10 @@ def _draw_fact(layout, context, line: str) -> None:
     drawing.fact(layout, context, name[:1].upper() + name[1:], value)
 
 
+def _is_first(line: str) -> bool:
+    return line.partition(": ")[0] in _FIRST_FACTS
+
+
 def _summary(context) -> list[str]:
     """Return the facts about the capture, one per line; [] if they belong to another capture."""
     settings = context.scene.irpso
@@ -99,28 +101,48 @@ def _draw_check(layout, context, settings) -> None:
     if lines:
         column = layout.column(align=True)
         column.scale_y = 0.8
-        for line in lines[:_FIRST_FACTS]:
+        for line in filter(_is_first, lines):
             _draw_fact(column, context, line)
     if doing:
         layout.label(text=doing, icon="SORTTIME", translate=False)
         return
+    first, others = _first_findings(settings)
+    _draw_findings(layout, context, first)
+    if others:
+        layout.label(text=f"and {len(others)} more, in Details", icon="BLANK1")
+    if lines and not first:
+        layout.label(text="Nothing Suspicious", icon="CHECKMARK")
+    # The check of a scene reads headers only, so it does not see damaged pixels.
+    damaged = any(item.code in DAMAGE for item in first + others)
+    if settings.skip_damaged or settings.source == "SCENE" or damaged:
+        layout.prop(settings, "skip_damaged")
+
+
+def _first_findings(settings) -> tuple[list, list]:
+    """Return the findings that stand above, which are errors if there are any, and the others."""
     faults = findings.shown(settings)
-    for item in faults[:_MOST_FINDINGS]:
+    errors = sum(item.severity == "error" for item in faults)
+    count = min(errors, _MOST_ERRORS) or _MOST_FINDINGS
+    return faults[:count], faults[count:]
+
+
+def _draw_findings(layout, context, faults: list) -> None:
+    for item in faults:
         row = layout.row()
         row.alert = item.severity == "error"
         drawing.wrapped(row, context, item.message, _SEVERITIES.get(item.severity, "INFO"))
-    if len(faults) > _MOST_FINDINGS:
-        layout.label(text=f"and {len(faults) - _MOST_FINDINGS} more", icon="BLANK1")
-    if lines and not faults:
-        layout.label(text="Nothing Suspicious", icon="CHECKMARK")
-    # The check of a scene reads headers only, so it does not see damaged pixels.
-    if settings.skip_damaged or settings.source == "SCENE" or any(item.code in DAMAGE for item in faults):
-        layout.prop(settings, "skip_damaged")
-    layout.operator("irpso.check_capture", text="Check Again" if lines else "Check", icon="VIEWZOOM")
+
+
+def _draw_check_again(layout, context) -> None:
+    """Draw the button of the check: an icon beside the files, with words below a scene's capture."""
+    if context.scene.irpso.source == "FILES":
+        layout.operator("irpso.check_capture", text="", icon="FILE_REFRESH")
+    elif not checking(context.scene):
+        layout.operator("irpso.check_capture", text="Check Again" if _summary(context) else "Check", icon="VIEWZOOM")
 
 
 class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
-    """The other facts about the capture."""
+    """The other findings and facts about the capture."""
 
     bl_label = "Details"
     bl_parent_id = "IRPSO_PT_capture"
@@ -128,15 +150,41 @@ class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are more facts than the panel above shows."""
-        return super().poll(context) and len(_summary(context)) > _FIRST_FACTS
+        """Whether there is more than the panel above shows."""
+        more = not all(map(_is_first, _summary(context))) or _first_findings(context.scene.irpso)[1]
+        return super().poll(context) and bool(more)
 
     def draw(self, context) -> None:
-        """Draw the other facts."""
+        """Draw them."""
+        _draw_findings(self.layout, context, _first_findings(context.scene.irpso)[1])
         column = self.layout.column(align=True)
         column.scale_y = 0.8
-        for line in _summary(context)[_FIRST_FACTS:]:
-            _draw_fact(column, context, line)
+        for line in _summary(context):
+            if not _is_first(line):
+                _draw_fact(column, context, line)
+
+
+class IRPSO_PT_capture_reading(BeforeRun, bpy.types.Panel):
+    """How the photographs are read, and where their lights' strengths come from."""
+
+    bl_label = "Reading"
+    bl_parent_id = "IRPSO_PT_capture"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture."""
+        settings = context.scene.irpso
+        return super().poll(context) and (settings.source == "SCENE" or settings.capture_path != "")
+
+    def draw(self, context) -> None:
+        """Draw the settings, which seldom need a change."""
+        settings, column = context.scene.irpso, self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        if settings.source == "FILES":
+            column.prop(settings, "colour_space")
+        column.prop(settings, "light_strengths")
+        column.prop(settings, "refine_directions")
 
 
 class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
@@ -176,9 +224,8 @@ class IRPSO_PT_frame(bpy.types.Panel):
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(settings, "framing")
-        row = column.row(align=True)
-        row.operator("irpso.mark_card", icon="EYEDROPPER")
-        row.operator("irpso.find_corners", icon="VIEWZOOM")
+        column.operator("irpso.find_corners", icon="VIEWZOOM")
+        column.operator("irpso.mark_card", icon="EYEDROPPER")
         if settings.framing == "CROP":
             column.prop(settings, "crop")
         elif settings.framing == "CORNERS":
@@ -247,4 +294,7 @@ def _draw_fixed(layout, item) -> None:
     box.template_ID(item, "image", open="image.open")
 
 
-CLASSES = (IRPSO_PT_frame, IRPSO_PT_capture, IRPSO_PT_capture_facts, IRPSO_PT_subject, IRPSO_PT_material)
+CLASSES = (
+    IRPSO_PT_frame, IRPSO_PT_capture, IRPSO_PT_capture_facts, IRPSO_PT_capture_reading, IRPSO_PT_subject,
+    IRPSO_PT_material,
+)  # fmt: skip

@@ -8,8 +8,9 @@ import pytest
 
 from irpso_addon.capture.read import read_capture
 from tests.builders.command_line import run_cli
-from tests.builders.known_shape import LAMPS, write_sphere
+from tests.builders.known_shape import write_sphere
 from tests.builders.near_card import DISTANCE, write_unlit_card
+from tests.builders.sphere import LAMPS
 
 
 def _capture(folder, near, moved=0.0):

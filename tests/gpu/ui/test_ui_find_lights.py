@@ -103,13 +103,26 @@ def test_near_lamps_are_found_over_the_framed_part_of_a_flat_card_of_known_width
         assert np.linalg.norm(np.array(light.light.vector) - shot.light.vector) < 0.02 * 260
 
 
-def test_corners_of_a_flat_card_that_are_found_are_those_of_the_new_capture(tmp_path):
+def test_a_flat_card_whose_corners_do_not_show_is_refused_and_nothing_is_written(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     write_unlit_card(tmp_path)
     with pytest.raises(RuntimeError, match="corners auto: .*; use Mark in Photograph"):
         bpy.ops.irpso.find_lights(photographs=str(tmp_path), found_by="FLAT", card="FIND")
     assert not (tmp_path / "capture_1.toml").exists()
+
+
+def test_corners_that_are_found_are_the_frame_of_the_new_capture(tmp_path):
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    capture = write_unlit_card(tmp_path, border=(20, 30))
+    width = 2 * DISTANCE * math.tan(math.radians(15)) * 60 / 120
+    given = {"photographs": str(tmp_path), "found_by": "FLAT", "card": "FIND", "card_width": width}
+    assert bpy.ops.irpso.find_lights(**given) == {"FINISHED"}
+    found = read_capture(bpy.context.scene.irpso.capture_path)
+    assert found.masks[0].shape == (40, 60)
+    for light, shot in zip(found.observations, capture.observations, strict=True):
+        assert np.linalg.norm(np.array(light.light.vector) - shot.light.vector) < 0.03 * 260
 
 
 def test_what_is_marked_stays_when_lights_of_the_same_photographs_are_found_again(photographs):
