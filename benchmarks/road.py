@@ -3,8 +3,8 @@
 Usage: python -m benchmarks.road [--quick] [--again] [--output FOLDER]
 
 Needs what `make test-gui` needs, and rti_icon of the folder IRPSO_DATA, or of ../shared/data. The extension is the
-built zip. Nothing is typed. A click is one on a button, on OK of a dialog or on Accept of the file browser, in which the
-folder is already open.
+built zip. Nothing is typed. A click is one on a button, on OK of a dialog or on Accept of the file browser, in which
+the folder is already open.
 """
 
 from __future__ import annotations

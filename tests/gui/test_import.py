@@ -1,12 +1,19 @@
 """A capture comes into a real window: by the button's file browser, dropped, checked without a pause, as a scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
+from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.write import write_capture
 from tests.builders import command_line as cli_maker
-from tests.builders.near_card import DISTANCE, write_near_card
+from tests.builders.near_card import DISTANCE, write_near_card, write_unlit_card
 from tests.builders.relief import write_ball
+from tests.builders.sphere import LAMPS, SIDE, sphere_photographs
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 
@@ -35,6 +42,20 @@ def until_checked():
         yield
     capture_import._slice = real
     return max(slices, default=0.0), said
+
+def steps_of_find_corners():
+    # The slices of a search that has no time for two steps in one.
+    sliced = importlib.import_module("{UI}.common.sliced")
+    count, usual, real = [0], sliced._SLICE_SECONDS, sliced.SlicedOperator._slice
+    def counted(self, context, seconds):
+        count[0] += 1
+        return real(self, context, seconds)
+    sliced.SlicedOperator._slice, sliced._SLICE_SECONDS = counted, 1e-9
+    bpy.ops.irpso.find_corners("INVOKE_DEFAULT")
+    while any(o.bl_idname == "IRPSO_OT_find_corners" for o in main_window().modal_operators):
+        yield
+    sliced.SlicedOperator._slice, sliced._SLICE_SECONDS = real, usual
+    return count[0]
 
 def forget():
     settings().capture_path = settings().checked_path = settings().summary = ""
@@ -222,6 +243,75 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     assert not (tmp_path / "capture_1.toml").exists()
 
 
+def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    for number in range(3):
+        grey = np.random.default_rng(number).uniform(0.2, 0.3, (60, 80)).astype(np.float32)
+        write_exr(tmp_path / f"{number}.exr", {"": dict.fromkeys("RGB", grey)})
+    ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
+    ready.expect("no ball was found")
+    ready.click(*ready.find_button("irpso.choose_photographs"))
+    ready.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    ready.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{tmp_path}/'.encode()!r}", area="")
+    ready.settle()
+    ready.move(*ready.region("FILE_BROWSER").centre)
+    ready.key("Return")
+    ready.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    ready.run("redrawn()", area="")
+    ready.screenshot("finding lights: photographs are chosen")
+    ready.key("Return")
+    failures = "importlib.import_module(capture_import.__name__.replace('operators.capture_import', 'common.failures'))"
+    (message,) = ready.wait(f"{failures}.messages()", timeout=60)
+    ready.screenshot("finding lights: refused")
+    assert "no ball was found" in message and "From: Relief" in message and "--" not in message
+    ready.run("bpy.ops.irpso.dismiss_failures()")
+
+
+def test_the_dialog_finds_near_lamps_over_a_flat_card(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    capture = write_unlit_card(tmp_path)
+    width = 2 * DISTANCE * np.tan(np.radians(15))
+    given = f"photographs={str(tmp_path)!r}, found_by='FLAT', card_width={width}"
+    found = lights_by_dialog(ready, given, tmp_path / "capture_1.toml", "a flat card")
+    places = np.array([one.light.vector for one in capture.observations])
+    assert np.linalg.norm(found - places, axis=-1).max() < 0.02 * 260
+    assert ready.run("settings().subject, settings().near_lights") == ["CARD", True]
+
+
+def test_the_dialog_finds_lights_over_the_active_mesh(ready, tmp_path):
+    matrix = np.eye(4)
+    matrix[2, 3] = 5
+    camera = replace(Camera.from_fov(SIDE, SIDE, 30.0), matrix=matrix)
+    places = 3.2 * cli_maker.dome_lights(LAMPS, widest=55.0)
+    pictures, mask = sphere_photographs(camera, places, near=False)
+    shots = tuple(
+        Observation(f"{k}", lambda rgb=rgb: np.dstack([rgb, np.ones((SIDE, SIDE), np.float32)]), Light((0.0, 0.0, 1.0)))
+        for k, rgb in enumerate(pictures)
+    )
+    write_capture(Capture("sphere", shots, (camera,), (mask,)), tmp_path / "sphere")
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    ready.run("bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32)\nbpy.ops.object.shade_smooth()")
+    given = f"photographs={str(tmp_path / 'sphere')!r}, found_by='MESH'"
+    found = lights_by_dialog(ready, given, tmp_path / "sphere" / "capture_1.toml", "a mesh")
+    cosines = (found * places).sum(axis=-1) / np.linalg.norm(places, axis=-1)
+    assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).max() < 1.5
+    assert ready.run("settings().subject") == "MESH"
+
+
+def lights_by_dialog(ready, given, table, name):
+    """Press OK in the dialog Find Lights with some entries; return the vectors (K, 3) of the table that it writes."""
+    ready.run(f"bpy.ops.irpso.find_lights('INVOKE_DEFAULT', {given})")
+    ready.settle()
+    ready.screenshot(f"finding lights: over {name}")
+    ready.key("Return")
+    ready.wait(f"settings().capture_path == {str(table)!r}", timeout=120)
+    ready.screenshot(f"lights are found over {name}")
+    return np.array([one.light.vector for one in read_capture(table).observations])
+
+
 def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile()", area="")
     ready.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / 'scene.blend')!r})", area="")
@@ -314,3 +404,8 @@ def test_the_sample_opens_by_its_button_with_nothing_typed(ready, tmp_path):
     ready.screenshot("the sample is open")
     assert ready.run("settings().framing, settings().checked_images") == ["CROP", 6]
     assert (tmp_path / "irpso-sample" / "photographs" / "capture.toml").is_file()
+    x, y, width, height = ready.run("list(settings().crop)")
+    assert ready.run("steps_of_find_corners()", timeout=120) > 2 * 6  # it looks at six photographs, twice
+    ready.screenshot("the sample's corners are found")
+    corners = np.reshape(ready.run("list(settings().corners)"), (4, 2))
+    assert np.abs(corners - [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]).max() < 2

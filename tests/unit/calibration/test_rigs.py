@@ -6,6 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.developing import corrections_file
 from irpso_addon.calibration.rigs.match import matched
 from irpso_addon.calibration.rigs.rig import read_rig
 from irpso_addon.capture import read_capture
@@ -109,6 +110,14 @@ def test_without_corrections_the_capture_points_at_the_photographs(plain_rig, la
     found = read_capture(tmp_path / "out", decode_png)
     np.testing.assert_allclose([o.light.vector for o in found.observations], LIGHTS, atol=1e-6)
     np.testing.assert_array_equal(found.masks[0], X > 0)
+
+
+def test_the_header_of_each_photograph_is_read_once(plain_rig, later, tmp_path, monkeypatch):
+    read = []
+    real = corrections_file.read_bytes
+    monkeypatch.setattr(corrections_file, "read_bytes", lambda path: read.append(path.name) or real(path))
+    assert run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / "out", "--quiet")[0] == 0
+    assert sorted(read) == sorted(path.name for path in later.iterdir())
 
 
 def test_a_lamp_that_failed_is_named_and_left_out(developed_rig, later, tmp_path):

@@ -1,10 +1,12 @@
 """Corners of a card found in photographs, against the camera's own projection in float64."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from irpso_addon.capture.errors import CaptureError
-from irpso_addon.capture.frame.find import find_corners
+from irpso_addon.capture.frame.find import corner_steps, find_corners
 from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.capture.frame.sheet import PAPERS, SHEETS, sheet_of, sheet_picture, write_sheet
 from irpso_addon.capture.framing import AUTO, Framing, framed
@@ -57,6 +59,17 @@ def test_a_card_is_found_to_a_third_of_a_pixel(camera):
     true = from_upper_left(camera, _AROUND * _CARD)
     assert np.linalg.norm(np.array(found.corners) - true, axis=1).max() < 0.35
     assert found.photographs == found.read == 3 and found.sheet is None and found.width is None
+
+
+def test_the_search_yields_before_each_look_at_a_picture(camera):
+    looks = []
+    capture = capture_of(camera, card_pictures(camera, [((0, 0), _CARD)]))
+    shots = tuple(replace(shot, read=lambda read=shot.read: looks.append(1) or read()) for shot in capture.observations)
+    parts = [(part, len(looks)) for part in corner_steps(replace(capture, observations=shots))]
+    assert [read for _, read in parts[:4]] == [0, 1, 2, 3]  # three pictures, and two of them together
+    assert len(parts) == 4 + 5 + 2 + 3  # markers in each, outlines in both, the outline fitted to each
+    done = [part for part, _ in parts]
+    assert done == sorted(done) and done[0] >= 0 and done[-1] <= 1
 
 
 def test_two_cards_of_one_size_are_refused(camera):
