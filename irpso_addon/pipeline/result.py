@@ -84,12 +84,16 @@ def report_of(
     return report | ({} if found.height is None else {"height": found.height.described()})
 
 
-def capture_warnings(capture: Capture) -> list[str]:
-    """Return warnings of reading a capture: images left out, a guessed encoding."""
+def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
+    """Return warnings of reading a capture: images left out, an encoding that radiance contradicts.
+
+    reads: whether images are read to test the encoding, unless it is tested already. Panels must not.
+    """
     lines = [f"left out: {image.why}" for image in capture.left_out]
     encoding = capture.encoding
-    text = "" if encoding is None or encoding.known_by == "format" else encoding.message()
-    return [*lines, text] if text else lines
+    if encoding is None or encoding.known_by == "format" or not (reads or encoding.is_tested):
+        return lines
+    return [*lines, text] if (text := encoding.message()) else lines
 
 
 def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:

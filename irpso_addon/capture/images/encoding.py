@@ -49,6 +49,11 @@ class Encoding:
         """The test; reads at most 24 images, once."""
         return run_steps(self.testing())
 
+    @property
+    def is_tested(self) -> bool:
+        """Whether the test is done: then ``message`` reads no image."""
+        return self._test is not None
+
     def testing(self) -> Generator[None, None, EncodingTest]:
         """Yield before each image is read, and return the test."""
         if self._test is None:

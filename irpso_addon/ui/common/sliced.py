@@ -65,9 +65,11 @@ class SlicedOperator:
         """Work for some time; return how the operator ends, None if it goes on."""
         begun = time.perf_counter()
         try:
-            while time.perf_counter() - begun < seconds:
+            while True:
                 part = next(present(self._steps))
                 context.window_manager.progress_update(part)
+                if time.perf_counter() - begun >= seconds:
+                    break
         except StopIteration as end:
             self._leave(context, set())
             return self.finished(context, end.value)

@@ -116,7 +116,7 @@ def draw_result(layout, context, running: session.Session) -> None:
             drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    for text in (*running.doubts, *capture_warnings(running.job.capture)):
+    for text in (*running.doubts, *capture_warnings(running.job.capture, reads=False)):
         text = text[:1].upper() + text[1:]
         drawing.wrapped(layout, context, text, "ERROR")
     if stopped:
