@@ -52,7 +52,7 @@ def _draw_start(layout, context, text: str) -> None:
     row.scale_y = 2
     row.operator("irpso.recover", text=text, icon="PLAY")
     if time := search_time(context):
-        drawing.fact(layout, context, "Search", f"about {time}")
+        drawing.fact(layout, context, "Search", time)
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(context.scene.irpso, "hold_out")  # below the button: a row above could push it out of view
