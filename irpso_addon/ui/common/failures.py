@@ -92,7 +92,7 @@ def draw(layout, context) -> None:
     for text in _messages:
         row = layout.row()
         row.alert = True
-        drawing.wrapped(row, context, text, "CANCEL")
+        drawing.wrapped(row, context, text[:1].upper() + text[1:], "CANCEL")
     layout.operator(DismissFailures.bl_idname, icon="X")
 
 

@@ -56,6 +56,10 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
     bl_label = "Develop"
     bl_options = {"REGISTER"}
     doing = "Developing"
+    names = {
+        "--colour-chart auto": "Colors", "--colour-chart": "Colors", "--response": "Response", "--dark": "Dark Frames",
+        ", or use --scale-dark": "", "--flat": "Flat Fields",
+    }  # fmt: skip
 
     colours: EnumProperty(name="Colors", description="Colors and brightness by a chart", items=_COLOURS, default="AUTO")
     dark: StringProperty(

@@ -117,10 +117,11 @@ class FindLights(SlicedOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
     doing = "Finding lights"
     names = {
-        "--ball none": "From: Relief", "--ball auto": "From: Balls", "second --ball": "second ball", "--ball": "From",
-        "--kind mirror": "Mirror", "--kind matte": "Matte", "--kind": "Surface", "--view": "Camera",
-        "--flat without --blend": "From: Flat Card", "--flat": "From: Flat Card", "--lights distant": "Lights: Distant",
-        "--lights": "Lights", "--radius": "Ball Radius", "--distance": "Lamp Distance", "--fov": "Field of View",
+        "give its place as X,Y,R (--ball)": "choose From: Ball in a Circle", "--ball none": "From: Relief",
+        "--ball auto": "From: Balls", "second --ball": "second ball", "--ball": "From", "--kind mirror": "Mirror",
+        "--kind matte": "Matte", "--kind": "Surface", "--view": "Camera", "--flat without --blend": "From: Flat Card",
+        "--flat": "From: Flat Card", "--lights distant": "Lights: Distant", "--lights": "Lights",
+        "--radius": "Ball Radius", "--distance": "Lamp Distance", "--fov": "Field of View",
         "--inside-out": "Inside Out",
     }  # fmt: skip
 

@@ -76,6 +76,10 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
     bl_label = "Apply Rig"
     bl_options = {"REGISTER"}
     doing = "Applying the rig"
+    names = {
+        "--match names or --match numbers": "Match: Names or Numbers", "--match order": "Match: Order",
+        "--match names": "Match: Names", "--match numbers": "Match: Numbers", ", or scale with --exposure exif": "",
+    }  # fmt: skip
 
     rig: StringProperty(name="Rig", description="Folder of the rig, with rig.toml", **_FOLDER)
     photographs: StringProperty(name="Photographs", description="Folder with one photograph for each lamp", **_FOLDER)
