@@ -30,6 +30,7 @@ from benchmarks import (
     peers_table,
     recovery_scaling,
     report,
+    road,
     scenes_table,
     swarm_quality,
     swarm_scaling,
@@ -38,7 +39,7 @@ from benchmarks import (
 
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
-    swarm_scaling, recovery_scaling, killed, window, interreflection, balls,
+    swarm_scaling, recovery_scaling, killed, window, road, interreflection, balls,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {

@@ -5,10 +5,13 @@ import sys
 from types import SimpleNamespace
 
 import bpy
+import numpy as np
 import pytest
 
 import irpso_addon
+from irpso_addon.core.encode import srgb_from_linear
 from tests.builders import command_line as cli_maker
+from tests.builders.captures import chunk, write_png
 
 LIGHTS = cli_maker.dome_lights(12, widest=70)
 ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
@@ -264,6 +267,29 @@ def test_the_panels_show_the_next_steps_from_loading_to_kept(settings, card):
     assert {"irpso.keep", "irpso.export", "irpso.cancel", "irpso.standard_view"} <= set(found.operators)
     bpy.ops.irpso.cancel()
     assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
+
+
+def test_a_result_of_photographs_that_state_srgb_opens_none_of_them_to_be_drawn(settings, tmp_path, monkeypatch):
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
+
+    values = cli_maker.smooth_maps((10, 12), {}, seed=3)
+    radiance = cli_maker.render_oracle("lambert", values, LIGHTS)
+    lines = [str(len(LIGHTS))]
+    for number, (image, light) in enumerate(zip(radiance, LIGHTS, strict=True)):
+        codes = np.rint(255 * np.clip(srgb_from_linear(image[::-1]), 0, 1)).astype(int)
+        write_png(tmp_path / f"{number}.png", codes, extra=chunk(b"sRGB", b"\0"))
+        lines.append(f"{number}.png {light[0]:.6f} {light[1]:.6f} {light[2]:.6f}")
+    (tmp_path / "lights.lp").write_text("\n".join(lines) + "\n")
+    settings.capture_path, settings.model = str(tmp_path), "lambert"
+    running = session.begin(make_job(bpy.context))
+    running.run()
+    assert running.job.capture.encoding.known_by == "file" and not running.job.capture.encoding.is_tested
+    assert "irpso.keep" in drawn().operators
+    monkeypatch.setattr(sys.modules[__name__], "OPENED", [])
+    drawn()
+    assert OPENED == [] and not running.job.capture.encoding.is_tested
+    running.close()
 
 
 @pytest.mark.bpy_only
