@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -33,6 +34,7 @@ from ..session import session
 from .capture_import import begin_check
 from .find_lights import free_table
 
+_NAME = "tile"  # of the capture, and so of the card and its material
 _RENDERING = 0.95  # of the work
 _CHILD = (
     "import json; from irpso_addon.cli import main; from irpso_addon.gpu.context import exit_process;"
@@ -97,7 +99,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
         photographs = folder / FOLDER
         if not (folder / PAGE).is_file() or not photographs.is_dir():
             yield from map_steps(_rendering(folder), lambda part: _RENDERING * part)
-        spec = read_photographs(photographs)
+        spec = replace(read_photographs(photographs), name=_NAME)
         keys = lens_of_files(spec, decode)
         request = Request("mirror", distance=layout.LAMP_DISTANCE)
         spec = with_camera(spec, keys, "EXIF") if keys else spec  # a table from before has the lens

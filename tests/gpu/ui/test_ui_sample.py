@@ -33,7 +33,9 @@ def test_the_sample_is_rendered_once_and_opens_with_its_lights_and_its_tile(monk
     assert settings.framing == "CROP" and tuple(settings.crop) == layout.tile_crop(found.camera)
     assert settings.card_distance == pytest.approx(found.card_distance)
     assert not [item for item in settings.findings if "distance" in item.message]
-    lamps = [one.light.vector for one in read_capture(settings.capture_path, decode).observations]
+    capture = read_capture(settings.capture_path, decode)
+    assert capture.name == "tile"
+    lamps = [one.light.vector for one in capture.observations]
     true = found.lamps - found.camera.position
     seen = np.array([*layout.TILE, 0.0]) - found.camera.position
     assert degrees(np.array(lamps) - seen, true - seen).max() < 10.0  # a ball of 18 pixels
