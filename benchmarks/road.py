@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from benchmarks import report
 sys.path.insert(0, str(report.ROOT / "scripts"))
 
 DATA = Path(os.environ.get("IRPSO_DATA", report.ROOT.parent / "shared" / "data"))
+FACE = ((0.25, 0.8), (0.75, 0.8), (0.75, 0.3), (0.25, 0.3))  # of the icon, in parts of its picture
 PICTURES = report.CACHE / "road"  # screenshots of every step
 MODULE = "bl_ext.user_default.irpso.irpso_addon.ui"
 SLOW = 3000  # seconds
@@ -118,6 +119,23 @@ class Walk:
         """Search the card's corners, in the popover Frame."""
         self.step("Frame › Find Corners", 2, lambda: self.window.run("bpy.ops.irpso.find_corners('INVOKE_DEFAULT')"))
 
+    def mark(self, marks: Sequence[tuple[float, float]]) -> None:
+        """Click the corners of a part of the photograph, in parts of its width and height from the lower left."""
+
+        def act() -> None:
+            self.window.run("bpy.ops.irpso.mark_card('INVOKE_DEFAULT')")
+            self.window.wait("any(area.type == 'IMAGE_EDITOR' for area in main_window().screen.areas)", area="")
+            self.window.run("redrawn()", area="")
+            box = self.window.region("IMAGE_EDITOR")
+            for mark in marks:
+                to_region = f"bpy.context.region.view2d.view_to_region({mark[0]}, {mark[1]}, clip=False)"
+                x, y = self.window.run(to_region, area="IMAGE_EDITOR")
+                self.window.click(round(box.x + x), round(box.y + box.height - 1 - y))
+            self.picture("marks")
+            self.window.key("Return")
+
+        self.step("Frame › Mark in Photograph", 2 + len(marks) + 1, act)
+
     def recover_and_keep(self, quick: bool) -> None:
         """Press Recover, and Keep at its end."""
         if quick:
@@ -174,13 +192,14 @@ def _icon(walk: Walk, folder: Path) -> None:
     walk.press("Import Capture…", "irpso.import_capture", lambda: walk.choose(folder / "icon"), 2)
     walk.press("Find Lights…", "irpso.find_lights", walk.accept, 2)
     walk.corners()
+    walk.mark(FACE)
 
 
 ROADS = {"sample": _sample, "photographs": _photographs, "icon": _icon}
 _TITLES = {
     "sample": "Open Sample",
     "photographs": "The sample's photographs, as if they were your own",
-    "icon": "A painted icon with the lights of its .lp list",
+    "icon": "The middle of a painted icon, with the lights of its .lp list",
 }
 
 
