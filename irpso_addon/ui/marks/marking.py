@@ -68,6 +68,7 @@ class Marking:
 
     def begin(self, context, readers: int = _PICTURES) -> set[str]:
         """Show the brightest values of some photographs and wait for the mouse."""
+        failures.clear()  # of a search, in whose place marks are set
         try:
             picture, self._size = _picture(self.radiances(context.scene.irpso, readers))
         except InputError as error:
