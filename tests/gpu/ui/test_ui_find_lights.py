@@ -11,7 +11,7 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.ui.marks import ball_marks
-from irpso_addon.ui.operators.find_lights import free_table
+from irpso_addon.ui.operators.find_lights import FindLights, free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
 from tests.builders.ball_scenes import photographs as photographs_of
 from tests.builders.balls import cap, degrees, mirror_image, photographed, trace
@@ -157,6 +157,31 @@ def test_photographs_in_which_no_ball_is_found_are_one_line(tmp_path):
     with pytest.raises(RuntimeError, match="no ball was found"):
         bpy.ops.irpso.find_lights(photographs=str(tmp_path))
     assert not (tmp_path / "capture.toml").exists()
+
+
+def test_importing_photographs_without_lights_leads_to_find_lights(photographs):
+    with pytest.raises(RuntimeError, match="holds photographs without a list of their lights; use Find Lights"):
+        bpy.ops.irpso.import_capture(directory=str(photographs))
+
+
+def test_the_dialog_has_the_entries_of_the_chosen_way_alone(photographs):
+    def entries(**values):
+        given = {"photographs": str(photographs), "radius": 0.0, "kind": "auto", "found_by": "AUTO", **values}
+        return FindLights._entries(SimpleNamespace(**given), bpy.context)
+
+    assert entries() == ["kind", "lights", "radius"]
+    assert entries(found_by="CIRCLE", radius=20.0) == ["kind", "circle", "lights", "radius", "distance"]
+    assert entries(found_by="MASK", kind="matte") == ["kind", "mask", "lights", "radius", "albedo"]
+    assert entries(found_by="MESH") == ["lights"] and entries(found_by="FLAT") == ["card", "card_width"]
+    assert entries(found_by="NONE") == ["inside_out"]
+
+
+def test_a_capture_of_several_cameras_asks_for_that_of_the_balls(tmp_path):
+    write_sphere(tmp_path, near=False)
+    dialog = SimpleNamespace(photographs=str(tmp_path / "capture"), found_by="AUTO", kind="auto", radius=0.0)
+    assert FindLights._entries(dialog, bpy.context)[0] == "camera"
+    with pytest.raises(RuntimeError, match="has 2 cameras; name the one that saw the ball with Camera"):
+        bpy.ops.irpso.find_lights(photographs=str(tmp_path / "capture"))
 
 
 def test_a_mask_needs_a_kind(photographs):
