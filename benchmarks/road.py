@@ -10,6 +10,7 @@ the folder is already open.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -225,7 +226,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _said(lines: list[str]) -> str:
-    return "; ".join(lines).replace("|", "\\|")
+    """Return reports in a line, without the scratch folder of this machine."""
+    return re.sub(r"\S*irpso-bench-\w+", "…", "; ".join(lines)).replace("|", "\\|")
 
 
 def headline(data: dict[str, Any]) -> str:

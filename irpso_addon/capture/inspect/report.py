@@ -14,7 +14,8 @@ import numpy as np
 from ...core.steps import at_once, map_steps
 from .. import places
 from ..errors import CaptureError
-from ..framing import framed_steps
+from ..frame.find import Found
+from ..framing import AUTO, found_corner_steps, framed
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder
@@ -36,7 +37,8 @@ _ENOUGH = 500  # squares or border texels that make either a finding
 class Report:
     """What inspect found. facts: (what, how much) in reading order. images: usable ones.
 
-    texels: of the first camera's mask, framed as the capture says.
+    texels: of the first camera's mask, framed as the capture says. corners: of a card, if the
+    capture has them searched.
     """
 
     path: Path
@@ -44,6 +46,7 @@ class Report:
     findings: tuple[Finding, ...]
     images: int = 0
     texels: int = 0
+    corners: Found | None = None
 
     @property
     def usable(self) -> bool:
@@ -104,10 +107,12 @@ def inspect_steps(
         capture = yield from _numbered("Looking at headers", len(spec.observations), build_steps(spec, decoder))
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
-    texels = 0
+    texels, corners = 0, None
     try:
-        looking = framed_steps(capture, spec.framing)
-        part = yield from map_steps(looking, lambda done: f"Looking for corners: {done:.0%}")
+        if framing.corners == AUTO:
+            looking = found_corner_steps(capture, framing)
+            framing, corners = yield from map_steps(looking, lambda done: f"Looking for corners: {done:.0%}")
+        part = framed(capture, framing)
         texels = int(np.count_nonzero(part.masks[0]))
         capture = replace(capture, card_distance=part.card_distance)
         facts += _facts(spec, capture, part)
@@ -122,7 +127,7 @@ def inspect_steps(
     if noise:
         facts.append(("noise", f"{255 * noise:.1f} codes of 255"))
     yield from _image_steps(spec, capture, facts, findings)
-    return Report(path, tuple(facts), tuple(findings), len(capture.observations), texels)
+    return Report(path, tuple(facts), tuple(findings), len(capture.observations), texels, corners)
 
 
 inspect_capture = at_once("inspect_capture", inspect_steps)

@@ -16,7 +16,7 @@ from ..common.file_paths import absolute
 from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..overlay.paint import HALO, Painter
-from ..session.scene_capture import knows_distance, spec_of
+from ..session.scene_capture import crop_around, keep_corners, spec_of
 from .marking import Marking
 
 _COLOUR = (1.0, 0.75, 0.2, 1.0)
@@ -101,8 +101,7 @@ def take_corners(settings, corners: np.ndarray) -> None:
     """Store the corners (4, 2) of a card, in any order, in pixels from the upper left: as crop or as corners."""
     ordered = around(corners * (1, -1)) * (1, -1)
     settings.corners = ordered.ravel().tolist()
-    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
-    settings.crop = [int(value) for value in (*low, *(high - low))]
+    settings.crop = crop_around(corners)
     if settings.framing == "FILE":
         settings.framing = "CORNERS"
 
@@ -169,12 +168,7 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
 
     def finished(self, context, found: Found) -> set[str]:
         """Store the corners, and the width of a printed sheet's field."""
-        settings = context.scene.irpso
-        take_corners(settings, np.array(found.corners))
-        # A sheet has an upper left corner of its own.
-        settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
-        if found.width and settings.near_lights and not knows_distance(settings):
-            settings.card_width = found.width
+        keep_corners(context.scene.irpso, found)
         self.report({"INFO"}, f"Corners: {found}")
         return {"FINISHED"}
 

@@ -34,7 +34,7 @@ from ..common.polls import NO_CAPTURE, usable
 from ..properties import findings
 from ..properties.scene_settings import REACTIONS, model_of
 from ..session.job import subject_object
-from ..session.scene_capture import capture_of, capture_path, keep_places
+from ..session.scene_capture import capture_of, capture_path, keep_corners, keep_places
 
 # Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice is as long as that
 # took. After each image Blender redraws all views. If that takes a second (software renderer on a busy machine),
@@ -162,6 +162,8 @@ def _store(settings, report: Report) -> None:
     settings.checked_path = settings.capture_path
     settings.summary = "\n".join(f"{what}: {value}" for what, value in report.facts)
     settings.checked_images, settings.checked_texels = report.images, report.texels
+    if report.corners is not None and settings.framing == "FILE":
+        keep_corners(settings, report.corners)  # so that Recover need not search again
     if not bpy.app.background:
         with suppress(GpuUnavailableError):  # Recover says so
             probe.measured()

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...blender.images import decode
 from ...blender.scenes.scene_capture import photographed_lights, scene_steps
+from ...capture.frame.find import Found
 from ...capture.framing import Framing, framed_steps
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import naming_remedy, sound_steps
@@ -77,6 +78,20 @@ def is_marked(settings) -> bool:
     """Return whether the card is marked in the photographs, if it should be."""
     marks = {"CROP": settings.crop, "CORNERS": settings.corners}.get(settings.framing)
     return marks is None or any(marks)
+
+
+def keep_corners(settings, found: Found) -> None:
+    """Store corners that were found as the frame, and the width of a printed sheet's field if near lights need it."""
+    settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
+    settings.crop = crop_around(np.array(found.corners))
+    if found.width and settings.near_lights and not knows_distance(settings):
+        settings.card_width = found.width
+
+
+def crop_around(corners: np.ndarray) -> list[int]:
+    """Return x, y, width and height in whole pixels of the crop that holds corners (4, 2)."""
+    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+    return [int(value) for value in (*low, *(high - low))]
 
 
 def keep_places(settings, spec: CaptureSpec) -> None:

@@ -1,12 +1,14 @@
 """The part of the photographs in the window's settings: cropped, smaller, by four corners; and the card's width."""
 
 import itertools
+import re
 
 import bpy
 import numpy as np
 import pytest
 
 from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.frame import find
 from irpso_addon.capture.frame.sheet import sheet_of
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
@@ -14,7 +16,7 @@ from irpso_addon.ui.marks.card_marks import around
 from irpso_addon.ui.session import job, scene_capture
 from tests.builders.flat_scene import from_upper_left, looking_camera, seen_plane
 from tests.builders.handheld import on_sheet
-from tests.builders.near_card import DISTANCE, write_near_card
+from tests.builders.near_card import DISTANCE, write_near_card, write_unlit_card
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 MARKS = ((4.0, 3.0), (20.0, 2.6), (19.5, 12.0), (3.6, 12.4))  # of a card, clockwise
@@ -103,3 +105,18 @@ def test_photographs_without_a_card_are_refused_where_corners_are_looked_for(set
     with pytest.raises(RuntimeError, match="corners auto"):
         bpy.ops.irpso.find_corners()
     assert settings.framing == before
+
+
+def test_corners_that_the_check_has_found_are_not_searched_again_by_recover(settings, tmp_path, monkeypatch):
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    write_unlit_card(tmp_path / "bordered", border=(20, 30))
+    table = tmp_path / "bordered" / "capture.toml"
+    text = table.read_text().replace('colour_space = "linear"', 'colour_space = "linear"\ncorners = "auto"', 1)
+    rows = (f"light_direction = [{0.3 * (k % 4) - 0.45}, {0.1 * k - 0.7}, 1.0]" for k in itertools.count())
+    table.write_text(re.sub(r"light_direction = .*", lambda _: next(rows), text))
+    assert bpy.ops.irpso.import_capture(filepath=str(table)) == {"FINISHED"}
+    true = [(30, 20), (90, 20), (90, 60), (30, 60)]
+    np.testing.assert_allclose(np.reshape(settings.corners, (4, 2)), true, atol=0.7)
+    assert settings.framing == "CORNERS" and settings.checked_texels == 40 * 60
+    monkeypatch.setattr(find, "display_codes", lambda *_: pytest.fail("it is searched again"))
+    assert shape(settings) == (40, 60)
