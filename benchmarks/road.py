@@ -200,7 +200,7 @@ ROADS = {"sample": _sample, "photographs": _photographs, "icon": _icon}
 _TITLES = {
     "sample": "Open Sample",
     "photographs": "The sample's photographs, as if they were your own",
-    "icon": "The middle of a painted icon, with the lights of its .lp list",
+    "icon": "The middle of a painted icon, with the lights of its .lp list: it shows no ball and no outline",
 }
 
 

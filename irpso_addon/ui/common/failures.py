@@ -17,6 +17,9 @@ from . import drawing
 _SETTINGS = {
     "--distance": "Card Distance",
     "--memory": "Memory Budget",
+    "--intensities given (Light Strengths)": "Light Strengths: As Given",
+    "--colour-space srgb (Color Space)": "Color Space: sRGB",
+    "--colour-space linear (Color Space)": "Color Space: Linear",
     "--resolution": "Resolution",
     "--slots": "Slots",
     "start without --resume": "forget it, and recover anew",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ...capture.inspect.damage import DAMAGE
-from ..common import drawing
+from ...core.errors import InputError
+from ..common import drawing, failures
 from ..operators.capture_import import checking
 from ..operators.scene_setup import capture_lights
 from ..properties import findings, upkeep
@@ -130,7 +131,7 @@ def _draw_findings(layout, context, faults: list) -> None:
     for item in faults:
         row = layout.row()
         row.alert = item.severity == "error"
-        drawing.wrapped(row, context, item.message, _SEVERITIES.get(item.severity, "INFO"))
+        drawing.wrapped(row, context, failures.words(InputError(item.message)), _SEVERITIES.get(item.severity, "INFO"))
 
 
 def _draw_check_again(layout, context) -> None:

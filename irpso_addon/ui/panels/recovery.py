@@ -6,9 +6,10 @@ from typing import Any
 
 import bpy
 
+from ...core.errors import InputError
 from ...pipeline.result import capture_warnings
 from ...solver.settings.schedule import GROUPS
-from ..common import drawing
+from ..common import drawing, failures
 from ..operators.presets import label_of
 from ..operators.restore import draw_unkept
 from ..session import session
@@ -113,12 +114,11 @@ def draw_result(layout, context, running: session.Session) -> None:
     if running.lights is not None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):
-            drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
+            _draw_warning(layout, context, text)
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
     for text in (*running.doubts, *capture_warnings(running.job.capture, reads=False)):
-        text = text[:1].upper() + text[1:]
-        drawing.wrapped(layout, context, text, "ERROR")
+        _draw_warning(layout, context, text)
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")
     row = layout.row()
@@ -133,6 +133,11 @@ def draw_result(layout, context, running: session.Session) -> None:
             layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
         )
         layout.operator("irpso.standard_view", icon="COLOR")
+
+
+def _draw_warning(layout, context, text: str) -> None:
+    text = failures.words(InputError(text))
+    drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
 
 
 def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
