@@ -209,8 +209,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     lines = [
         f"Debian {data['blender']}'s Blender, {data['backend']}, a window of 1600 × 1000 under Xvfb; the extension is"
         " the built zip. Nothing is typed. A click is one on a button, on OK of a dialog or on Accept of the file"
-        " browser, in which the folder is already open. Longest turn: of Blender's main loop, all that a"
-        " window can stall."
+        " browser, in which the folder is already open. Longest turn: of Blender's main loop, all that a window can"
+        " stall. Load: programs that want the cores; times and turns grow with it."
     ]
     for name, road in data["roads"].items():
         rows = [
