@@ -89,7 +89,7 @@ def test_the_panel_offers_both_settings(settings):
     from irpso_addon.ui.panels import capture as panels
 
     drawn = Drawn()
-    panels.IRPSO_PT_capture.draw(type("Panel", (), {"layout": drawn})(), bpy.context)
+    panels.IRPSO_PT_capture_reading.draw(type("Panel", (), {"layout": drawn})(), bpy.context)
     assert {"light_strengths", "refine_directions"} <= set(drawn.notes["props"])
 
 
