@@ -31,6 +31,7 @@ MODULES = (
     "panels.capture",
     "panels.recovery",
     "operators.export",
+    "operators.asset",
     "panels.view",
     "panels.image_editor",
     "overlay.handlers",

@@ -128,6 +128,8 @@ def draw_result(layout, context, running: session.Session) -> None:
     row = layout.row(align=True)
     row.operator("irpso.export", text="Export…", icon="EXPORT")
     row.operator("irpso.cancel", text="Close" if kept else "Discard", icon="X")
+    if kept:
+        layout.operator("irpso.save_asset", text="Save to Asset Library…", icon="ASSET_MANAGER")
     if kept and not is_standard_view(context.scene):
         drawing.wrapped(
             layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
