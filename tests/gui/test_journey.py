@@ -118,13 +118,25 @@ def test_the_exported_maps_are_those_of_the_leaf(artist, truth, tmp_path):
     assert np.degrees(np.arccos(cosine)).mean() < 0.5
 
 
+def test_the_kept_material_goes_into_an_asset_library(artist, tmp_path):
+    artist.run("while bpy.context.preferences.filepaths.asset_libraries:\n"
+               "    bpy.ops.preferences.asset_library_remove(index=0)\n"
+               f"bpy.ops.preferences.asset_library_add(directory={str(tmp_path)!r})")  # fmt: skip
+    artist.click(*artist.find_button("irpso.save_asset"))
+    artist.settle()
+    artist.screenshot("journey 8: into an asset library")
+    artist.key("Return")
+    artist.wait("any('is in the library' in line for line in reports())", 120, area="")
+    assert [path.suffix for path in tmp_path.iterdir()] == [".blend"]
+
+
 def test_close_restores_the_settings_and_recover_restarts(artist):
     artist.click(*artist.find_button("irpso.cancel"))
     artist.wait("state() == 'none'")
     assert artist.run(f"[{CARD!r} in bpy.data.materials, settings().capture_path != '']") == [True, True]
     artist.click(*artist.find_button("irpso.create_scene"))
     artist.wait("len([obj for obj in bpy.data.objects if obj.type == 'LIGHT']) >= 24")
-    artist.screenshot("journey 8: the capture's cameras and lights")
+    artist.screenshot("journey 9: the capture's cameras and lights")
     seen, stands = artist.run(
         f"[list(bpy.context.space_data.region_3d.view_location), list(bpy.data.objects[{CARD!r}].location)]"
     )
