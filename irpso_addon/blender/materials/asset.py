@@ -23,7 +23,7 @@ from .material import TAG
 _SIDE, _SAMPLES = 256, 32  # pixels of a preview, as Blender's own have; samples of each
 _CARD, _MESH = (0.0, -0.4, 1.0), (0.6, -1.0, 0.5)  # from the subject to the preview's camera
 _LAMP = (-0.45, 0.25, 1.0)  # in the camera's axes
-_SUN, _SKY = 0.06, 0.45  # half of the lamp's angle in radians; radiance of the zenith
+_SUN, _SKY = 0.06, 0.6  # half of the lamp's angle in radians; radiance of the zenith
 _RIM = 1.04  # of the subject's extent
 _EXPOSURE = 0.85
 
@@ -147,8 +147,9 @@ def _add_camera(scene: Any, obj: Any) -> np.ndarray:
     turn = matrix.to_quaternion().to_matrix() if TAG in obj else Matrix.Identity(3)
     toward = (turn @ Vector(_CARD if TAG in obj else _MESH)).normalized()
     axes = toward.to_track_quat("Z", "Y").to_matrix()
-    corners = np.array([axes.transposed() @ (matrix @ Vector(corner)) for corner in obj.bound_box])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = _extent(obj, np.array(axes.transposed() @ matrix.to_3x3()))
+    middle = np.array(axes.transposed() @ matrix.translation)
+    low, high = low + middle, high + middle
     size = max(float((high - low).max()), 1e-6)
     data = bpy.data.cameras.new("Camera")
     data.type, data.ortho_scale = "ORTHO", _RIM * float(max(*(high - low)[:2], 1e-6))
@@ -158,6 +159,19 @@ def _add_camera(scene: Any, obj: Any) -> np.ndarray:
     scene.camera.matrix_world = Matrix.Translation(place) @ axes.to_4x4()
     scene.collection.objects.link(scene.camera)
     return np.array(axes)
+
+
+def _extent(obj: Any, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the largest coordinates of an object as it is rendered, in axes of which turn is the map."""
+    import bpy
+
+    shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    mesh = shown.to_mesh()
+    places = np.zeros(3 * max(len(mesh.vertices), 1), np.float32)
+    mesh.vertices.foreach_get("co", places)
+    shown.to_mesh_clear()
+    turned = places.reshape(-1, 3) @ turn.T
+    return turned.min(axis=0), turned.max(axis=0)
 
 
 def _add_sky(scene: Any) -> None:
@@ -170,8 +184,8 @@ def _add_sky(scene: Any) -> None:
     tree = world.node_tree
     place, parts = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeSeparateXYZ")
     ramp = tree.nodes.new("ShaderNodeMapRange")
-    ramp.inputs["From Min"].default_value, ramp.inputs["From Max"].default_value = -0.3, 1.0
-    ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = 0.02, _SKY
+    ramp.inputs["From Min"].default_value, ramp.inputs["From Max"].default_value = -1.0, 1.0
+    ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = 0.0, _SKY
     tree.links.new(place.outputs["Generated"], parts.inputs["Vector"])
     tree.links.new(parts.outputs["Z"], ramp.inputs["Value"])
     tree.links.new(ramp.outputs["Result"], tree.nodes["Background"].inputs["Strength"])
