@@ -5,7 +5,7 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui docs-images lint format extension clean environment \
+.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui docs-images lint format extension clean environment blender-window \
         environment-test environment-bench
 
 help: ## list the targets
@@ -51,6 +51,9 @@ test-matrix: environment-test ## the headless Blender tests on every supported v
 
 test-gui: environment-test ## the tests in a real Blender window: BLENDER=/path/to/blender, or Debian's, built once
 	$(RUN) tests/run_gui.py $(ONLY)
+
+blender-window: environment-test # Debian's Blender for test-gui, built once
+	@PYTHONPATH=scripts $(RUN) -c "from blender_window.blenders import find_blender; find_blender()"
 
 docs-images: environment ## the guide's pictures, from a Blender window as in test-gui, into docs/images
 	$(RUN) scripts/docs_images.py
