@@ -41,6 +41,7 @@ def build_parser() -> argparse.ArgumentParser:
     photographs.add_rig(commands)
     photographs.add_frames(commands)
     _add_sample(commands)
+    _add_tile(commands)
     photographs.add_markers(commands)
     photographs.add_handheld(commands)
     _add_demo(commands)
@@ -176,6 +177,19 @@ def _add_sample(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--size", metavar="WxH", help="size of the photographs in pixels (default 640x480)")
     add.add_argument("--seed", type=seed, default=0, metavar="S",
                      help="seed of the lamp's places and of the noise (default 0)")  # fmt: skip
+    add_common(add)
+
+
+def _add_tile(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("tile", help="make a card's result repeat without a seam", epilog=EPILOG)
+    add.add_argument("result", help="folder that recover wrote for a card")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result that repeats")
+    add.add_argument(
+        "--size", type=int, metavar="N", help="texels of a side (default: the power of two that is filled)"
+    )
+    add.add_argument("--overlap", type=float, metavar="SHARE",
+                     help="of the side, which the joint takes (default 0.25)")  # fmt: skip
+    add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)
 
 

@@ -15,6 +15,7 @@ from ...exports.names import FORMATS, ONE_FILE
 from ...exports.place import file_stem
 from ...exports.result import Result
 from ...exports.textures import CONVENTIONS
+from ...exports.tile import tiled
 from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
@@ -51,6 +52,9 @@ class IRPSO_OT_export(bpy.types.Operator):
         name="Normal (DirectX)", description="Also write the normal map with its green channel inverted"
     )
     height: BoolProperty(name="Height", description="Also write the relief, integrated from the normals")
+    seamless: BoolProperty(
+        name="Seamless", description="Cut a flat card's maps so that they repeat, in a square of a power of two"
+    )
 
     @classmethod
     def poll(cls, context) -> bool:
@@ -85,6 +89,8 @@ class IRPSO_OT_export(bpy.types.Operator):
             column.label(text="Also Write:")
             for name in options:
                 column.prop(self, name)
+        if self.format == MAPS and _is_card(session.current()):
+            column.prop(self, "seamless")
 
     def execute(self, context):
         """Write all files or none. A running recovery pauses."""
@@ -108,12 +114,21 @@ class IRPSO_OT_export(bpy.types.Operator):
         return {"FINISHED"}
 
     def _write_maps(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
+        if self.seamless and _is_card(running):
+            return self._write_seamless(running, folder)
         spaces = tuple(space for space in NORMAL_SPACES if getattr(self, f"normal_{space}"))
         found = found_in(running, True, DerivedMaps(spaces, self.height))
         report, pictures = report_of(running, found), pictures_of(running, found)
         files = write_maps(found.written, folder, report, pictures, found.derived)
         priors = running.job.schedule.fitness.priors
         return f"{len(files)} files written to {folder}", mode_warnings(found.solver, priors)
+
+    def _write_seamless(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
+        found = found_in(running, False)
+        tile = tiled(found.written, self.height)
+        report = tile.report(report_of(running, found))
+        files = write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
+        return f"{len(files)} files of maps that repeat written to {folder}", []
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
         found = found_in(running, False, DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ())))
@@ -132,6 +147,10 @@ class IRPSO_MT_export(bpy.types.Menu):
         for name, (title, _) in _FORMATS.items():
             text = f"{title} ({ONE_FILE.get(name, 'folder')})"
             self.layout.operator("irpso.export", text=text).format = name
+
+
+def _is_card(running: session.Session | None) -> bool:
+    return running is not None and running.job.mesh is None
 
 
 def proposed_folder(running: session.Session) -> Path:

@@ -10,6 +10,7 @@ import pytest
 
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.exports.result import read_result
+from irpso_addon.results import seamless
 from tests.gpu.ui.conftest import SHAPE
 from tests.gpu.ui.test_ui_panels import Drawn
 
@@ -72,6 +73,16 @@ def test_the_button_writes_the_chosen_format(kind, place, files, settings, tmp_p
         assert {path.name for path in (tmp_path / place).iterdir()} == files
 
 
+def test_a_card_is_written_as_maps_that_repeat_if_it_is_large_enough(settings, monkeypatch, tmp_path):
+    wanted = {"filepath": str(tmp_path / "out"), "format": "maps", "seamless": True, "height": True}
+    assert "largest square without holes" in refusal(**wanted) and not (tmp_path / "out").exists()
+    monkeypatch.setattr(seamless, "_LEAST", 4)
+    assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
+    found = read_result(tmp_path / "out")
+    rows, columns = found.maps.covered.shape
+    assert rows == columns and found.height is not None and (tmp_path / "out" / "repeated.png").is_file()
+
+
 def test_gltf_needs_a_kept_card_and_does_not_change_the_file(settings, tmp_path):
     wanted = {"filepath": str(tmp_path / "leaf.glb"), "format": "gltf"}
     assert "press Keep first" in refusal(**wanted)
@@ -95,7 +106,7 @@ def test_an_unwritable_path_is_reported_in_one_line(settings, tmp_path):
 @pytest.mark.parametrize(
     ("kind", "options"),
     [
-        ("maps", ["normal_object", "normal_world", "normal_directx", "height"]),
+        ("maps", ["normal_object", "normal_world", "normal_directx", "height", "seamless"]),
         ("textures", ["convention", "height"]),
         ("gltf", []), ("openlime", []), ("ptm", []),
     ],

@@ -1,0 +1,64 @@
+"""``tile RESULT``: a card's result as one that repeats without a seam."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+from ..blender.materials import material
+from ..core.errors import InputError
+from ..exports.result import read_result
+from ..exports.tile import Tile, tiled
+from ..results.maps import Maps
+from ..results.seamless import OVERLAP
+from ..results.write import BLEND, REPORT, check_output_folder, write_maps
+from .options.values import silent
+
+_SIZES = (16, 8192)  # texels of a side
+
+
+def run(options: Namespace) -> dict:
+    """Cut all maps along one path, and write them as a result. Raises InputError; then nothing is written."""
+    result = read_result(options.result, options.model)
+    former = json.loads((Path(options.result) / REPORT).read_text(encoding="utf-8"))
+    folder = _checked(options, former)
+    tile = tiled(result.maps, result.height is not None, options.size, options.overlap or OVERLAP)
+    report = tile.report(former)
+    write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
+    _write_material(tile.maps, folder.resolve().name, folder)
+    if not silent(options):
+        sys.stdout.write(_summary(result.name, tile, folder))
+    return {"output": str(folder), **report["tile"]}
+
+
+def _checked(options: Namespace, former: dict) -> Path:
+    """Return the output folder. Raises InputError where options or the result do not fit."""
+    size, (least, most) = options.size, _SIZES
+    if size is not None and not least <= size <= most:
+        raise InputError(f"--size {size}: give a whole number from {least} to {most}, as 1024")
+    if options.overlap is not None and not 0.05 <= options.overlap <= 0.5:
+        raise InputError(f"--overlap {options.overlap:g}: give a share of the side from 0.05 to 0.5")
+    settings = former.get("settings")
+    if isinstance(settings, dict) and (settings.get("blend") or settings.get("object")):
+        raise InputError(f"{options.result}: its maps are those of a mesh, which cannot repeat; give a card's result")
+    folder = check_output_folder(options.output)
+    if folder.resolve() == Path(options.result).resolve():
+        raise InputError(f"--output {options.output}: is the result itself; give another folder")
+    return folder
+
+
+def _write_material(maps: Maps, name: str, folder: Path) -> None:
+    made = material.build_material(maps, name)
+    material.apply_material(material.card_object(name, *maps.covered.shape), made)
+    material.save_blend(folder / BLEND)
+
+
+def _summary(name: str, tile: Tile, folder: Path) -> str:
+    rows, (_, _, side) = len(tile.maps.covered), tile.cut.crop
+    return (
+        f"{rows} × {rows} texels of the {side} × {side} of {name}, written to {folder}\n"
+        f"steps across the path are {tile.cut.seam:.2f} times those elsewhere (repeated as it is:"
+        f" {tile.cut.plain:.2f})\n"
+    )

@@ -1,0 +1,25 @@
+"""Heights that repeat, from normals that repeat (Frankot & Chellappa 1988)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .height import Height
+
+_LEAST_NZ = 0.1  # steeper normals count as 84°
+
+
+def periodic_height(normals: np.ndarray) -> Height:
+    """Return the relief of normals (H, W, 3) that continue at their opposite borders: least squares of the slopes.
+
+    In texels, toward the normal, mean 0. A mean slope, which cannot repeat, is left out.
+    """
+    height, width = normals.shape[:2]
+    z = np.maximum(normals[..., 2], _LEAST_NZ).astype(np.float64)
+    along, up = (np.fft.fft2(-normals[..., k] / z) for k in (0, 1))
+    x, y = 2 * np.pi * np.fft.fftfreq(width)[None], 2 * np.pi * np.fft.fftfreq(height)[:, None]
+    square = x**2 + y**2
+    square[0, 0] = 1.0
+    spectrum = -1j * (x * along + y * up) / square
+    spectrum[0, 0] = 0.0
+    return Height(np.fft.ifft2(spectrum).real.astype(np.float32), np.ones((height, width), bool), "texels")
