@@ -1,7 +1,8 @@
 """glTF 2.0: the mesh in triangles, and the maps in the textures that the format has.
 
-Roughness and metallic go into green and blue of one picture, with an occlusion of 1 in red. The specular level is
-KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's index as well.
+Roughness and metallic go into green and blue of one picture, with the occlusion of a card's relief in red, 1 where
+there is none. The specular level is KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's
+index as well.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
     report: dict[str, Any] = {"output": str(path), "object": obj.name}
     for number, maps in split_maps(result.maps):
         stem = tile_stem(file_stem(result.name), number, result.maps.tiles)
-        surfaces[number], error = _surface(maps, stem)
+        surfaces[number], error = _surface(maps, stem, result.open_sky)
         if error is not None:
             report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
     if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces):
@@ -39,8 +40,8 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
     return report
 
 
-def _surface(maps: Maps, name: str) -> tuple[Surface, np.ndarray | None]:
-    """Return the pictures of maps, and what is lost of two lobes in one."""
+def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surface, np.ndarray | None]:
+    """Return the pictures of maps, and what is lost of two lobes in one. open_sky: (H, W) occlusion, or 1."""
     surface = surface_of(maps)
     fit = fit_ggx(surface)
     f0 = surface.f0 * fit.scale
@@ -49,10 +50,11 @@ def _surface(maps: Maps, name: str) -> tuple[Surface, np.ndarray | None]:
     found = Surface(
         name=name,
         base_color=pixels.colour(surface.base_color, maps),
-        orm=pixels.packed(maps, 1.0, np.sqrt(fit.alpha), surface.metallic),
+        orm=pixels.packed(maps, open_sky, np.sqrt(fit.alpha), surface.metallic),
         normal=pixels.normal(surface.normal, maps),
         specular=_specular(maps, f0 / highest),
         ior=(1 + highest**0.5) / (1 - highest**0.5),
+        occluded=not isinstance(open_sky, float),
     )
     return found, fit.error[maps.covered] if len(surface.lobes) > 1 else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import numpy as np
 from ..capture.images.exr import read_exr
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, tile_stem
-from ..geometry.relief.height import Height
+from ..geometry.relief.height import TEXELS, Height
+from ..geometry.relief.occlusion import open_sky
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
@@ -23,13 +25,23 @@ from ..results.write import BLEND, REPORT
 class Result:
     """Name and maps of a result, normals in Blender's tangent space.
 
-    height: the relief, None if not requested. folder: of the result, None if it is only in memory.
+    height: the relief, None if not requested. folder: of the result, None if it is only in memory. repeats: the maps
+    continue at their opposite borders.
     """
 
     name: str
     maps: Maps
     height: Height | None = None
     folder: Path | None = None
+    repeats: bool = False
+
+    @cached_property
+    def open_sky(self) -> np.ndarray | float:
+        """(H, W) the share of an even sky that a card's relief leaves open; 1 where there is no relief, or on a mesh,
+        whose relief is only its fine detail."""
+        if self.height is None or self.height.unit != TEXELS:
+            return 1.0
+        return open_sky(self.height, self.repeats)
 
     @property
     def blend(self) -> Path | None:
@@ -58,7 +70,7 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
     # The file's margins are already filled, at seams with the texels from across the seam.
     maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
-    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder)
+    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, "tile" in report)
 
 
 def _report(folder: Path) -> dict[str, Any]:

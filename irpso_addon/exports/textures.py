@@ -34,6 +34,7 @@ class _Set:
     roughness: np.ndarray
     specular: np.ndarray
     height: np.ndarray | None
+    open_sky: np.ndarray | float
 
 
 @dataclass(frozen=True)
@@ -52,12 +53,16 @@ _SPECULAR = _Texture("_Specular", lambda s: pixels.packed(s.maps, s.specular))
 _NORMAL = _Texture("_Normal", lambda s: pixels.normal(s.surface.normal, s.maps), 16)
 _HEIGHT = _Texture("_Height", lambda s: s.height, 16)
 # Metallic, occlusion, detail mask and smoothness, as for Unity's HDRP.
-_MASK = _Texture("_MaskMap", lambda s: pixels.packed(s.maps, s.surface.metallic, 1.0, 1.0, 1 - s.roughness))
+_MASK = _Texture("_MaskMap", lambda s: pixels.packed(s.maps, s.surface.metallic, s.open_sky, 1.0, 1 - s.roughness))
 
 
 def _orm(s: _Set) -> np.ndarray:
-    """Return occlusion (unknown: 1), roughness and metallic."""
-    return pixels.packed(s.maps, 1.0, s.roughness, s.surface.metallic)
+    """Return occlusion (1 where it is unknown), roughness and metallic."""
+    return pixels.packed(s.maps, s.open_sky, s.roughness, s.surface.metallic)
+
+
+def _occlusion(s: _Set) -> np.ndarray | None:
+    return None if isinstance(s.open_sky, float) else pixels.packed(s.maps, s.open_sky)
 
 
 def _directx(s: _Set) -> np.ndarray:
@@ -66,7 +71,13 @@ def _directx(s: _Set) -> np.ndarray:
 
 # Program → prefix of the names, files.
 CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
-    "blender": ("", (_BASE, _NORMAL, _ROUGHNESS, _METALLIC, _SPECULAR, _Texture("_ORM", _orm), _HEIGHT)),
+    "blender": (
+        "",
+        (
+            _BASE, _NORMAL, _ROUGHNESS, _METALLIC, _SPECULAR, _Texture("_ORM", _orm), _Texture("_AO", _occlusion),
+            _HEIGHT,
+        ),
+    ),
     "unreal": (
         "T_",
         (
@@ -79,7 +90,8 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
         "",
         (
             _BASE, _Texture("_Normal_OpenGL", _NORMAL.pixels, 16), _Texture("_Normal_DirectX", _directx, 16),
-            _ROUGHNESS, _METALLIC, _Texture("_SpecularLevel", _SPECULAR.pixels), _HEIGHT,
+            _ROUGHNESS, _METALLIC, _Texture("_SpecularLevel", _SPECULAR.pixels),
+            _Texture("_AmbientOcclusion", _occlusion), _HEIGHT,
         ),
     ),
 }  # fmt: skip
@@ -120,7 +132,7 @@ def _pictures(
     if result.height is not None:
         height = tile_part(height_map(result.height).encoded, index, len(result.maps.tiles))
     specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
-    single = _Set(maps, surface, np.sqrt(fit.alpha), specular, height)
+    single = _Set(maps, surface, np.sqrt(fit.alpha), specular, height, result.open_sky)
     drawn = {texture.suffix: (texture.pixels(single), texture.bits) for texture in textures}
     pictures = {suffix: picture for suffix, picture in drawn.items() if picture[0] is not None}
     return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None

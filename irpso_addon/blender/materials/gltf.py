@@ -30,13 +30,15 @@ _SETTINGS = {
     "export_lights": False, "export_image_format": "AUTO", "will_save_settings": False,
 }  # fmt: skip
 _UNEQUAL = 1e-3  # relative
+_OUTPUT = "glTF Material Output"
 
 
 @dataclass(frozen=True)
 class Surface:
     """A material as glTF has it. base_color, orm, normal: (H, W, 3) pixels in 0…1, colours sRGB-encoded.
 
-    specular: the factor, one number for all or (H, W, 4) pixels with it in alpha. ior: index of refraction.
+    occluded: red of orm is an occlusion. specular: the factor, one number for all or (H, W, 4) pixels with it in alpha.
+    ior: index of refraction.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Surface:
     normal: np.ndarray
     specular: np.ndarray | float
     ior: float
+    occluded: bool = False
 
 
 @dataclass
@@ -55,6 +58,7 @@ class _Made:
     meshes: list[Any] = field(default_factory=list)
     materials: list[Any] = field(default_factory=list)
     images: list[Any] = field(default_factory=list)
+    groups: list[Any] = field(default_factory=list)
 
 
 def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) -> list[str]:
@@ -167,7 +171,7 @@ def _removed_afterwards() -> Iterator[_Made]:
     try:
         yield made
     finally:
-        bpy.data.batch_remove([*made.objects, *made.meshes, *made.materials, *made.images])
+        bpy.data.batch_remove([*made.objects, *made.meshes, *made.materials, *made.images, *made.groups])
 
 
 def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> Any:
@@ -200,6 +204,10 @@ def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> An
     tree.links.new(texture("_ORM", surface.orm), split.inputs["Color"])
     tree.links.new(split.outputs["Green"], shader.inputs["Roughness"])
     tree.links.new(split.outputs["Blue"], shader.inputs["Metallic"])
+    if surface.occluded:
+        occlusion = tree.nodes.new("ShaderNodeGroup")
+        occlusion.node_tree = _occlusion_group(made)
+        tree.links.new(split.outputs["Red"], occlusion.inputs["Occlusion"])
     bend = tree.nodes.new("ShaderNodeNormalMap")
     tree.links.new(texture("_Normal", surface.normal), bend.inputs["Color"])
     tree.links.new(bend.outputs["Normal"], shader.inputs["Normal"])
@@ -214,6 +222,17 @@ def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> An
     tree.links.new(texture("_Specular", surface.specular, output="Alpha"), half.inputs[0])
     tree.links.new(half.outputs[0], level)
     return material
+
+
+def _occlusion_group(made: _Made) -> Any:
+    """Return the node group by whose name and socket Blender's exporter knows occlusion; the user's if there is one."""
+    import bpy
+
+    group = bpy.data.node_groups.get(_OUTPUT)
+    if group is None or "Occlusion" not in group.interface.items_tree:
+        made.groups.append(group := bpy.data.node_groups.new(_OUTPUT, "ShaderNodeTree"))
+        group.interface.new_socket("Occlusion", in_out="INPUT", socket_type="NodeSocketFloat")
+    return group
 
 
 def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> Any:

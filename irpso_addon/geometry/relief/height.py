@@ -19,6 +19,7 @@ from ...core.graph import connected
 # scanned bunny with 2° of noise the square is as accurate (0.08 texels of 102), in a fifth of the steps.
 _LEAST_NZ, _POWER = 0.1, 2
 _TOLERANCE, _STEPS = 1e-4, 300
+TEXELS = "texels"  # unit of a card's heights: the width of a texel
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .height import Height
+from .height import TEXELS, Height
 
 _LEAST_NZ = 0.1  # steeper normals count as 84°
 
@@ -22,4 +22,4 @@ def periodic_height(normals: np.ndarray) -> Height:
     square[0, 0] = 1.0
     spectrum = -1j * (x * along + y * up) / square
     spectrum[0, 0] = 0.0
-    return Height(np.fft.ifft2(spectrum).real.astype(np.float32), np.ones((height, width), bool), "texels")
+    return Height(np.fft.ifft2(spectrum).real.astype(np.float32), np.ones((height, width), bool), TEXELS)

@@ -11,7 +11,7 @@ from ...core.graph import connected
 from ..surface.bake import SurfaceBake
 from ..surface.footprint import texel_steps
 from ..surface.mesh import MeshData
-from .height import Height, card_slopes, integrate, relief_from_log, tangent_slopes
+from .height import TEXELS, Height, card_slopes, integrate, relief_from_log, tangent_slopes
 
 
 def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Height:
@@ -28,7 +28,7 @@ def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Hei
             slopes = _through_lens(slopes, rays[..., :2] * camera.scale)
         values, steps = integrate(slopes, weights, covered)
         values = relief_from_log(values, camera.scale[0])
-    return Height(values.astype(np.float32), covered, "texels", steps)
+    return Height(values.astype(np.float32), covered, TEXELS, steps)
 
 
 def _through_lens(slopes: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import pytest
 from irpso_addon.exports import openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.relief.height import Height
+from irpso_addon.geometry.relief.occlusion import open_sky
 from irpso_addon.results.derived_map import height_map
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
@@ -27,18 +28,33 @@ def empty_file():
 
 def test_a_texture_set_holds_each_map_under_the_usual_names(tmp_path):
     result = result_of("principled")
-    height = Height(np.linspace(-2, 3, 560, dtype=np.float32).reshape(SHAPE), np.ones(SHAPE, bool), "texels")
+    values = np.linspace(-2, 3, 560, dtype=np.float32)
+    values[1:-1] = np.random.default_rng(0).uniform(-2, 3, 558)
+    height = Height(values.reshape(SHAPE), np.ones(SHAPE, bool), "texels")
     found = textures.write_textures(Result("leaf", result.maps, height), tmp_path / "set")
-    names = {f"leaf_{n}.png" for n in ("BaseColor", "Normal", "Roughness", "Metallic", "Specular", "ORM", "Height")}
+    names = {
+        f"leaf_{n}.png" for n in ("BaseColor", "Normal", "Roughness", "Metallic", "Specular", "ORM", "AO", "Height")
+    }
     assert set(found["files"]) == names == {path.name for path in (tmp_path / "set").iterdir()}
     v, shown = result.maps.values, {n[5:-4]: picture(tmp_path / "set" / n)[..., :3] for n in names}
     np.testing.assert_allclose(shown["BaseColor"], srgb(v["base_color"]), atol=0.51 / 255)
     np.testing.assert_allclose(shown["Normal"], v["normal"] * 0.5 + 0.5, atol=1e-5)
     np.testing.assert_allclose(shown["Roughness"][..., :1], v["roughness"], atol=0.51 / 255)
     np.testing.assert_allclose(shown["Specular"][..., :1], v["specular"], atol=0.51 / 255)
-    orm = np.stack([np.ones(SHAPE), v["roughness"][..., 0], np.zeros(SHAPE)], axis=-1)
+    assert open_sky(height).min() < 0.9
+    np.testing.assert_allclose(shown["AO"][..., 0], open_sky(height), atol=0.51 / 255)
+    orm = np.stack([open_sky(height), v["roughness"][..., 0], np.zeros(SHAPE)], axis=-1)
     np.testing.assert_allclose(shown["ORM"], orm, atol=0.51 / 255)
     np.testing.assert_allclose(shown["Height"][..., 0] * 5 - 2, height.values, atol=1e-4)
+
+
+def test_without_a_relief_and_on_a_mesh_occlusion_is_unknown(tmp_path):
+    result = result_of("principled")
+    fine = Height(np.linspace(-2, 3, 560, dtype=np.float32).reshape(SHAPE), np.ones(SHAPE, bool), "world")
+    for name, height in (("none", None), ("mesh", fine)):
+        textures.write_textures(Result("leaf", result.maps, height), tmp_path / name)
+        assert (picture(tmp_path / name / "leaf_ORM.png")[..., 0] == 1).all()
+        assert not (tmp_path / name / "leaf_AO.png").exists()
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion
 
-from irpso_addon.blender.materials.material import apply_material, card_object
+from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.exports import gltf
+from irpso_addon.exports.result import Result
+from irpso_addon.geometry.relief.height import Height
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
 from tests.builders.command_line import angle
 from tests.builders.exports import accessor, image_of, lean, on_a_sheet, read_glb, srgb
 from tests.oracles import reflectance as oracles
@@ -50,6 +54,27 @@ def test_gltf_carries_every_map_pixel_for_pixel(tmp_path):
     f0 = ((ior - 1) / (ior + 1)) ** 2 * factor
     np.testing.assert_allclose(f0[inside], 0.08 * v["specular"][..., 0][inside], atol=0.08 * half)
     assert specular.get("specularColorFactor", [1, 1, 1]) == [1, 1, 1]
+
+
+def test_gltf_has_the_occlusion_of_a_cards_relief(tmp_path):
+    random = np.random.default_rng(0)
+    heights = 3 * random.normal(size=(16, 16)).astype(np.float32)
+    values = {
+        "normal": np.tile(np.float32([0, 0, 1]), (16, 16, 1)),
+        "base_color": np.full((16, 16, 3), 0.5, np.float32),
+    }
+    maps = Maps(load_model("lambert"), values, np.ones((16, 16), bool))
+    obj = card_object("leaf", 16, 16)
+    apply_material(obj, build_material(maps, "leaf"))
+    before = counts()
+    result = Result("leaf", maps, Height(heights, maps.covered, "texels"))
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    assert counts() == before
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    (material,) = table["materials"]
+    red = image_of(table, binary, material["occlusionTexture"], folder=tmp_path)[..., 0]
+    np.testing.assert_allclose(red, result.open_sky, atol=0.51 / 255)
+    assert red.min() < 0.8
 
 
 def gltf_normals(table, binary, path, unit_frame):
