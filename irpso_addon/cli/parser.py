@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 from ..core.errors import InputError
 from ..core.paths import DEFAULT_MODEL
-from ..exports.names import ASSET, FORMATS
+from ..exports.names import ASSET, FORMATS, RELIEF
 from . import photographs
 from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance, add_mesh, add_shelf, seed
 
@@ -137,11 +137,13 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
 def _add_export(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("export", help="write a result for other programs", epilog=EPILOG)
     add.add_argument("result", help="folder that recover wrote")
-    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder, or a .glb or .ptm file")
+    add.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="folder, or a .glb, .ptm, .stl, .ply or .obj file"
+    )
     add.add_argument(
         "--format",
         required=True,
-        choices=[*FORMATS, ASSET],
+        choices=[*FORMATS, RELIEF, ASSET],
         help="format to write; OUT of asset is a Blender asset library",
     )
     add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
@@ -149,6 +151,8 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--object", metavar="NAME", help="mesh object of gltf and asset, if several have recovered materials"
     )
+    add.add_argument("--width", type=float, default=100.0, metavar="W",
+                     help="width of the card of a relief (default 100, as millimetres)")  # fmt: skip
     add_shelf(add)
     add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)

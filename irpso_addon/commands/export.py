@@ -11,7 +11,8 @@ from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
 from ..exports.asset import write_to_shelf
 from ..exports.formats import export
-from ..exports.names import ASSET
+from ..exports.names import ASSET, RELIEF
+from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
 from .options.values import shelf_of, silent
@@ -22,6 +23,11 @@ def run(options: Namespace) -> dict:
     result = read_result(options.result, options.model)
     if options.format == ASSET:
         return _asset(result, options)
+    if options.format == RELIEF:
+        found = write_relief(result, options.output, options.width)
+        if not silent(options):
+            sys.stdout.write(f"written to {found['output']}: {found['width']:g} wide, {found['depth']:.3g} deep\n")
+        return found
     if options.format == "ptm":
         probe.probe()
         context.ensure()

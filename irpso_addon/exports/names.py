@@ -8,3 +8,4 @@ FORMATS = {  # name: (title, what is written)
 }
 ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
 ASSET = "asset"  # a material in an asset library: of the command line; the panel has a dialog for it
+RELIEF = "relief"  # a card's relief as a body: of the command line alone

@@ -39,6 +39,14 @@ def test_all_maps_and_the_relief_repeat_and_are_a_result(result, tmp_path):
     assert code == 0, err
 
 
+def test_the_relief_of_a_card_is_exported_as_a_body(result, tmp_path):
+    code, out, err = run_cli(
+        "export", result, "--format", "relief", "-o", tmp_path / "leaf.stl", "--width", 60, "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["width"] == 60 and (tmp_path / "leaf.stl").stat().st_size > 84
+
+
 def test_what_cannot_repeat_is_refused_and_nothing_is_written(result, tmp_path):
     def refused(*options):
         code, _, err = run_cli("tile", *options)

@@ -1,0 +1,65 @@
+"""Meshes as STL, PLY and OBJ files, by Blender's own exporters."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.files import replacing_file
+
+SUFFIXES = (".stl", ".ply", ".obj")
+
+
+def write_mesh(path: Path, vertices: np.ndarray, quads: np.ndarray, uv: np.ndarray) -> None:
+    """Write vertices (V, 3) and quads (Q, 4) into a file of one of SUFFIXES, whole or not at all.
+
+    uv: (V, 2); STL has none. z is up in STL and PLY, y in OBJ, as is usual. The open file stays as it is. Raises
+    InputError where the file cannot be written.
+    """
+    import bpy
+
+    mesh = bpy.data.meshes.new(path.stem)
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    mesh.loops.add(quads.size)
+    mesh.loops.foreach_set("vertex_index", quads.astype(np.int32).ravel())
+    mesh.polygons.add(len(quads))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
+    mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uv[quads.ravel()].astype(np.float32).ravel())
+    mesh.update(calc_edges=True)
+    obj = bpy.data.objects.new(path.stem, mesh)
+    scene = bpy.context.scene
+    scene.collection.objects.link(obj)
+    layer = bpy.context.view_layer
+    selected = [other for other in layer.objects if other.select_get()]
+    try:
+        for other in selected:
+            other.select_set(False)
+        obj.select_set(True)
+        with replacing_file(path) as partial, contextlib.redirect_stdout(io.StringIO()):
+            named = partial.with_suffix(path.suffix)  # exporters go by it
+            _export(named, path.suffix.lower())
+            if named != partial:
+                named.replace(partial)
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be written ({str(error).strip()}); choose another place") from error
+    finally:
+        bpy.data.objects.remove(obj)
+        bpy.data.meshes.remove(mesh)
+        for other in selected:
+            other.select_set(True)
+
+
+def _export(path: Path, suffix: str) -> None:
+    import bpy
+
+    if suffix == ".stl":
+        bpy.ops.wm.stl_export(filepath=str(path), export_selected_objects=True)
+    elif suffix == ".ply":
+        bpy.ops.wm.ply_export(filepath=str(path), export_selected_objects=True, export_colors="NONE")
+    else:
+        bpy.ops.wm.obj_export(filepath=str(path), export_selected_objects=True, export_materials=False)
