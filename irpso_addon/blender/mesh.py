@@ -134,6 +134,21 @@ def _parts(middles: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
     yield from _parts(middles, chosen[order[half:]])
 
 
+def mesh_of_faces(name: str, vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """Return a new Blender mesh of vertices (V, 3) and faces (F, N) of N corners each."""
+    import bpy
+
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    mesh.loops.add(faces.size)
+    mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
+    mesh.polygons.add(len(faces))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, faces.shape[1], dtype=np.int32))
+    mesh.update(calc_edges=True)
+    return mesh
+
+
 def _tangents_together(
     coordinates: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uvs: np.ndarray
 ) -> np.ndarray:
@@ -141,15 +156,8 @@ def _tangents_together(
 
     count = len(uvs)
     used, vertices = np.unique(triangles, return_inverse=True)
-    mesh = bpy.data.meshes.new("irpso tangents")
+    mesh = mesh_of_faces("irpso tangents", coordinates.reshape(-1, 3)[used], vertices.reshape(-1, 3))
     try:
-        mesh.vertices.add(len(used))
-        mesh.vertices.foreach_set("co", coordinates.reshape(-1, 3)[used].ravel())
-        mesh.loops.add(3 * count)
-        mesh.loops.foreach_set("vertex_index", vertices.reshape(-1).astype(np.int32))
-        mesh.polygons.add(count)
-        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
-        mesh.update(calc_edges=True)
         # Not kept in a variable: the next call adds a layer and frees the memory it would point to.
         mesh.uv_layers.new(name="irpso").uv.foreach_set("vector", uvs.ravel())
         mesh.normals_split_custom_set(normals.reshape(-1, 3))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.files import replacing_file
+from .mesh import mesh_of_faces
 
 SUFFIXES = (".stl", ".ply", ".obj")
 
@@ -22,15 +23,8 @@ def write_mesh(path: Path, vertices: np.ndarray, quads: np.ndarray, uv: np.ndarr
     """
     import bpy
 
-    mesh = bpy.data.meshes.new(path.stem)
-    mesh.vertices.add(len(vertices))
-    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    mesh.loops.add(quads.size)
-    mesh.loops.foreach_set("vertex_index", quads.astype(np.int32).ravel())
-    mesh.polygons.add(len(quads))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
+    mesh = mesh_of_faces(path.stem, vertices, quads)
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uv[quads.ravel()].astype(np.float32).ravel())
-    mesh.update(calc_edges=True)
     obj = bpy.data.objects.new(path.stem, mesh)
     scene = bpy.context.scene
     scene.collection.objects.link(obj)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from ..blender.materials import material
 from ..core.errors import InputError
@@ -13,7 +14,7 @@ from ..exports.result import read_result
 from ..exports.tile import Tile, tiled
 from ..results.maps import Maps
 from ..results.seamless import OVERLAP
-from ..results.write import BLEND, REPORT, check_output_folder, write_maps
+from ..results.write import BLEND, check_output_folder, write_maps
 from .options.values import silent
 
 _SIZES = (16, 8192)  # texels of a side
@@ -22,10 +23,9 @@ _SIZES = (16, 8192)  # texels of a side
 def run(options: Namespace) -> dict:
     """Cut all maps along one path, and write them as a result. Raises InputError; then nothing is written."""
     result = read_result(options.result, options.model)
-    former = json.loads((Path(options.result) / REPORT).read_text(encoding="utf-8"))
-    folder = _checked(options, former)
+    folder = _checked(options, result.report)
     tile = tiled(result.maps, result.height is not None, options.size, options.overlap or OVERLAP)
-    report = tile.report(former)
+    report = tile.report(result.report)
     write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
     _write_material(tile.maps, folder.resolve().name, folder)
     if not silent(options):
@@ -33,7 +33,7 @@ def run(options: Namespace) -> dict:
     return {"output": str(folder), **report["tile"]}
 
 
-def _checked(options: Namespace, former: dict) -> Path:
+def _checked(options: Namespace, former: Mapping[str, Any]) -> Path:
     """Return the output folder. Raises InputError where options or the result do not fit."""
     size, (least, most) = options.size, _SIZES
     if size is not None and not least <= size <= most:

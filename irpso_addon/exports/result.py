@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,15 +26,15 @@ from ..results.write import BLEND, REPORT
 class Result:
     """Name and maps of a result, normals in Blender's tangent space.
 
-    height: the relief, None if not requested. folder: of the result, None if it is only in memory. repeats: the maps
-    continue at their opposite borders.
+    height: the relief, None if not requested. folder: of the result, None if it is only in memory. report: its own, {}
+    in memory.
     """
 
     name: str
     maps: Maps
     height: Height | None = None
     folder: Path | None = None
-    repeats: bool = False
+    report: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def open_sky(self) -> np.ndarray | float:
@@ -41,7 +42,7 @@ class Result:
         whose relief is only its fine detail."""
         if self.height is None or self.height.unit != TEXELS:
             return 1.0
-        return open_sky(self.height, self.repeats)
+        return open_sky(self.height, wraps="tile" in self.report)
 
     @property
     def blend(self) -> Path | None:
@@ -70,7 +71,7 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
     # The file's margins are already filled, at seams with the texels from across the seam.
     maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
-    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, "tile" in report)
+    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report)
 
 
 def _report(folder: Path) -> dict[str, Any]:

@@ -72,19 +72,23 @@ def seamless(
 
 def largest_square(covered: np.ndarray) -> tuple[int, int, int]:
     """Return x, y and side of the largest square of covered texels (H, W); the one nearest to the middle of several."""
-    sides = np.zeros(covered.shape, int)  # of the square whose last corner this is
-    for row in range(covered.shape[0]):
-        for column in range(covered.shape[1]) if row else ():
-            if covered[row, column]:
-                last = sides[row - 1, column - 1] if column else 0
-                sides[row, column] = 1 + min(sides[row - 1, column], sides[row, column - 1] if column else 0, last)
-        if not row:
-            sides[0] = covered[0]
-    side = int(sides.max())
-    rows, columns = np.nonzero(sides == side)
-    middles = np.stack([columns - (side - 1) / 2, rows - (side - 1) / 2], axis=-1)
+    sums = np.pad(covered.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+
+    def squares(side: int) -> np.ndarray:
+        """Return whether the square from each texel, its lower left one, is whole."""
+        corners = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+        return corners == side**2
+
+    side, over = 0, min(covered.shape) + 1
+    while over - side > 1:
+        tried = (side + over) // 2
+        side, over = (tried, over) if squares(tried).any() else (side, tried)
+    if not side:
+        return 0, 0, 0
+    rows, columns = np.nonzero(squares(side))
+    middles = np.stack([columns + (side - 1) / 2, rows + (side - 1) / 2], axis=-1)
     best = np.linalg.norm(middles - (np.array(covered.shape[::-1]) - 1) / 2, axis=-1).argmin()
-    return int(columns[best] - side + 1), int(rows[best] - side + 1), side
+    return int(columns[best]), int(rows[best]), side
 
 
 def _scale(model: ReflectanceModel, name: str, values: np.ndarray) -> np.ndarray:

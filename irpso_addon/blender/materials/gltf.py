@@ -21,6 +21,7 @@ from ...core.files import replacing_file
 from ...core.png import encode_png
 from ...core.udim import tile_place
 from ..colour_spaces import Use, use_space
+from ..mesh import mesh_of_faces
 from .displacement import DIVISION
 from .material import TAG
 
@@ -255,15 +256,9 @@ def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> A
     slots = _read(source.loop_triangles, "material_index", count, np.int32)
     uvs = _read(source.uv_layers.active.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
     normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
-    mesh = bpy.data.meshes.new(name)
+    corners = np.reshape(vertices, (-1, 3))
+    mesh = mesh_of_faces(name, _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3), corners)
     made.meshes.append(mesh)
-    mesh.vertices.add(len(source.vertices))
-    mesh.vertices.foreach_set("co", _read(source.vertices, "co", 3 * len(source.vertices)))
-    mesh.loops.add(3 * count)
-    mesh.loops.foreach_set("vertex_index", vertices)
-    mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
-    mesh.update(calc_edges=True)
     ours = [_recovered(slot) for slot in obj.material_slots]
     ours = np.array(ours if any(ours) else [True] * max(len(ours), 1))
     recovered = ours[np.minimum(slots, len(ours) - 1)]

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..mesh import mesh_of_faces
+
 TRUTHS = ("base_color", "roughness", "metallic")  # AOVs that every true material writes
 
 
@@ -104,15 +106,8 @@ def smooth_mesh(scene: Any, name: str, vertices: np.ndarray, quads: np.ndarray, 
     """Return a new smooth object in ``scene`` of vertices (N, 3), quads (M, 4), texture coordinates (N, 2)."""
     import bpy
 
-    mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(vertices))
-    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    mesh.loops.add(quads.size)
-    mesh.loops.foreach_set("vertex_index", quads.astype(np.int32).ravel())
-    mesh.polygons.add(len(quads))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
+    mesh = mesh_of_faces(name, vertices, quads)
     mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv[quads.ravel()].astype(np.float32).ravel())
-    mesh.update(calc_edges=True)
     mesh.shade_smooth()
     made = bpy.data.objects.new(name, mesh)
     scene.collection.objects.link(made)
