@@ -130,7 +130,7 @@ class RankedRecovery(RecoveryEngine):
         """Return the mean error over a few thousand texels of each rank, as RecoveryEngine.mean_error."""
         return self._leader.ask(Worker.mean_error)
 
-    def state(self) -> Checkpoint:
+    def state(self, running: bool = True) -> Checkpoint:
         """Return the state of all ranks' texels, gathered here."""
         return self._leader.ask(Worker.state)
 

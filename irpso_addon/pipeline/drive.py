@@ -19,6 +19,7 @@ from .interrupt import held_back
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
+_MOST_SAVING = 0.05  # of the time, for checkpoints: those of large domains take minutes
 _SECONDS = "seconds"  # the note in a checkpoint of how long the run has taken
 _SLICE = 100  # iterations at most between them: a GPU queues work without having done it
 
@@ -87,6 +88,7 @@ class _Saver:
         self.warnings: list[str] = []
         self.before = 0.0
         self._began = self._last = time.perf_counter()
+        self._took = 0.0
         remove_partials(saving.path)
 
     @property
@@ -103,7 +105,11 @@ class _Saver:
 
     def save_when_due(self) -> None:
         """Write a checkpoint if it is due; where it cannot be written, warn once and continue."""
-        if self._saving.every is None or time.perf_counter() - self._last < self._saving.every:
+        now = time.perf_counter()
+        wanted = self._saving.every is not None and now - self._last >= max(
+            self._saving.every, self._took / _MOST_SAVING
+        )
+        if not (wanted and self._recovery.settled):
             return
         try:
             self.save()
@@ -112,3 +118,4 @@ class _Saver:
                 self.warnings.append(f"no checkpoint: {error}")
                 sys.stderr.write(f"irpso: warning: {self.warnings[0]}\n")
         self._last = time.perf_counter()
+        self._took = self._last - now

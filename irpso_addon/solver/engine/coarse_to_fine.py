@@ -51,9 +51,9 @@ class Pyramid(Successive):
             maps = self._finer(maps, level)
         return maps
 
-    def state(self) -> Checkpoint:
+    def state(self, running: bool = True) -> Checkpoint:
         """Return the state of the current level, its number, and the evaluations of those before it."""
-        state = self._live.state()
+        state = self._live.state(running)
         return replace(state, arrays=state.arrays | {_AT: np.array([self._at, self._before])})
 
     def restore(self, saved: Checkpoint) -> None:

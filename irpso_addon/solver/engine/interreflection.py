@@ -138,9 +138,9 @@ class InterreflectionRounds(Successive):
     def indirect_share(self) -> np.ndarray | None:
         return self._share
 
-    def state(self) -> Checkpoint:
+    def state(self, running: bool = True) -> Checkpoint:
         """Return the state of the current round, its number, and the maps that the rounds' light was found from."""
-        state, solved = self._live.state(), self.domain.solvable
+        state, solved = self._live.state(running), self.domain.solvable
         bases = {
             _BASIS.format(number) + name: value[solved]
             for number, basis in enumerate(self._bases)

@@ -107,6 +107,11 @@ class LockStep:
         self._work, self._published, self._sample = None, False, None
 
     @property
+    def settled(self) -> bool:
+        """Whether all tiles are at the same iteration."""
+        return self._work is None
+
+    @property
     def _done(self) -> bool:
         return all(tile.progress.done for tile in self._pool.tiles)
 

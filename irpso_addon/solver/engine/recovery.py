@@ -28,7 +28,7 @@ from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
-from ..state.checkpoint import Checkpoint, named
+from ..state.checkpoint import PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prepare import Prepared
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
@@ -38,7 +38,6 @@ from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
 from .reconfigure import given, kept
 
-_PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
 
 
@@ -99,6 +98,8 @@ class Recovery(RecoveryEngine):
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its placing
         self._index, self._evaluations = begin.index, begin.evaluations
+        self._begun = begin.evaluations  # at the begin of the stage
+        self._repeats = True  # whether the stage, made again from the estimates, reaches the same result
         self._take_prefit(begin.prefit)
         self._phase: Phase | None = None
         if memory is not None:
@@ -218,8 +219,8 @@ class Recovery(RecoveryEngine):
         """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
         return self._phase.reach if self._phase is not None else 0
 
-    def state(self) -> Checkpoint:
-        memory = self.memory()
+    def state(self, running: bool = True) -> Checkpoint:
+        memory = self.memory() if running or not self._repeats else self.memory(running=False).of_stage
         rows = TexelLayout(self.domain, self._packing).rows(memory.arrays, self.particle_tiles)
         return replace(memory, arrays=rows)
 
@@ -233,26 +234,27 @@ class Recovery(RecoveryEngine):
         """The number of W×H tiles in the atlas of the stage's particles; 1 where it has none."""
         return 1 if self._phase is None else phase_table(self._stages[self._index], self.model, self.schedule).tiles
 
-    def memory(self) -> Checkpoint:
-        """Return the contents of all textures that outlive an iteration, for ``remember``."""
+    def memory(self, running: bool = True) -> Checkpoint:
+        """Return the contents of all textures that outlive an iteration, for ``remember``. running: as in ``state``."""
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
-        if self._phase is not None:
-            arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
-        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit})
+        if self._phase is not None and running:
+            arrays |= {PHASE + name: array for name, array in self._phase.state().items()}
+        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit}, begun=self._begun)
 
     def remember(self, saved: Checkpoint) -> None:
         """Continue from what ``memory`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
-        self._index, self._evaluations = saved.stage, saved.evaluations
+        self._index, self._evaluations, self._begun = saved.stage, saved.evaluations, saved.begun
         self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED})
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
-        if self._phase is not None:
-            self._phase.restore(named(saved.arrays, _PHASE), saved.iteration)
+        running = named(saved.arrays, PHASE)
+        if self._phase is not None and running:
+            self._phase.restore(running, saved.iteration)
 
     def reconfigure(self, schedule: Schedule, seed: int | None = None, prepared: Prepared | None = None) -> Recovery:
         """Return a recovery that continues from here under another schedule; this one can then only be closed.
@@ -276,6 +278,7 @@ class Recovery(RecoveryEngine):
         known = measured_by(self._stages[: goes_on.index], self._prefit)
         begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
+        new._begun, new._repeats = self._begun, not (goes_on.phase or goes_on.swarms)
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):
@@ -354,6 +357,7 @@ class Recovery(RecoveryEngine):
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes have other costs
         self._index += 1
+        self._begun, self._repeats = self._evaluations, True
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:

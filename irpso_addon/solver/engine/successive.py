@@ -122,6 +122,10 @@ class Successive(RecoveryEngine):
         return self._live.capabilities
 
     @property
+    def settled(self) -> bool:
+        return self._live.settled
+
+    @property
     def phase(self) -> Phase | None:
         return self._live.phase
 

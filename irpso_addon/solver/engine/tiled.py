@@ -75,6 +75,10 @@ class TiledRecovery(RecoveryEngine):
         return self.progress
 
     @property
+    def settled(self) -> bool:
+        return self._driver.settled
+
+    @property
     def progress(self) -> Progress:
         """The progress of the slowest tile; its fraction includes what the others are ahead."""
         parts = self._pool.tiles
@@ -107,7 +111,7 @@ class TiledRecovery(RecoveryEngine):
         deviations, alternatives = doubts if confidence else (None, None)
         return Maps(self.model, values, self.domain.solvable, residual, deviations, alternatives=alternatives)
 
-    def state(self) -> Checkpoint:
+    def state(self, running: bool = True) -> Checkpoint:
         """Return the state of all tiles, in memory or in files as theirs."""
         self._driver.finish_round()
         numbers, at, particle_tiles = (
@@ -116,15 +120,22 @@ class TiledRecovery(RecoveryEngine):
             self._pool.active.particle_tiles,
         )
 
+        begun = []
+
         def rows(number: int) -> dict[str, np.ndarray]:
             part = self._pool.tiles[number]
             if part.memory is None:
-                return self._pool.recovery(number).state().arrays
-            return TexelLayout(part.domain).rows(part.memory.arrays, particle_tiles)
+                saved = self._pool.recovery(number).state(running)
+                begun.append(saved.begun)
+                return saved.arrays
+            begun.append(part.memory.begun)
+            memory = part.memory if running else part.memory.of_stage
+            return TexelLayout(part.domain).rows(memory.arrays, particle_tiles)
 
         parts = ((own_rows(numbers, part.box), rows(number)) for number, part in enumerate(self._pool.tiles))
         arrays = joined(self._solved, parts, self._pool.empty)
-        return Checkpoint(*at, self.progress.evaluations, arrays)
+        saved = Checkpoint(*at, self.progress.evaluations, arrays, begun=sum(begun))
+        return saved if running else saved.of_stage
 
     def restore(self, saved: Checkpoint) -> None:
         self._driver.restart()
@@ -132,8 +143,8 @@ class TiledRecovery(RecoveryEngine):
         for number, part in enumerate(self._pool.tiles):
             held = held_rows(numbers, part.place)
             arrays = TexelLayout(part.domain).arrays({n: rows[held] for n, rows in saved.arrays.items()}, limit)
-            evaluations = saved.evaluations // max(1, self._solved) * part.solved
-            self._pool.wait(number, replace(saved, evaluations=evaluations, arrays=arrays))
+            made, begun = (n // max(1, self._solved) * part.solved for n in (saved.evaluations, saved.begun))
+            self._pool.wait(number, replace(saved, evaluations=made, begun=begun, arrays=arrays))
         self._pool.fill()
         for part in self._pool.tiles:
             if part.memory is not None:

@@ -24,8 +24,9 @@ from ..kernels.kernels import model_includes
 from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
-_VERSION = 5
+_VERSION = 6
 _NOTE = "note_"  # prefix of the caller's own arrays in the file
+PHASE = "phase_"  # prefix of the arrays of the running phase
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class Checkpoint:
     """The state of a recovery, with arrays of its caller.
 
     stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels
-    (layout.py), or textures for the same process. notes: the caller's arrays by name.
+    (layout.py), or textures for the same process; without those of the phase the stage begins anew. notes: the
+    caller's arrays by name. begun: the evaluations at the begin of the stage.
     """
 
     stage: int
@@ -41,6 +43,13 @@ class Checkpoint:
     evaluations: int
     arrays: dict[str, np.ndarray]
     notes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    begun: int = 0
+
+    @property
+    def of_stage(self) -> Checkpoint:
+        """The state at the begin of the running stage."""
+        arrays = {name: array for name, array in self.arrays.items() if not name.startswith(PHASE)}
+        return dataclasses.replace(self, iteration=0, evaluations=self.begun, arrays=arrays)
 
 
 def identity(
@@ -96,6 +105,7 @@ def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
         "stage": state.stage,
         "iteration": state.iteration,
         "evaluations": state.evaluations,
+        "begun": state.begun,
         "arrays": {name: [list(array.shape), _digest([array])] for name, array in arrays.items()},
     }
     with replacing_file(path, durable=True) as part, part.open("wb") as file:
@@ -113,7 +123,8 @@ def read(path: Path, who: dict[str, Any]) -> Checkpoint:
             raise ValueError("the arrays are not those that were written")
         notes = named(arrays, _NOTE)
         arrays = {name: array for name, array in arrays.items() if not name.startswith(_NOTE)}
-        return Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays, notes)
+        counts = about["stage"], about["iteration"], about["evaluations"]
+        return Checkpoint(*counts, arrays, notes, about["begun"])
 
 
 def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:

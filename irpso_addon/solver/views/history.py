@@ -64,10 +64,11 @@ class History:
         return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
 
     def take(self, notes: Mapping[str, np.ndarray]) -> None:
-        """Restore the record from a checkpoint."""
-        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ())]
+        """Restore the record from a checkpoint, as far as the recovery has come: it may make a stage again."""
         self._seen = self._recovery.progress.iteration_in_all
-        self._errors = {name: list(errors) for name, errors in notes.items() if name != _ITERATIONS}
+        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ()) if n <= self._seen]
+        count = len(self._iterations)
+        self._errors = {name: list(errors[:count]) for name, errors in notes.items() if name != _ITERATIONS}
 
     def picture(self, maps: Maps) -> np.ndarray:
         """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""

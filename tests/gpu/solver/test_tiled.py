@@ -9,6 +9,7 @@ import pytest
 
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine import engine
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.planning.cost import recovery_cost
@@ -186,8 +187,10 @@ def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
         assert third.progress.done and everything(third.maps()) == wanted
 
 
+@pytest.mark.parametrize("most", [0, engine._MOST_RUNNING], ids=["begin of the stage", "all"])
 @pytest.mark.parametrize("name", ["several stages", "materials", "refinement"])
-def test_a_checkpoint_does_not_depend_on_the_tiles(name, tmp_path):
+def test_a_checkpoint_does_not_depend_on_the_tiles(name, most, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "_MOST_RUNNING", most)
     (domain, wanted, progress), schedule = known(name), SCHEDULES[name]
     makes = {
         "whole": lambda: Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment"),
@@ -198,6 +201,8 @@ def test_a_checkpoint_does_not_depend_on_the_tiles(name, tmp_path):
         with makes[first]() as recovery:
             recovery.step(iterations=stop)
             recovery.save(tmp_path / "run.npz")
+        with np.load(tmp_path / "run.npz") as file:
+            assert any(array.startswith("phase_") for array in file.files) == (most > 0)
         with makes[second]() as recovery:
             recovery.load(tmp_path / "run.npz")
             assert recovery.step() == progress and everything(recovery.maps()) == wanted, (first, second, stop)
