@@ -103,6 +103,11 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--checkpoint-every", type=float, metavar="SECONDS",
                      help="write a checkpoint into OUT at this interval, for --resume")  # fmt: skip
+    add.add_argument(
+        "--preview",
+        action=argparse.BooleanOptionalAction,
+        help="first write maps of a quarter of the size into OUT/preview (default: of two million texels or more)",
+    )
     add.add_argument("--live", action="store_true", help="keep OUT/live.png, a picture of the maps so far")
     add.add_argument("--memory", metavar="SIZE", help="most memory to use, as 4G or device=4G,host=8G")
     add.add_argument(

@@ -18,8 +18,9 @@ from ..gpu import context, probe
 from ..pipeline.drive import CHECKPOINT, Saving, drive
 from ..pipeline.job import Job
 from ..pipeline.live import LIVE, LivePicture
+from ..pipeline.preview import LARGE, PART, smaller
 from ..pipeline.ranks import run_on_ranks
-from ..pipeline.result import found_of, make_material, pictures_of, report_of, subject_of
+from ..pipeline.result import Found, found_of, make_material, pictures_of, report_of, subject_of
 from ..pipeline.run import Run
 from ..results.report import plain
 from ..results.write import BLEND, REPORT, write_maps
@@ -29,6 +30,9 @@ from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
 from .options.values import shelf_of, silent
+
+PREVIEW = "preview"  # folder of a large recovery's preview, in the result's
+_PACE_SPREAD = 1.2  # the whole's seconds a texel over those of its preview, or the reverse
 
 
 def run(options: Namespace) -> dict:
@@ -56,7 +60,22 @@ def _recover(options: Namespace, job: Job) -> dict:
         return _planned(options, {"plan": plan, "seconds": seconds})
     if not silent(options):
         sys.stderr.write(f"{plan.texels} texels, {plan.observations} photographs: {forecast_text(seconds)}\n")
+    wanted = plan.texels >= LARGE if options.preview is None else options.preview
+    if wanted and not options.resume and (few := smaller(job)) is not None:
+        _preview(options, few, plan.work)
     return _recovered(options, run)
+
+
+def _preview(options: Namespace, job: Job, work: float) -> None:
+    """Write the maps of a smaller job into OUT/preview, and say how long ``work``, of the whole, then takes."""
+    folder = Path(options.output) / PREVIEW
+    run = Run(job, StepBars(silent(options)))
+    own = run.first_plan().work
+    report, _, _ = _solved(options, run, folder, Saving(None))
+    if not silent(options):
+        seconds = report["seconds"]["solve"] * work / own
+        time_left = forecast_text((seconds / _PACE_SPREAD, seconds * _PACE_SPREAD))
+        sys.stderr.write(f"preview of 1/{PART}: {folder}; by its pace the whole takes {time_left}\n")
 
 
 def _planned(options: Namespace, result: dict) -> dict:
@@ -102,20 +121,8 @@ def _each_slot(options: Namespace) -> dict:
 def _recovered(options: Namespace, run: Run) -> dict:
     """Run to the end, write everything, and return the report."""
     folder = Path(options.output)
-    run_steps(run.open())
-    with run.recovery as recovery:
-        live = LivePicture(folder / LIVE, recovery)
-        history = History(recovery, run.truth, live.show if options.live else None)
-        saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every)
-        seconds, unsaved = drive(recovery, history, saving, silent(options))
-        maps = run.maps()
-        warnings = [*unsaved, *live.warnings, *run.device_warnings()]
-    started = time.perf_counter()
-    found = found_of(run, maps, derived_maps_of(options))
-    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
-    report = report_of(run, found, settings, seconds, warnings)
-    pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
-    write_maps(found.written, folder, report, pictures, found.derived)
+    saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every)
+    report, found, started = _solved(options, run, folder, saving)
     height = found.height if options.displacement else None
     _, subject = make_material(run.job, subject_of(run.job), found, height)
     material.save_blend(folder / BLEND)
@@ -129,6 +136,24 @@ def _recovered(options: Namespace, run: Run) -> dict:
     elif options.quiet and not options.json:
         sys.stderr.write("".join(f"irpso: warning: {text}\n" for text in report["warnings"]))
     return {"output": str(folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
+
+
+def _solved(options: Namespace, run: Run, folder: Path, saving: Saving) -> tuple[dict, Found, float]:
+    """Run to the end and write the maps into a folder; return the report, what was found, and when the search ended."""
+    run_steps(run.open())
+    with run.recovery as recovery:
+        live = LivePicture(folder / LIVE, recovery)
+        history = History(recovery, run.truth, live.show if options.live else None)
+        seconds, unsaved = drive(recovery, history, saving, silent(options))
+        maps = run.maps()
+        warnings = [*unsaved, *live.warnings, *run.device_warnings()]
+    started = time.perf_counter()
+    found = found_of(run, maps, derived_maps_of(options))
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
+    report = report_of(run, found, settings, seconds, warnings)
+    pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
+    write_maps(found.written, folder, report, pictures, found.derived)
+    return report, found, started
 
 
 def _summary(report: dict, folder: Path, seconds: float) -> str:

@@ -19,16 +19,16 @@ from .interrupt import held_back
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
-_MOST_SAVING = 0.05  # of the time, for checkpoints: those of large domains take minutes
+_LONG, _MOST_SAVING = 1.0, 0.05  # seconds of a checkpoint from which on they take at most this part of the time
 _SECONDS = "seconds"  # the note in a checkpoint of how long the run has taken
 _SLICE = 100  # iterations at most between them: a GPU queues work without having done it
 
 
 @dataclass(frozen=True)
 class Saving:
-    """Checkpoints. resume: continue from the one at ``path``. every: seconds between them, None for the last alone."""
+    """Checkpoints. path: None for none. resume: from the one there. every: seconds, None for the last alone."""
 
-    path: Path
+    path: Path | None
     resume: bool = False
     every: float | None = None
 
@@ -46,7 +46,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
     in KeyboardInterrupt after a last checkpoint, or in InputError where that fails.
     """
     saver = _Saver(recovery, history, saving)
-    if saving.resume:
+    if saving.resume and saving.path:
         notes = recovery.load(saving.path)
         saver.before = float(notes.pop(_SECONDS, 0.0))
         history.take(notes)
@@ -74,7 +74,9 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
                 saver.save_when_due()
         bar.close()
         if not progress.done:
-            saver.save()
+            if saving.path is None:
+                raise KeyboardInterrupt
+            saver.save(saving.path)
             raise KeyboardInterrupt(f"{saving.path} holds the run so far, go on with --resume")
     return saver.seconds, saver.warnings
 
@@ -89,30 +91,30 @@ class _Saver:
         self.before = 0.0
         self._began = self._last = time.perf_counter()
         self._took = 0.0
-        remove_partials(saving.path)
+        if saving.path is not None:
+            remove_partials(saving.path)
 
     @property
     def seconds(self) -> float:
         """The run's seconds so far."""
         return self.before + time.perf_counter() - self._began
 
-    def save(self) -> None:
+    def save(self, path: Path) -> None:
         """Write a checkpoint. Raises InputError where it cannot be written."""
         if self.turns:  # tiles that are behind catch up: the history would miss a measurement after a resume
             self._recovery.step(0)
             self._history.look()
-        self._recovery.save(self._saving.path, {**self._history.notes, _SECONDS: np.array(self.seconds)})
+        self._recovery.save(path, {**self._history.notes, _SECONDS: np.array(self.seconds)})
 
     def save_when_due(self) -> None:
         """Write a checkpoint if it is due; where it cannot be written, warn once and continue."""
-        now = time.perf_counter()
-        wanted = self._saving.every is not None and now - self._last >= max(
-            self._saving.every, self._took / _MOST_SAVING
-        )
-        if not (wanted and self._recovery.settled):
+        now, path, every = time.perf_counter(), self._saving.path, self._saving.every
+        if path is None or every is None or not self._recovery.settled:
+            return
+        if now - self._last < max(every, self._took / _MOST_SAVING if self._took > _LONG else 0.0):
             return
         try:
-            self.save()
+            self.save(path)
         except InputError as error:
             if not self.warnings:
                 self.warnings.append(f"no checkpoint: {error}")

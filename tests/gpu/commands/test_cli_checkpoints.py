@@ -84,6 +84,7 @@ class FullDisk:
     """A recovery of five iterations whose checkpoints find no room."""
 
     capabilities = Capabilities("none", reconfigure=False)
+    settled = True
 
     def __init__(self, fails):
         self.saved, self._fails = 0, fails
@@ -155,6 +156,36 @@ def test_checkpoints_are_written_at_their_interval(tmp_path):
     for run, every in zip(runs, (0.0, 3600.0, None), strict=True):
         drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=every), quiet=True)
     assert [run.saved for run in runs] == [4, 0, 0]
+
+
+def test_slow_checkpoints_take_at_most_a_twentieth_of_the_time(tmp_path, monkeypatch):
+    clock = [0.0]
+
+    class Slow(FullDisk):
+        def step(self, iterations=None, time_budget_s=None):
+            clock[0] += 10
+            self.progress = replace(self.progress, done=clock[0] > 10000)
+            return self.progress
+
+        def save(self, path, notes):
+            self.saved += 1
+            clock[0] += 30
+
+    monkeypatch.setattr(drive.time, "perf_counter", lambda: clock[0])
+    run = Slow(fails=False)
+    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=10.0), quiet=True)
+    assert 12 <= run.saved <= 1 + 10000 / 600
+
+
+def test_a_checkpoint_waits_until_tiles_are_at_the_same_iteration(tmp_path):
+    class InTurns(FullDisk):
+        @property
+        def settled(self):
+            return self._made == 3
+
+    run = InTurns(fails=False)
+    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), quiet=True)
+    assert run.saved == 1
 
 
 def test_the_next_run_removes_half_written_files(tmp_path):

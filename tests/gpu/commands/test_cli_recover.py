@@ -305,6 +305,22 @@ def test_a_live_picture_shows_the_current_maps_until_the_result_exists(recovered
     assert len(colours & shown_colours) > 0.9 * len(colours)
 
 
+def test_a_preview_has_a_quarter_of_the_size_and_changes_nothing(recovered, tmp_path):
+    _, out, _ = recovered("lambert")
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 40]
+    code, _, err = run_cli(*options, "--preview", "-o", tmp_path / "with")
+    assert code == 0 and re.search(r"preview of 1/4: .*preview; by its pace the whole takes", err)
+    assert run_cli(*options, "--quiet", "-o", tmp_path / "without")[0] == 0
+    assert not (tmp_path / "without" / "preview").exists()
+    large, same = (read_map(tmp_path / name / "normal.exr") for name in ("with", "without"))
+    small = read_map(tmp_path / "with" / "preview" / "normal.exr")
+    np.testing.assert_array_equal(large, same)
+    assert small.shape == (4, 6, 3)
+    rows, columns = (((np.arange(n) + 0.5) * side / n).astype(int) for n, side in zip((4, 6), SHAPE, strict=True))
+    assert np.median(angle(small, large[rows][:, columns])) < 5
+    assert not list((tmp_path / "with" / "preview").glob("checkpoint*"))
+
+
 def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):
     from irpso_addon.core.errors import InputError
     from irpso_addon.pipeline import live
