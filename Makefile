@@ -5,7 +5,7 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui docs-images lint format extension clean environment blender-window \
+.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui docs-images lint format extension release clean environment blender-window \
         environment-test environment-bench
 
 help: ## list the targets
@@ -70,6 +70,9 @@ format: environment-test ## rewrite the sources in the style that lint asks for
 extension: environment ## the zips that Blender installs, into dist/; tries this system's in Blender (BLENDER=…)
 	$(RUN) scripts/extension.py dist
 	BLENDER="$(BLENDER)" $(RUN) scripts/install_extension.py dist
+
+release: environment ## the zips with checksums and notes from CHANGELOG.md, into dist/, from a commit
+	$(RUN) scripts/release.py dist
 
 clean: ## remove what the targets made, the environments included
 	rm -rf .venv .venv-* out dist build .cache .pytest_cache .ruff_cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-import socket
+import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -41,7 +41,7 @@ class Ranks:
     def __init__(self, mpi: Any = None, world: Any = None):
         self._mpi = mpi
         self._world = mpi.COMM_WORLD if mpi and world is None else world
-        self.host = socket.gethostname()
+        self.host = platform.node()
         self.rank, self.size, self.local, self.locals = 0, 1, 0, 1
         if mpi:
             here = self._world.Split_type(mpi.COMM_TYPE_SHARED)

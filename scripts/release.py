@@ -1,0 +1,63 @@
+"""Makes a release: the zips of every system, their SHA-256 checksums, and the notes that the changelog has for it.
+
+Usage: python scripts/release.py FOLDER
+The version is the manifest's. Without a dated section of it in CHANGELOG.md, or with changes that are not committed,
+nothing is built.
+"""
+
+import argparse
+import hashlib
+import re
+import subprocess
+from pathlib import Path
+
+import extension
+
+CHANGELOG = extension.ROOT / "CHANGELOG.md"
+CHECKSUMS = "SHA256SUMS"
+
+
+def notes(changelog: str, version: str) -> str:
+    """Return what a changelog says of a version, without its heading. Raises SystemExit where it says nothing."""
+    heading = rf"^## \[{re.escape(version)}\] - \d{{4}}-\d{{2}}-\d{{2}}$\n(.*?)(?=^## |\Z)"
+    found = re.search(heading, changelog, re.MULTILINE | re.DOTALL)
+    text = found[1].strip() if found else ""
+    if not text:
+        raise SystemExit(
+            f"CHANGELOG.md has no notes on {version}; write them under the heading `## [{version}] - YYYY-MM-DD`"
+        )
+    return f"{text}\n"
+
+
+def check_committed(root: Path) -> None:
+    """Refuse a work tree whose files differ from its last commit. Raises SystemExit, which names them."""
+    command = ["git", "status", "--porcelain"]
+    changed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout.splitlines()
+    if changed:
+        names = ", ".join(line[3:] for line in changed[:5]) + (", …" if len(changed) > 5 else "")
+        raise SystemExit(f"a release is made from a commit; commit or remove these files: {names}")
+
+
+def checksums(packages: list[Path]) -> str:
+    """Return the lines that `sha256sum --check` reads, run beside the packages."""
+    return "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in sorted(packages))
+
+
+def main() -> None:
+    """Make the release into the folder named on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    version = extension.manifest()["version"]
+    text = notes(CHANGELOG.read_text(encoding="utf-8"), version)
+    check_committed(extension.ROOT)
+    packages = [package for package, _ in extension.build_all(folder).values()]
+    page = folder / f"{extension.manifest()['id']}-{version}.md"
+    page.write_text(text, encoding="utf-8")
+    (folder / CHECKSUMS).write_text(checksums(packages), encoding="utf-8")
+    for path in (*packages, folder / CHECKSUMS, page):
+        print(f"{path}  {path.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()
