@@ -5,8 +5,8 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui docs-images lint format extension release clean environment blender-window \
-        environment-test environment-bench
+.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui site docs-images lint format extension release clean environment blender-window \
+        environment-test environment-bench environment-docs
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST) | expand -t 22
@@ -16,6 +16,9 @@ environment:
 
 environment-test:
 	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime test cluster
+
+environment-docs:
+	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) docs
 
 environment-bench:
 	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime bench cluster
@@ -55,8 +58,11 @@ test-gui: environment-test ## the tests in a real Blender window: BLENDER=/path/
 blender-window: environment-test # Debian's Blender for test-gui, built once
 	@PYTHONPATH=scripts $(RUN) -c "from blender_window.blenders import find_blender; find_blender()"
 
-docs-images: environment ## the guide's pictures, from a Blender window as in test-gui, into docs/images
-	$(RUN) scripts/docs_images.py
+site: environment-docs ## the guide as a site that needs no network, into out/site/html; broken links fail
+	$(RUN) scripts/guide/build.py $(OUT)/site
+
+docs-images: environment ## the guide's pictures, of the sample and a Blender window, into docs/images; ONLY="stills panels views"
+	$(RUN) scripts/docs_images.py $(ONLY)
 
 lint: environment-test ## style and types only
 	$(RUN) -m ruff check --quiet .

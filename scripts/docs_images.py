@@ -1,46 +1,51 @@
-"""Takes the pictures of the guide from a real Blender window and puts them into docs/images; `make docs-images`.
+"""Makes the pictures of the guide into docs/images; `make docs-images`.
 
-What is shown is made in code: a head with painted maps, photographed by the program's own renderer (docs_scene.py).
-Blender is the one of BLENDER=/path, else Debian's, as for the tests in a window.
+Usage: python scripts/docs_images.py [stills] [panels] [views]    all three, unless some are named
+stills: of the sample capture and its recovery, by the program's commands (docs_stills.py). panels: of the panels and
+preferences, and the record that a test compares (panel_words.py). views: of the viewport while the sample is recovered.
+Panels and views come from a real Blender window: that of BLENDER=/path, else Debian's, as for the tests in a window.
+What the pictures are made from is kept in .cache/docs-images: remove that folder to begin anew.
 """
 
 from __future__ import annotations
 
+import argparse
+import shutil
 import tempfile
 from pathlib import Path
 
+import panel_words
 from blender_window import Box, Window, build_package, find_blender, install, open_window
+from docs_stills import IMAGES, QUALITY, ROOT, beside, make_stills, narrowed, prepare
+from PIL import Image
 
-ROOT = Path(__file__).resolve().parent.parent
-IMAGES = ROOT / "docs" / "images"
+WORK = ROOT / ".cache" / "docs-images"
 SCENE = ROOT / "scripts" / "docs_scene.py"
-RESOLUTION, SMALL = 384, 96  # texels along a side: for the pictures of the maps, of the swarm
-LIGHT = 9  # the observation whose light is shown
-NOISY, LATE = 14, 45  # iterations at which pictures are taken, between the first guess and the end
+LIGHT = 4  # the observation whose light is shown, from 1
+QUICK = 0.25  # scale of the card for pictures of panels
+EARLY, LATE = 14, 45  # iterations at which pictures are taken, of the panels and of the maps
 SWARM_AT = 120  # iteration of the preset `paper` at which the swarm is pictured
 FACTS, REPORT = 222, 502  # pixels: of what Blender itself says of an extension, of the preferences below that
-# Where the head is in the viewport, in fractions of it: left, top, right, bottom.
-HEAD = (0.335, 0.27, 0.72, 0.79)
 SLOW = 900  # seconds: software renderers on busy machines take their time
+GROUPS = ("stills", "panels", "views")
 
 
 class Studio:
-    """A window with the head in it, and the folder that pictures go to."""
+    """A window with the sample in it, and the folder that pictures go to."""
 
     def __init__(self, window: Window, folder: Path):
         self.window, self.folder = window, folder
 
     def prepare(self) -> None:
-        """Build the scene and its capture, and import that."""
-        run, capture = self.window.run, str(self.folder / "head")
+        """Open a copy of the sample, whose folder gets a table of its lights."""
+        run, copy = self.window.run, self.folder / "sample"
+        shutil.copytree(WORK / "sample", copy)
         run(SCENE.read_text(encoding="utf-8"))
-        run("head = build_scene()\nlook()\nsession, settings = part('ui.session.session'), bpy.context.scene.irpso")
-        run(f"write_capture(head, {capture!r})", timeout=SLOW)
-        run(f"bpy.ops.wm.save_as_mainfile(filepath={str(self.folder / 'head.blend')!r})")
+        run("empty()\nsession, settings = part('ui.session.session'), bpy.context.scene.irpso")
+        run(f"bpy.ops.wm.save_as_mainfile(filepath={str(self.folder / 'tile.blend')!r})")
         self.window.drag(*_edge(self.window.open_sidebar("IRPSO"), 60))
-        run(f"bpy.ops.irpso.import_capture(filepath={capture + '/capture.toml'!r})")
-        self.window.wait("settings.checked_path == settings.capture_path", SLOW)
-        run(f"settings.resolution = {RESOLUTION}")
+        run(f"bpy.ops.irpso.open_sample(folder={str(copy)!r})", timeout=SLOW)
+        self.window.wait("settings.card_distance > 0 and settings.checked_path == settings.capture_path", SLOW)
 
     def recover(self, **schedule: object) -> None:
         """Press Recover, with settings of the schedule, and rest at the first picture."""
@@ -66,109 +71,48 @@ class Studio:
             self.window.run(f"settings.view.{name} = {value!r}", area="")
         self.window.run("redrawn(50)", area="")
 
-    def take(self, name: str, *boxes: Box) -> list[Path]:
-        """Take parts of the screen; return their paths."""
-        return [self.window.screenshot(f"{name}-{k}", box) for k, box in enumerate(boxes)]
+    def take(self, box: Box) -> Image.Image:
+        """Take a part of the screen."""
+        return Image.open(self.window.screenshot("part", box)).convert("RGB")
 
-    def moment(self, name: str) -> Path:
-        """Take the head alone with its roughness."""
-        self.window.run("probes = list(session.current().probes)\nsession.current().probes.clear()")
-        self.show(show_lights=False, show_cameras=False, show_curves=False, parameter="roughness")
-        (picture,) = self.take(name, self.head())
-        self.window.run("session.current().probes.extend(probes)")
-        return picture
+    def card(self) -> Box:
+        """Return where the card is on the screen."""
+        return Box(*self.window.run("card_box()"))
 
-    def publish(self, name: str, parts: list[Path], width: int, colors: int) -> None:
-        """Put pictures side by side into docs/images, so wide in pixels, with so many colours: a clone stays small."""
-        target = self.folder / f"{name}.png"
-        arguments = [*map(str, parts), "+append", "-resize", f"{width}x>", "-strip", "-dither", "None"]
-        arguments += ["-colors", str(colors), "-define", "png:compression-level=9"]
-        arguments += ["-define", "png:compression-filter=0", f"PNG8:{target}"]
-        done = self.window.blender.run("convert", *arguments)
-        if done.returncode:
-            raise SystemExit(f"ImageMagick could not make {name}.png: {done.stdout}")
-        IMAGES.mkdir(parents=True, exist_ok=True)
-        (IMAGES / target.name).write_bytes(target.read_bytes())
+    def view(self) -> Box:
+        """Return where the 3D viewport is on the screen, below its headers."""
+        view, headers = self.window.region(), self.window.region("VIEW_3D", "TOOL_HEADER")
+        top = headers.y + headers.height
+        return Box(view.x, top, view.width, view.y + view.height - top)
 
-    def head(self) -> Box:
-        """Return where the head is on the screen."""
-        view = self.window.region()
-        left, top, right, bottom = HEAD
-        x, y = view.at(left, top)
-        return Box(x, y, round((right - left) * view.width), round((bottom - top) * view.height))
-
-    def view(self, *, sidebar: bool = False) -> Box:
-        """Return where the 3D viewport is on the screen, below its header, with the sidebar or without."""
-        view, side = self.window.region(), self.window.region("VIEW_3D", "UI")
-        right = view.x + view.width if sidebar else side.x
-        return Box(view.x, side.y, right - view.x, view.y + view.height - side.y)
+    def sidebar(self) -> Image.Image:
+        """Take the sidebar."""
+        self.window.run("redrawn(20)", area="")
+        return self.take(self.window.region("VIEW_3D", "UI"))
 
 
-def panel(studio: Studio) -> None:
-    """The sidebar before Recover, as far as it goes down."""
-    box = studio.window.region("VIEW_3D", "UI")
-    studio.publish("panel", studio.take("panel", box), 320, 64)
+def publish(name: str, picture: Image.Image, width: int, colours: int = 0) -> None:
+    """Put a picture into docs/images: as PNG of so many colours, or as JPEG. A clone stays small."""
+    picture = narrowed(picture, width) if picture.width > width else picture
+    if colours:
+        picture.quantize(colours, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
+    else:
+        picture.save(IMAGES / f"{name}.jpg", quality=QUALITY, optimize=True, progressive=True)
 
 
-def converging(studio: Studio) -> None:
-    """Three moments of a recovery, which is done afterwards; and before its end, the window with four probed texels."""
+def panels(studio: Studio) -> None:
+    """The sidebar before Recover, while a recovery rests, and after it."""
+    parts = [studio.sidebar()]
+    studio.window.run(f"settings.picture_scale = {QUICK}")
     studio.recover()
-    studio.probe()
-    parts = [studio.moment("first")]
-    studio.go_on(f"s.progress.iteration_in_all >= {NOISY}")
-    parts.append(studio.moment("noisy"))
-    studio.go_on(f"s.progress.iteration_in_all >= {LATE}")
-    studio.show(show_curves=True, show_lights=True, parameter="base_color", observation=LIGHT + 1)
-    studio.publish("probes", studio.take("probes", studio.view(sidebar=True)), 900, 128)
+    studio.go_on(f"s.progress.iteration_in_all >= {EARLY}")
+    parts.append(studio.sidebar())
     studio.go_on("False")
-    parts.append(studio.moment("last"))
-    studio.publish("converging", parts, 960, 48)
-
-
-def error(studio: Studio) -> None:
-    """The error on the head, with its legend."""
-    studio.window.run("session.current().probes.clear()")
-    studio.show(shown="ERROR")
-    view, head = studio.view(), studio.head()
-    box = Box(head.x, head.y, view.x + view.width - head.x, view.y + view.height - head.y)
-    studio.publish("error", studio.take("error", box), 600, 96)
-
-
-def image_editor(studio: Studio) -> None:
-    """A map, flat, in the Image editor in the place of the 3D viewport."""
-    run = studio.window.run
-    run("area = largest('VIEW_3D')\narea.type = 'IMAGE_EDITOR'", area="")
-    studio.window.open_sidebar("IRPSO", "IMAGE_EDITOR")
-    studio.show(shown="PARAMETER", parameter="normal", show_curves=False)
-    run("bpy.ops.image.view_all(fit_view=True)", area="IMAGE_EDITOR")
-    view = studio.window.region("IMAGE_EDITOR")
-    studio.publish("image_editor", studio.take("image_editor", view), 860, 96)
-    run("area.type = 'VIEW_3D'", area="")
-
-
-def rendered(studio: Studio) -> None:
-    """The kept material as Cycles shows it in the viewport, under one light of the capture."""
-    run = studio.window.run
-    run(f"bpy.ops.irpso.keep()\nbpy.ops.irpso.standard_view()\nbpy.ops.irpso.create_scene()\nlit_by({LIGHT})")
-    studio.show(show=False)
-    run("rendered_view()")
-    studio.window.run("waiting(20)", area="", timeout=SLOW)
-    studio.publish("rendered", studio.take("rendered", studio.head()), 520, 128)
-    run("solid_view()")
-
-
-def swarm(studio: Studio) -> None:
-    """The particles of one texel in the space of its colour, under the paper's preset."""
-    run = studio.window.run
-    run("bpy.ops.irpso.cancel()\nsettings.schedule.preset = 'paper'")
-    run(f"settings.resolution = {SMALL}")
-    studio.show(show=True, show_curves=True, show_swarm=True, parameter="base_color", show_lights=False)
-    studio.recover()
-    studio.probe()
-    studio.go_on(f"s.progress.iteration_in_all >= {SWARM_AT}")
-    studio.show(probe=1)
-    studio.publish("swarm", studio.take("swarm", studio.view()), 760, 96)
-    run("bpy.ops.irpso.cancel()")
+    parts.append(studio.sidebar())
+    studio.window.run("bpy.ops.irpso.cancel()\nsettings.picture_scale = 1")
+    publish("panel", beside(parts, 12), 960, 48)
+    preferences(studio)
+    panel_words.remember()
 
 
 def preferences(studio: Studio) -> None:
@@ -179,13 +123,82 @@ def preferences(studio: Studio) -> None:
     studio.window.run("redrawn(20)", area="")
     # Above are the extension's facts with the folder of this very Blender, below is nothing.
     view = studio.window.region("PREFERENCES")
-    box = Box(view.x, view.y + FACTS, view.width, REPORT)
-    studio.publish("preferences", studio.take("preferences", box), 780, 24)
+    publish("preferences", studio.take(Box(view.x, view.y + FACTS, view.width, REPORT)), 780, 24)
     run("area.type = 'VIEW_3D'", area="")
 
 
-# In this order: each goes on from where the one before has ended.
-STAGES = (panel, converging, error, image_editor, rendered, swarm, preferences)
+def views(studio: Studio) -> None:
+    """All pictures of the viewport without its bars, one going on from where the one before has ended."""
+    studio.window.run("bare()")
+    for stage in (converging, error, image_editor, rendered, swarm):
+        stage(studio)
+
+
+def converging(studio: Studio) -> None:
+    """Three moments of a recovery, which is done afterwards, and four probed texels before its end."""
+    studio.show(show_lights=False, show_cameras=False, show_curves=False, parameter="base_color")
+    studio.recover()
+    studio.window.run("closer()")
+    parts = [moment(studio)]
+    studio.probe()
+    studio.go_on(f"s.progress.iteration_in_all >= {LATE}")
+    studio.show(show_curves=True)
+    publish("probes", studio.take(studio.view()), 760)
+    studio.window.run("session.current().probes.clear()")
+    parts.append(moment(studio))
+    studio.go_on("False")
+    parts.append(moment(studio))
+    publish("converging", beside([narrowed(part, 250) for part in parts], 5), 760)
+
+
+def moment(studio: Studio) -> Image.Image:
+    """Take the card alone."""
+    studio.show(show_curves=False)
+    return studio.take(studio.card())
+
+
+def error(studio: Studio) -> None:
+    """The error on the card, with its legend."""
+    studio.show(shown="ERROR")
+    view, card = studio.view(), studio.card()
+    publish("error", studio.take(Box(card.x, view.y, view.x + view.width - card.x, view.height)), 520)
+
+
+def image_editor(studio: Studio) -> None:
+    """A map, flat, in the Image editor in the place of the 3D viewport."""
+    run = studio.window.run
+    run("area = largest('VIEW_3D')\narea.type = 'IMAGE_EDITOR'", area="")
+    studio.show(shown="PARAMETER", parameter="normal", show_curves=False)
+    run("bpy.ops.image.view_all(fit_view=True)", area="IMAGE_EDITOR")
+    publish("image_editor", studio.take(studio.window.region("IMAGE_EDITOR")), 640)
+    run("area.type = 'VIEW_3D'", area="")
+
+
+def rendered(studio: Studio) -> None:
+    """The kept material as Cycles shows it in the viewport, under one light of the capture."""
+    run = studio.window.run
+    run(f"bpy.ops.irpso.keep()\nbpy.ops.irpso.standard_view()\nbpy.ops.irpso.create_scene()\nlit_by({LIGHT})")
+    run("aslant(next(o for o in bpy.context.scene.objects if o.type == 'MESH'))")
+    studio.show(show=False)
+    run("rendered_view()")
+    studio.window.run("waiting(40)", area="", timeout=SLOW)
+    view = studio.view()
+    publish("rendered", studio.take(Box(view.x + view.width // 6, view.y, view.width * 2 // 3, view.height)), 560)
+    run("solid_view()\nbpy.ops.irpso.cancel()\nempty()")
+
+
+def swarm(studio: Studio) -> None:
+    """The particles of a probed texel in a running search."""
+    run = studio.window.run
+    run(f"settings.picture_scale = {QUICK}\nsettings.schedule.preset = 'paper'")
+    studio.show(show=True, show_curves=True, show_swarm=True, parameter="base_color", show_lights=False)
+    studio.recover()
+    studio.window.run("closer()")
+    studio.probe()
+    studio.go_on(f"s.progress.iteration_in_all >= {SWARM_AT}")
+    studio.show(probe=1)
+    publish("swarm", studio.take(studio.view()), 620)
+    run("bpy.ops.irpso.cancel()")
 
 
 def _edge(box: Box, wider: int) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -195,7 +208,19 @@ def _edge(box: Box, wider: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def main() -> None:
-    """Take all pictures."""
+    """Make the pictures that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; default all")
+    groups = parser.parse_args().groups or GROUPS
+    if unknown := sorted(set(groups) - set(GROUPS)):
+        parser.error(f"there is no group {unknown[0]}; choose of {', '.join(GROUPS)}")
+    WORK.mkdir(parents=True, exist_ok=True)
+    prepare(WORK)
+    if "stills" in groups:
+        make_stills(WORK)
+    in_window = [stage for stage in (panels, views) if stage.__name__ in groups]
+    if not in_window:
+        return
     blender = find_blender()
     with tempfile.TemporaryDirectory(prefix="irpso-pictures-") as scratch:
         folder = Path(scratch)
@@ -205,7 +230,7 @@ def main() -> None:
             window.expect("Not freed memory blocks")
             studio = Studio(window, folder)
             studio.prepare()
-            for stage in STAGES:
+            for stage in in_window:
                 stage(studio)
 
 

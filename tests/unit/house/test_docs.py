@@ -50,10 +50,10 @@ def test_every_page_of_the_guide_is_reached_from_its_index():
 
 def test_every_picture_is_shown_and_small():
     shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    pictures = sorted((DOCS / "images").glob("*"))
+    pictures = sorted(path for path in (DOCS / "images").glob("*") if path.name != "panels.json")
     assert [p.name for p in pictures if f"images/{p.name}" not in shown] == []
     assert max((p.stat().st_size for p in pictures), default=0) < 80_000
-    assert sum(p.stat().st_size for p in pictures) < 400_000
+    assert sum(p.stat().st_size for p in pictures) < 600_000
 
 
 def test_the_table_of_settings_is_the_panels_own():

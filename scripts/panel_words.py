@@ -1,0 +1,80 @@
+"""What the panels draw, as digests: whether the guide's pictures of them are still true can be told without a window.
+
+Usage: python scripts/panel_words.py    prints the modules that have changed since the pictures were made
+Of every module: the names of panels and properties, and what the panels lay out, in order. Tooltips do not count.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+UI = ROOT / "irpso_addon" / "ui"
+RECORD = ROOT / "docs" / "images" / "panels.json"
+# Calls that put something into a layout, and what gives it its place and its words.
+DRAWS = {"label", "prop", "operator", "menu", "popover", "progress", "template_ID", "separator", "row", "column", "box",
+         "split", "fact", "wrapped"}  # fmt: skip
+NAMES = {"bl_label", "bl_parent_id", "bl_options", "bl_order"}
+
+
+def calls_of(tree: ast.AST) -> Iterator[ast.Call]:
+    """Yield the calls of a module in the order of its lines."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    yield from sorted(calls, key=lambda call: (call.lineno, call.col_offset))
+
+
+def drawn(source: str) -> list[str]:
+    """Return what a module of panels lays out: calls with all that they say, and the names of its classes."""
+    tree = ast.parse(source)
+    found = [
+        f"{node.targets[0].id} = {ast.unparse(node.value)}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id in NAMES
+    ]
+    for call in calls_of(tree):
+        name = call.func.attr if isinstance(call.func, ast.Attribute) else ""
+        if name in DRAWS:
+            words = [ast.unparse(one) for one in call.args] + [f"{k.arg}={ast.unparse(k.value)}" for k in call.keywords]
+            found.append(f"{name}({', '.join(words)})")
+    return found
+
+
+def labels(source: str) -> list[str]:
+    """Return the names that a module gives to properties, in order."""
+    return [
+        ast.unparse(keyword.value)
+        for call in calls_of(ast.parse(source))
+        if ast.unparse(call.func).endswith("Property")
+        for keyword in call.keywords
+        if keyword.arg == "name"
+    ]
+
+
+def digests(ui: Path = UI) -> dict[str, str]:
+    """Return the digest of every module's words, by its path below ``ui``."""
+    words = {path: drawn(path.read_text(encoding="utf-8")) for path in sorted((ui / "panels").glob("*.py"))}
+    words |= {path: labels(path.read_text(encoding="utf-8")) for path in sorted((ui / "properties").glob("*.py"))}
+    return {
+        path.relative_to(ui).as_posix(): hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+        for path, lines in words.items()
+        if lines
+    }
+
+
+def changed(now: dict[str, str], record: Path = RECORD) -> list[str]:
+    """Return the modules whose words are not those of the pictures."""
+    then = json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {}
+    return sorted(name for name in now.keys() | then.keys() if now.get(name) != then.get(name))
+
+
+def remember(record: Path = RECORD) -> None:
+    """Note that the pictures show the panels as they are."""
+    record.write_text(json.dumps(digests(), indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    print("\n".join(changed(digests())) or "the pictures show the panels as they are")
