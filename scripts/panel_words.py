@@ -1,7 +1,8 @@
 """What the panels draw, as digests: whether the guide's pictures of them are still true can be told without a window.
 
 Usage: python scripts/panel_words.py    prints the modules that have changed since the pictures were made
-Of every module: the names of panels and properties, and what the panels lay out, in order. Tooltips do not count.
+Of every module: the names of panels and properties, and what the panels lay out, in order; the names of operators
+whose buttons they have. Tooltips do not count.
 """
 
 from __future__ import annotations
@@ -54,15 +55,30 @@ def labels(source: str) -> list[str]:
     ]
 
 
+def operators(source: str) -> dict[str, str]:
+    """Return the names of a module's operators by their ``bl_idname``."""
+    found = {}
+    for kind in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)):
+        said = {
+            node.targets[0].id: ast.literal_eval(node.value)
+            for node in kind.body
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
+            if node.targets[0].id in ("bl_idname", "bl_label") and isinstance(node.value, ast.Constant)
+        }
+        if len(said) == 2:
+            found[said["bl_idname"]] = said["bl_label"]
+    return found
+
+
 def digests(ui: Path = UI) -> dict[str, str]:
-    """Return the digest of every module's words, by its path below ``ui``."""
-    words = {path: drawn(path.read_text(encoding="utf-8")) for path in sorted((ui / "panels").glob("*.py"))}
-    words |= {path: labels(path.read_text(encoding="utf-8")) for path in sorted((ui / "properties").glob("*.py"))}
-    return {
-        path.relative_to(ui).as_posix(): hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
-        for path, lines in words.items()
-        if lines
-    }
+    """Return the digest of every module's words, by its path below ``ui``, and of all operators' names."""
+    sources = {path.relative_to(ui).as_posix(): path.read_text(encoding="utf-8") for path in sorted(ui.rglob("*.py"))}
+    words = {name: drawn(source) for name, source in sources.items() if name.startswith("panels/")}
+    shown = "\n".join(line for lines in words.values() for line in lines)
+    words |= {name: labels(source) for name, source in sources.items() if name.startswith("properties/")}
+    named = {key: label for source in sources.values() for key, label in operators(source).items()}
+    words["operators"] = sorted(f"{key} {label}" for key, label in named.items() if f"'{key}'" in shown)
+    return {name: hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16] for name, lines in words.items() if lines}
 
 
 def changed(now: dict[str, str], record: Path = RECORD) -> list[str]:

@@ -100,6 +100,21 @@ def test_a_propertys_name_is_part_of_its_digest_and_its_tooltip_is_not(panel_wor
     assert panel_words.labels(line.replace("Size", "Resolution")) == ["'Resolution'"]
 
 
+def test_the_name_of_a_button_is_part_of_the_digests_and_that_of_another_operator_is_not(panel_words, tmp_path):
+    for name in ("panels", "operators"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "panels" / "one.py").write_text(PANEL)
+    button = 'class R(Operator):\n    bl_idname = "irpso.recover"\n    bl_label = "Recover"\n'
+    other = button.replace("recover", "tidy")
+    file = tmp_path / "operators" / "all.py"
+    file.write_text(button + other)
+    before = panel_words.digests(tmp_path)
+    file.write_text(button + other.replace("Recover", "Tidy"))
+    assert panel_words.digests(tmp_path) == before
+    file.write_text(button.replace("Recover", "Start") + other)
+    assert panel_words.digests(tmp_path)["operators"] != before["operators"]
+
+
 def test_a_module_that_came_or_went_since_the_pictures_is_named(panel_words, tmp_path):
     record = tmp_path / "panels.json"
     record.write_text('{"panels/a.py": "1", "panels/gone.py": "2", "panels/same.py": "3"}')
