@@ -5,7 +5,7 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui site docs-images lint format extension release clean environment blender-window \
+.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui site docs-images lint format extension portable release clean environment blender-window \
         environment-test environment-bench environment-docs
 
 help: ## list the targets
@@ -76,6 +76,9 @@ format: environment-test ## rewrite the sources in the style that lint asks for
 extension: environment ## the zips that Blender installs, into dist/; tries this system's in Blender (BLENDER=…)
 	$(RUN) scripts/extension.py dist
 	BLENDER="$(BLENDER)" $(RUN) scripts/install_extension.py dist
+
+portable: environment ## Python, Blender's wheel and the program in one archive, into dist/, for a Linux node without a network
+	$(RUN) scripts/portable.py dist
 
 release: environment ## the zips with checksums and notes from CHANGELOG.md, into dist/, from a commit
 	$(RUN) scripts/release.py dist
