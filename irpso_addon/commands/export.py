@@ -15,6 +15,7 @@ from ..exports.names import ASSET, RELIEF
 from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
+from .options.page import page_photographs
 from .options.values import shelf_of, silent
 
 
@@ -31,7 +32,10 @@ def run(options: Namespace) -> dict:
     if options.format == "ptm":
         probe.probe()
         context.ensure()
-    found = export(result, options.format, options.output, options.convention, lambda: _subject(result, options.object))
+    found = export(
+        result, options.format, options.output, options.convention, lambda: _subject(result, options.object),
+        lambda: page_photographs(result, options),
+    )  # fmt: skip
     if not silent(options):
         sys.stdout.write(_summary(found))
     return found
@@ -57,6 +61,8 @@ def _subject(result: Result, name: str | None) -> Any:
 
 def _summary(found: dict[str, Any]) -> str:
     lines = [f"written to {found['output']}"]
+    if "bytes" in found:
+        lines += [f"{name}: {count / 1e6:.1f} MB" for name, count in found["bytes"].items() if count]
     for name, value in found.items():
         if isinstance(value, dict):
             numbers = {**value, **value.get("ward_error", {})}

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from ..blender.materials import material
 from ..core.errors import InputError
-from ..exports.result import read_result
+from ..exports.result import Result, read_result
 from ..exports.tile import Tile, tiled
 from ..results.maps import Maps
 from ..results.seamless import OVERLAP
@@ -23,7 +21,7 @@ _SIZES = (16, 8192)  # texels of a side
 def run(options: Namespace) -> dict:
     """Cut all maps along one path, and write them as a result. Raises InputError; then nothing is written."""
     result = read_result(options.result, options.model)
-    folder = _checked(options, result.report)
+    folder = _checked(options, result)
     tile = tiled(result.maps, result.height is not None, options.size, options.overlap or OVERLAP)
     report = tile.report(result.report)
     write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
@@ -33,15 +31,14 @@ def run(options: Namespace) -> dict:
     return {"output": str(folder), **report["tile"]}
 
 
-def _checked(options: Namespace, former: Mapping[str, Any]) -> Path:
+def _checked(options: Namespace, result: Result) -> Path:
     """Return the output folder. Raises InputError where options or the result do not fit."""
     size, (least, most) = options.size, _SIZES
     if size is not None and not least <= size <= most:
         raise InputError(f"--size {size}: give a whole number from {least} to {most}, as 1024")
     if options.overlap is not None and not 0.05 <= options.overlap <= 0.5:
         raise InputError(f"--overlap {options.overlap:g}: give a share of the side from 0.05 to 0.5")
-    settings = former.get("settings")
-    if isinstance(settings, dict) and (settings.get("blend") or settings.get("object")):
+    if not result.card:
         raise InputError(f"{options.result}: its maps are those of a mesh, which cannot repeat; give a card's result")
     folder = check_output_folder(options.output)
     if folder.resolve() == Path(options.result).resolve():

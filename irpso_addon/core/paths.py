@@ -6,6 +6,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SHADERS = ROOT / "shaders"
 MODELS = SHADERS / "models"
 PRESETS = ROOT / "presets"
+PAGE = ROOT / "web"  # the files of the web page that an export writes
 DEFAULT_MODEL = "metallic_roughness"  # in MODELS
 
 # Installed as an extension this module is bl_ext.REPOSITORY.irpso.irpso_addon.core.paths; Blender's own functions

@@ -9,24 +9,35 @@ from typing import Any
 from ..core.errors import InputError
 from ..results.write import check_output_folder
 from .gltf import write_gltf
-from .names import FORMATS, ONE_FILE
+from .names import FORMATS, ONE_FILE, WEB
 from .openlime import write_openlime
 from .place import file_stem
 from .ptm import write_ptm
 from .result import Result
 from .textures import write_textures
+from .web.page import write_page
+from .web.photographs import Photographs
 
 
-def export(result: Result, kind: str, out: str | Path, convention: str, subject: Callable[[], Any]) -> dict[str, Any]:
+def export(
+    result: Result,
+    kind: str,
+    out: str | Path,
+    convention: str,
+    subject: Callable[[], Any],
+    photographs: Callable[[], Photographs | None] = lambda: None,
+) -> dict[str, Any]:
     """Write a result in a format; return the entries of its report. Raises InputError; then nothing is written.
 
     out: a folder; for gltf and ptm also a file. convention: of texture sets. subject: called only for gltf, returns the
-    object in the open file to export.
+    object in the open file to export. photographs: called only for a page, returns what the page shows of the capture.
     """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: choose one of {', '.join(FORMATS)}")
     if kind == "openlime":
         return write_openlime(result, out)
+    if kind == WEB:
+        return write_page(result, out, photographs() if result.card else None)
     if kind == "textures":
         return write_textures(result, out, convention)
     path, suffix = Path(out), ONE_FILE[kind]

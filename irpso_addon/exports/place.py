@@ -14,7 +14,8 @@ from ..results.write import check_output_folder
 
 @contextmanager
 def filled_folder(folder: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder; at the end move its files into ``folder``, replacing files of the same name.
+    """Yield a temporary folder; at the end move its files, and its folders' files, into ``folder``, replacing those of
+    the same name.
 
     An exception moves nothing. Raises InputError if the folder cannot be written.
     """
@@ -23,8 +24,10 @@ def filled_folder(folder: str | Path) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".irpso-", dir=folder) as temporary:
             yield Path(temporary)
-            for file in sorted(Path(temporary).iterdir()):
-                os.replace(file, folder / file.name)
+            for file in sorted(path for path in Path(temporary).rglob("*") if path.is_file()):
+                place = folder / file.relative_to(temporary)
+                place.parent.mkdir(exist_ok=True)
+                os.replace(file, place)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ class Result:
     """Name and maps of a result, normals in Blender's tangent space.
 
     height: the relief, None if not requested. folder: of the result, None if it is only in memory. report: its own, {}
-    in memory.
+    in memory. card: whether the maps are a flat card's, not a mesh's.
     """
 
     name: str
@@ -35,6 +35,7 @@ class Result:
     height: Height | None = None
     folder: Path | None = None
     report: Mapping[str, Any] = field(default_factory=dict)
+    card: bool = True
 
     @cached_property
     def open_sky(self) -> np.ndarray | float:
@@ -71,7 +72,25 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
     # The file's margins are already filled, at seams with the texels from across the seam.
     maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
-    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report)
+    settings = settings if isinstance(settings, dict) else {}
+    card = not (settings.get("blend") or settings.get("object"))
+    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
+
+
+def measured_maps(result: Result) -> Maps:
+    """Return the maps of a result with confidence and residual, where its folder has them."""
+    if result.folder is None or result.maps.confidence is not None:
+        return result.maps
+    files = [result.folder / f"{tile_stem('maps', tile, result.maps.tiles)}.exr" for tile in result.maps.tiles]
+    parts: dict[str, list[np.ndarray]] = {}
+    for file in files:
+        for name, channels in read_exr(file).items():
+            parts.setdefault(name, []).append(np.stack(list(channels.values()), axis=-1))
+    whole = {name: np.concatenate(values, axis=1) for name, values in parts.items() if len(values) == len(files)}
+    prefix = "confidence_"
+    confidence = {name.removeprefix(prefix): value for name, value in whole.items() if name.startswith(prefix)}
+    residual = whole["residual"][..., 0] if "residual" in whole else None
+    return replace(result.maps, confidence=confidence or None, residual=residual)
 
 
 def _report(folder: Path) -> dict[str, Any]:

@@ -83,6 +83,12 @@ def card_bake(capture: Capture) -> GeometryBake:
     return _card_bake(_local(capture.cameras[0]), mask, card_depth(capture))
 
 
+def card_lights(capture: Capture) -> np.ndarray:
+    """Return (K, 4) the lights of the domain of a flat subject, without reading an image."""
+    inverse = np.linalg.inv(np.asarray(capture.cameras[0].matrix, np.float64))
+    return np.array([_light(observation.light, inverse) for observation in capture.observations], np.float32)
+
+
 def _settling(capture: Capture) -> Generator[None, None, None]:
     """Yield before each image that is read to determine the encoding of the files."""
     if capture.encoding is not None:

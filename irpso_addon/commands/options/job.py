@@ -146,6 +146,11 @@ def _capture(options: Namespace) -> Capture:
     if _is_scene(options.capture):
         capture = capture_of_open_file(options.colour_space, options.skip_damaged)
         return _framed(capture, Framing(**framing_from_options(options)), options)
+    return file_capture(options)
+
+
+def file_capture(options: Namespace) -> Capture:
+    """Return the capture of files, with the chosen part of the pictures. Raises InputError."""
     if options.distance and options.card_width:
         raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
-from ...exports.names import FORMATS, ONE_FILE
+from ...exports.names import FORMATS, ONE_FILE, WEB
 from ...exports.place import file_stem
 from ...exports.result import Result
 from ...exports.textures import CONVENTIONS
 from ...exports.tile import tiled
+from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
+from ...geometry.domain import subset
 from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
@@ -52,6 +55,11 @@ class IRPSO_OT_export(bpy.types.Operator):
         name="Normal (DirectX)", description="Also write the normal map with its green channel inverted"
     )
     height: BoolProperty(name="Height", description="Also write the relief, integrated from the normals")
+    photographs: IntProperty(
+        name="Photographs",
+        description="How many photographs the page shows beside the render",
+        default=PHOTOGRAPHS, min=0, soft_max=32,
+    )  # fmt: skip
     seamless: BoolProperty(
         name="Seamless", description="Cut a flat card's maps so that they repeat, in a square of a power of two"
     )
@@ -84,6 +92,8 @@ class IRPSO_OT_export(bpy.types.Operator):
         column.prop(self, "format")
         if self.format == "textures":
             column.prop(self, "convention")
+        if self.format == WEB:
+            column.prop(self, "photographs")
         column = self.layout.column()  # not split: half of the narrow panel would cut the names off
         if options := _ALSO.get(self.format):
             column.label(text="Also Write:")
@@ -131,9 +141,11 @@ class IRPSO_OT_export(bpy.types.Operator):
         return f"{len(files)} files of maps that repeat written to {folder}", []
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
-        found = found_in(running, False, DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ())))
-        result = Result(file_stem(running.job.name), found.written, found.height)
-        report = export(result, self.format, path, self.convention, lambda: _subject(running))
+        wanted = DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ()))
+        found = found_in(running, self.format == WEB, wanted)
+        result = Result(file_stem(running.job.name), found.written, found.height, card=_is_card(running))
+        subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
+        report = export(result, self.format, path, self.convention, subject, photographs)
         return f"{FORMATS[self.format][0]} written to {report['output']}", report.get("warnings", [])
 
 
@@ -175,6 +187,16 @@ def _subject(running: session.Session) -> Any:
     if subject is None:
         raise InputError(f"'{running.job.name}' has no object to export yet: press Keep first")
     return subject
+
+
+def _photographs(running: session.Session, count: int) -> Photographs | None:
+    """Return some photographs of a card: those held out of the fit, then those whose lights are farthest apart."""
+    job, domain = running.job, running.domain
+    if not count or domain is None:
+        return None
+    chosen = spread(domain.lights, domain.bake, list(job.unseen), count)
+    names = [job.capture.observations[k].name for k in chosen]
+    return photographs_of(subset(domain, chosen), names, [i for i, k in enumerate(chosen) if k in job.unseen])
 
 
 def _draw_menu(self, context) -> None:

@@ -73,6 +73,16 @@ def test_the_button_writes_the_chosen_format(kind, place, files, settings, tmp_p
         assert {path.name for path in (tmp_path / place).iterdir()} == files
 
 
+def test_a_card_is_written_as_a_web_page_with_its_photographs(settings, session_of_card, tmp_path):
+    wanted = {"filepath": str(tmp_path / "page"), "format": "web", "photographs": 3}
+    assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
+    text = (tmp_path / "page" / "result.js").read_text().removeprefix("relight.result = ").rstrip(";\n")
+    found, observations = json.loads(text), session_of_card.job.capture.observations
+    assert found["size"] == [SHAPE[1], SHAPE[0]] and found["uncertaintyPlanes"] > 0
+    assert len(found["photographs"]) == 3
+    assert {one["name"] for one in found["photographs"]} <= {shot.name for shot in observations}
+
+
 def test_a_card_is_written_as_maps_that_repeat_if_it_is_large_enough(settings, monkeypatch, tmp_path):
     wanted = {"filepath": str(tmp_path / "out"), "format": "maps", "seamless": True, "height": True}
     assert "largest square without holes" in refusal(**wanted) and not (tmp_path / "out").exists()
@@ -108,7 +118,7 @@ def test_an_unwritable_path_is_reported_in_one_line(settings, tmp_path):
     [
         ("maps", ["normal_object", "normal_world", "normal_directx", "height", "seamless"]),
         ("textures", ["convention", "height"]),
-        ("gltf", []), ("openlime", []), ("ptm", []),
+        ("gltf", []), ("openlime", []), ("ptm", []), ("web", ["photographs"]),
     ],
 )  # fmt: skip
 def test_the_file_browser_has_the_options_of_the_chosen_format(kind, options):
@@ -147,6 +157,6 @@ def test_file_export_lists_every_format_while_the_extension_is_there(session_of_
 
     drawn = Drawn()
     IRPSO_MT_export.draw(SimpleNamespace(layout=drawn), bpy.context)
-    assert drawn.notes["operators"] == ["irpso.export"] * 5
+    assert drawn.notes["operators"] == ["irpso.export"] * 6
     modules = [draw.__module__ for draw in bpy.types.TOPBAR_MT_file_export._dyn_ui_initialize()]
     assert modules.count("irpso_addon.ui.operators.export") == 1

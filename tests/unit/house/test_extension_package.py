@@ -38,17 +38,17 @@ def test_the_zip_is_named_after_the_manifest(package):
 
 
 def test_the_zip_holds_the_whole_program(names):
-    wanted = files_below("irpso_addon", "shaders", "presets") | {"__init__.py", "blender_manifest.toml", "LICENSE"}
+    wanted = files_below("irpso_addon", "shaders", "presets", "web") | {"__init__.py", "blender_manifest.toml", "LICENSE"}
     assert wanted - names == set()
 
 
 def test_the_zip_holds_nothing_else(names):
-    allowed = files_below("irpso_addon", "shaders", "presets")
+    allowed = files_below("irpso_addon", "shaders", "presets", "web")
     assert names - allowed <= {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md"}
 
 
 def test_a_stray_file_stays_out(names):
-    lying = {path.name for path in ROOT.iterdir()} - {"irpso_addon", "presets", "shaders"}
+    lying = {path.name for path in ROOT.iterdir()} - {"irpso_addon", "presets", "shaders", "web"}
     assert {name.split("/")[0] for name in names} & lying <= {
         "__init__.py",
         "blender_manifest.toml",
@@ -63,7 +63,7 @@ def test_the_same_sources_give_the_same_bytes(package, tmp_path):
     source.mkdir()
     for name in ("LICENSE", "README.md", "__init__.py", "blender_manifest.toml"):
         shutil.copyfile(ROOT / name, source / name)
-    for name in ("shaders", "presets", "irpso_addon", "scripts"):
+    for name in ("shaders", "presets", "web", "irpso_addon", "scripts"):
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / name, source / name, copy_function=shutil.copyfile, ignore=ignored)
     command = [sys.executable, source / "scripts" / "extension.py", tmp_path / "dist", "--without-wheels"]

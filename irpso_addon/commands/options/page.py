@@ -1,0 +1,62 @@
+"""The photographs of a web page: those of the capture that a result's report names."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...capture.types import Capture
+from ...core.errors import InputError
+from ...exports.result import Result
+from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
+from ...geometry.build import card_bake, card_lights, domain_from_card
+from ...geometry.domain import with_lights
+from .job import file_capture
+
+
+def page_photographs(result: Result, options: Namespace) -> Photographs | None:
+    """Return --photographs of the photographs that a card was recovered from, read again as they were; None for none.
+
+    First come those held out of the fit, then those whose lights are farthest apart. Raises InputError where the
+    capture is no longer there or has changed; the remedy is --photographs 0.
+    """
+    count = PHOTOGRAPHS if options.photographs is None else options.photographs
+    if count < 0:
+        raise InputError(f"--photographs {count}: give a number from 0")
+    settings = result.report.get("settings")
+    if not count or not result.card:
+        return None
+    if "tile" in result.report or not isinstance(settings, dict) or "crop" not in settings:
+        if options.photographs is None:
+            return None
+        raise InputError(
+            f"{result.folder}: does not say which part of which photographs it shows; give --photographs 0"
+        )
+    if not Path(settings["capture"]).exists():
+        raise InputError(
+            f"{settings['capture']}: the capture of {result.folder} is no longer there; put it back, or give"
+            " --photographs 0"
+        )
+    capture = file_capture(Namespace(**{**settings, "json": True, "quiet": True}))
+    if card_bake(capture).coverage.shape != result.maps.covered.shape:
+        raise InputError(
+            f"{settings['capture']}: has other pictures than when {result.folder} was made; recover again, or give"
+            " --photographs 0"
+        )
+    return _chosen(capture, result.report, count)
+
+
+def _chosen(capture: Capture, report: Mapping[str, Any], count: int) -> Photographs:
+    names = [shot.name for shot in capture.observations]
+    held_out = [k for k, name in enumerate(names) if name in report.get("relighting_psnr_db", ())]
+    chosen = spread(card_lights(capture), card_bake(capture), held_out, count)
+    domain = domain_from_card(replace(capture, observations=tuple(capture.observations[k] for k in chosen)))
+    if isinstance(found := report.get("lights"), dict):  # as the recovery estimated them
+        domain = with_lights(domain, np.array(found["lights"])[chosen], np.array(found["intensities"])[chosen])
+    unseen = [index for index, k in enumerate(chosen) if k in held_out]
+    return photographs_of(domain, [names[k] for k in chosen], unseen)

@@ -1,0 +1,200 @@
+"""A result as a web page: a folder that opens in any browser, without a server and without a network.
+
+A page opened as a file may load scripts, but neither read other files nor hand pictures from them to WebGL. So the
+tiles are scripts that hold their pictures as text, and the page is made of scripts without modules.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.encode import srgb_from_linear
+from ...core.errors import InputError
+from ...core.paths import PAGE
+from ...gpu.library import read_source
+from ...reflectance.model import Parameter, ReflectanceModel
+from ...results.false_color import COLORS
+from ...results.maps import UNKNOWN, Maps
+from ...results.preview import default_maximum
+from ...results.report import plain
+from ..place import filled_folder
+from ..result import Result, measured_maps
+from .photographs import Photographs
+from .planes import components_of, layout, material_planes, share_planes
+from .pyramid import INSIDE, TILE, level_shapes, levels, tiles
+
+ENTRY = "index.html"
+_TILES = "tiles"
+_TILE_NAME = re.compile(r"\d+-\d+-\d+-\w+\.js$")
+_QUALITY = 90  # of a photograph's JPEG
+_FROM_ABOVE = np.array([0.0, 0.0, 1.0, 0.0])
+
+Encode = Callable[[np.ndarray], str]
+
+
+def write_page(result: Result, folder: str | Path, photographs: Photographs | None = None) -> dict[str, Any]:
+    """Write index.html, its files and the tiles into a folder; return the entries of the report.
+
+    photographs: of the same texels, None for a page without them. Raises InputError if the result is a mesh's.
+    """
+    if not result.card:
+        raise InputError(
+            f"{result.name}: its maps are those of a mesh, which the page does not show; choose gltf (--format gltf)"
+        )
+    maps = measured_maps(result)
+    covered, bytes_of = maps.covered[::-1], {"maps": 0, "uncertainty": 0, "photographs": 0}
+    with filled_folder(folder) as place:
+        for file in sorted(PAGE.iterdir()):
+            shutil.copyfile(file, place / file.name)
+        (place / _TILES).mkdir()
+        writer = _TileWriter(place / _TILES)
+        bytes_of["maps"] = writer.write("maps", *_material_levels(maps), _webp)
+        shares, entries = _uncertainties(maps)
+        if shares is not None:
+            planes = (share_planes(*level) for level in levels(shares[::-1], covered))
+            bytes_of["uncertainty"] = writer.write("sigma", planes, covered.shape, _webp)
+        for k in range(len(photographs.names) if photographs else 0):
+            bytes_of["photographs"] += writer.write(f"p{k}", _photograph_levels(photographs, k), covered.shape, _jpeg)
+        described = _description(result, maps, photographs, entries)
+        text = json.dumps(plain(described), indent=1, ensure_ascii=False, allow_nan=False)
+        (place / "result.js").write_text(f"relight.result = {text};\n", encoding="utf-8")
+    for former in (Path(folder) / _TILES).iterdir():
+        if _TILE_NAME.match(former.name) and former.name not in writer.names:
+            former.unlink()
+    warnings = list(photographs.warnings) if photographs else []
+    return {"output": str(Path(folder) / ENTRY), "bytes": bytes_of, "warnings": warnings}
+
+
+class _TileWriter:
+    """Writes pyramids as scripts, one for each tile. names: of all that it has written."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self.names: set[str] = set()
+
+    def write(self, kind: str, planes_of_levels: Any, shape: tuple[int, int], encode: Encode) -> int:
+        """Write levels of planes (P, H, W, 3) uint8, the finest first, for a picture of a shape; return the bytes."""
+        total = 0
+        for level, planes in zip(range(len(level_shapes(*shape))), planes_of_levels, strict=True):
+            for column, row, tile in tiles(planes):
+                pictures = json.dumps([encode(plane) for plane in tile])
+                path = self._folder / f"{level}-{column}-{row}-{kind}.js"
+                path.write_text(f'relight.tile("{path.stem}", {pictures});\n', encoding="ascii")
+                self.names.add(path.name)
+                total += path.stat().st_size
+        return total
+
+
+def _material_levels(maps: Maps) -> tuple[Any, tuple[int, int]]:
+    model, shape = maps.model, maps.covered.shape
+    values = components_of(model, maps.values, shape)
+    at = next(model.offset(p.name) for p in model.parameters if p.is_normal)
+
+    def settle(means: np.ndarray) -> np.ndarray:
+        length = np.linalg.norm(means[..., at : at + 3], axis=-1, keepdims=True)
+        means[..., at : at + 3] /= np.maximum(length, 1e-9)
+        return means
+
+    pairs = levels(values[::-1], maps.covered[::-1], settle)
+    return (material_planes(model, *pair) for pair in pairs), shape
+
+
+def _photograph_levels(photographs: Photographs, k: int) -> Any:
+    radiance = np.nan_to_num(photographs.pictures[k])[::-1] / np.float32(photographs.white(k))
+    whole = np.ones(radiance.shape[:2], bool)
+    for values, _ in levels(radiance, whole):
+        yield np.rint(255 * np.clip(srgb_from_linear(values), 0, 1)).astype(np.uint8)[None]
+
+
+def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, str]]]:
+    """Return (H, W, C) shares of what is shown in the last colour, and name → (channel, that in words)."""
+    channels, entries = [], {}
+    for p in maps.model.parameters:
+        if maps.confidence is not None and p.name in maps.confidence:
+            most = UNKNOWN * p.width
+            entries[p.name] = len(channels), f"{np.degrees(most):.0f}°" if p.is_normal else f"{most:.2g}"
+            channels.append(maps.confidence[p.name].max(axis=-1) / most)
+    if maps.residual is not None:
+        most = default_maximum([100 * maps.residual], maps.covered)
+        entries["residual"] = len(channels), f"{most:g} %"
+        channels.append(100 * maps.residual / most)
+    return (np.stack(channels, axis=-1) if channels else None), entries
+
+
+def _description(
+    result: Result, maps: Maps, photographs: Photographs | None, entries: dict[str, tuple[int, str]]
+) -> dict[str, Any]:
+    model, (height, width) = maps.model, maps.covered.shape
+    shown = [_view(model, p, entries.get(p.name)) for p in model.parameters]
+    if "residual" in entries:
+        shown.append({"name": "residual", "title": "Residual", "uncertainty": entries["residual"]})
+    # A flat card in units of its width, where no photograph says more.
+    flat = [[-0.5, 0.5 * height / width, 0.0], [1 / width, 0.0, 0.0], [0.0, -1 / width, 0.0]]
+    return {
+        "name": result.name,
+        "model": model.title,
+        "size": [width, height],
+        "tile": [TILE, INSIDE],
+        "levels": [[w, h] for h, w in level_shapes(height, width)],
+        "planes": 1 + -(-(model.components - 3) // 3),
+        "uncertaintyPlanes": -(-len(entries) // 3),
+        "parameters": shown,
+        "ramp": np.round(COLORS, 4),
+        "view": photographs.view if photographs else _FROM_ABOVE,
+        "place": photographs.place if photographs else flat,
+        "photographs": _light_list(photographs),
+        "shader": {"vertex": _source("web/page_vertex.glsl"), "fragment": _fragment(model)},
+    }
+
+
+def _view(model: ReflectanceModel, p: Parameter, uncertainty: tuple[int, str] | None) -> dict[str, Any]:
+    title = p.name.replace("_", " ").capitalize()
+    place = [model.offset(p.name), 3 if p.components >= 3 else 1]
+    return {"name": p.name, "title": title, "place": place, "uncertainty": uncertainty}
+
+
+def _light_list(photographs: Photographs | None) -> Sequence[dict[str, Any]]:
+    if photographs is None:
+        return []
+    return [
+        {
+            "name": name, "unseen": bool(photographs.unseen[k]), "light": photographs.lights[k],
+            "intensity": photographs.intensities[k], "white": photographs.white(k),
+        }
+        for k, name in enumerate(photographs.names)
+    ]  # fmt: skip
+
+
+def _fragment(model: ReflectanceModel) -> str:
+    given = {"model.glsl": model.shader, "web/layout.glsl": layout(model, len(COLORS))}
+    return _source("web/page.glsl", given)
+
+
+def _source(path: str, given: dict[str, Any] | None = None) -> str:
+    """Return a shader's text: the language of WebGL numbers files in #line, so names become comments."""
+    return re.sub(r'^#line 1 "(.*)"$', r"// \1", read_source(path, given or {}), flags=re.M)
+
+
+def _webp(picture: np.ndarray) -> str:
+    return _data_uri(picture, "webp", lossless=True, quality=60, method=3)
+
+
+def _jpeg(picture: np.ndarray) -> str:
+    return _data_uri(picture, "jpeg", quality=_QUALITY, subsampling=0)
+
+
+def _data_uri(picture: np.ndarray, kind: str, **settings: Any) -> str:
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(picture)).save(out, kind, **settings)
+    return f"data:image/{kind};base64,{base64.b64encode(out.getvalue()).decode('ascii')}"

@@ -1,0 +1,78 @@
+"""The photographs of a card beside its maps, and the lights and the camera that they were taken with."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.domain import Domain, GeometryBake
+
+PHOTOGRAPHS = 8  # in a page, where nothing else is said
+_WHITE = 99.5  # percentile of a photograph: display white
+_OFF = 0.02  # of the card's width: how far a lens may bend the card before a warning
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What the page shows of a capture, in the card's frame: x right, y up, z toward the viewer.
+
+    names: of K photographs. unseen: (K,) bool, those held out of the fit. lights: (K, 4), intensities: (K, 3) and view:
+    (4,) as in a Domain. place: (3, 3) the position of the upper left corner, and the steps of one texel to the right
+    and down. pictures: (K, H, W, 3) linear radiance, row 0 at the bottom. warnings: what is not exact on the page.
+    """
+
+    names: tuple[str, ...]
+    unseen: np.ndarray
+    lights: np.ndarray
+    intensities: np.ndarray
+    view: np.ndarray
+    place: np.ndarray
+    pictures: Sequence[np.ndarray]
+    warnings: tuple[str, ...] = ()
+
+    def white(self, index: int) -> float:
+        """Return the radiance that is shown as white in a photograph and in its render."""
+        return max(float(np.percentile(np.nan_to_num(self.pictures[index]), _WHITE)), 1e-6)
+
+
+def photographs_of(domain: Domain, names: Sequence[str], unseen: Collection[int]) -> Photographs:
+    """Return the observations of a card's domain. names: of all; unseen: the indices of those held out of the fit."""
+    place, off = _plane(domain.bake.position, domain.bake.coverage)
+    warnings = (f"the lens bends the card by {off:.1%} of its width; the page takes it as straight",)
+    return Photographs(
+        tuple(names), np.isin(np.arange(len(names)), list(unseen)), domain.lights, domain.intensities,
+        domain.views[0], place, [domain.stack.layer(k)[..., :3] for k in range(domain.observations)],
+        warnings if off > _OFF else (),
+    )  # fmt: skip
+
+
+def spread(lights: np.ndarray, bake: GeometryBake, first: Sequence[int], count: int) -> list[int]:
+    """Return the indices of ``count`` lights, in order: those of ``first``, then one by one the light whose direction
+    is farthest from the nearest chosen one (Gonzalez 1985, Clustering to Minimize the Maximum Intercluster Distance).
+
+    lights: (K, 4) as in a card's Domain, seen from the middle of its bake. Without ``first`` the most central begins.
+    """
+    toward = lights[:, :3] - lights[:, 3:] * bake.position[bake.coverage].mean(axis=0)
+    toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+    chosen = list(first)[:count]
+    nearest = (toward @ toward[chosen].T).max(axis=-1) if chosen else toward @ -toward.mean(axis=0)
+    while len(chosen) < min(count, len(toward)):
+        nearest[chosen] = np.inf
+        chosen.append(int(np.argmin(nearest)))
+        own = toward @ toward[chosen[-1]]
+        nearest = own if len(chosen) == 1 else np.maximum(nearest, own)
+    return sorted(chosen)
+
+
+def _plane(position: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the (3, 3) place of positions (H, W, 3), row 0 at the bottom, and their most distance from it, of the
+    width."""
+    height, width = covered.shape
+    rows, columns = np.nonzero(covered)
+    terms = np.stack([np.ones(len(rows)), columns + 0.5, height - rows - 0.5], axis=-1)
+    seen = position[rows, columns].astype(np.float64)
+    place = np.linalg.lstsq(terms, seen, rcond=None)[0]
+    off = np.linalg.norm(terms @ place - seen, axis=-1).max()
+    return place, float(off / max(width * np.linalg.norm(place[1]), 1e-12))

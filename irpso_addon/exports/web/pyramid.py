@@ -1,0 +1,54 @@
+"""Pictures as pyramids of tiles: every level half the size of the one before, cut into squares with a margin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+TILE = 512  # texels of a tile's side with its margin of one, which the tiles beside it show too
+INSIDE = TILE - 2
+
+
+def level_shapes(height: int, width: int) -> list[tuple[int, int]]:
+    """Return (height, width) of each level, the finest first; the last one fits a tile."""
+    shapes = [(height, width)]
+    while max(shapes[-1]) > INSIDE:
+        shapes.append((-(-shapes[-1][0] // 2), -(-shapes[-1][1] // 2)))
+    return shapes
+
+
+def levels(
+    values: np.ndarray, covered: np.ndarray, settle: Callable[[np.ndarray], np.ndarray] = lambda values: values
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield (values, covered) of each level, from (H, W, C) and (H, W) bool, rows from the top.
+
+    A texel is the mean of the covered ones of the four that it replaces. settle: applied to each level's means.
+    """
+    yield values, covered
+    for _ in level_shapes(*covered.shape)[1:]:
+        values, covered = _halved(values, covered)
+        values = settle(values)
+        yield values, covered
+
+
+def tiles(planes: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield (column, row, (P, h, w, C)) of planes (P, H, W, C); what a margin has beyond the border repeats it."""
+    height, width = planes.shape[1:3]
+    for row in range(-(-height // INSIDE)):
+        for column in range(-(-width // INSIDE)):
+            y = np.arange(row * INSIDE - 1, min((row + 1) * INSIDE, height) + 1).clip(0, height - 1)
+            x = np.arange(column * INSIDE - 1, min((column + 1) * INSIDE, width) + 1).clip(0, width - 1)
+            yield column, row, planes[:, y[:, None], x]
+
+
+def _halved(values: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    weight = _fours(covered[..., None].astype(np.float32))
+    total = _fours(np.where(covered[..., None], values, 0).astype(np.float32))
+    return total / np.maximum(weight, 1e-9), weight[..., 0] > 0
+
+
+def _fours(values: np.ndarray) -> np.ndarray:
+    """Return the sums of squares of four; an odd row or column counts alone."""
+    values = np.pad(values, [(0, values.shape[0] % 2), (0, values.shape[1] % 2), (0, 0)])
+    return values[::2, ::2] + values[1::2, ::2] + values[::2, 1::2] + values[1::2, 1::2]
