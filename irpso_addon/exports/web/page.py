@@ -11,7 +11,10 @@ import io
 import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +33,7 @@ from ..place import filled_folder
 from ..result import Result, measured_maps
 from .photographs import Photographs
 from .planes import components_of, layout, material_planes, share_planes
-from .pyramid import INSIDE, TILE, level_shapes, levels, tiles
+from .pyramid import INSIDE, TILE, level_shapes, levels, tile_of, tile_places
 
 ENTRY = "index.html"
 _TILES = "tiles"
@@ -38,6 +41,8 @@ _TILE_NAME = re.compile(r"\d+-\d+-\d+-\w+\.js$")
 _QUALITY = 90  # of a photograph's JPEG
 _FROM_ABOVE = np.array([0.0, 0.0, 1.0, 0.0])
 
+Level = tuple[np.ndarray, np.ndarray]  # values (H, W, C) and what is covered (H, W), rows from the top
+PlanesOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Encode = Callable[[np.ndarray], str]
 
 
@@ -50,20 +55,20 @@ def write_page(result: Result, folder: str | Path, photographs: Photographs | No
         raise InputError(
             f"{result.name}: its maps are those of a mesh, which the page does not show; choose gltf (--format gltf)"
         )
-    maps = measured_maps(result)
-    covered, bytes_of = maps.covered[::-1], {"maps": 0, "uncertainty": 0, "photographs": 0}
+    maps, bytes_of = measured_maps(result), {"maps": 0, "uncertainty": 0, "photographs": 0}
     with filled_folder(folder) as place:
         for file in sorted(PAGE.iterdir()):
             shutil.copyfile(file, place / file.name)
         (place / _TILES).mkdir()
         writer = _TileWriter(place / _TILES)
-        bytes_of["maps"] = writer.write("maps", *_material_levels(maps), _webp)
+        bytes_of["maps"] = writer.write("maps", _material_levels(maps), partial(material_planes, maps.model), _webp)
         shares, entries = _uncertainties(maps)
         if shares is not None:
-            planes = (share_planes(*level) for level in levels(shares[::-1], covered))
-            bytes_of["uncertainty"] = writer.write("sigma", planes, covered.shape, _webp)
+            pyramid = levels(shares[::-1], maps.covered[::-1])
+            bytes_of["uncertainty"] = writer.write("sigma", pyramid, share_planes, _webp)
         for k in range(len(photographs.names) if photographs else 0):
-            bytes_of["photographs"] += writer.write(f"p{k}", _photograph_levels(photographs, k), covered.shape, _jpeg)
+            pyramid = _photograph_levels(photographs, k)
+            bytes_of["photographs"] += writer.write(f"p{k}", pyramid, _photograph_planes, _jpeg)
         described = _description(result, maps, photographs, entries)
         text = json.dumps(plain(described), indent=1, ensure_ascii=False, allow_nan=False)
         (place / "result.js").write_text(f"relight.result = {text};\n", encoding="utf-8")
@@ -81,22 +86,28 @@ class _TileWriter:
         self._folder = folder
         self.names: set[str] = set()
 
-    def write(self, kind: str, planes_of_levels: Any, shape: tuple[int, int], encode: Encode) -> int:
-        """Write levels of planes (P, H, W, 3) uint8, the finest first, for a picture of a shape; return the bytes."""
+    def write(self, kind: str, pyramid: Iterable[Level], planes_of: PlanesOf, encode: Encode) -> int:
+        """Write the levels of a pyramid, the finest first; return the bytes. planes_of: tile → (P, h, w, 3) uint8."""
+
+        def script(name: str, level: Level, place: tuple[int, int]) -> int:
+            planes = planes_of(*(tile_of(values, *place) for values in level))
+            text = f'relight.tile("{name}", {json.dumps([encode(plane) for plane in planes])});\n'
+            return (self._folder / f"{name}.js").write_text(text, encoding="ascii")
+
         total = 0
-        for level, planes in zip(range(len(level_shapes(*shape))), planes_of_levels, strict=True):
-            for column, row, tile in tiles(planes):
-                pictures = json.dumps([encode(plane) for plane in tile])
-                path = self._folder / f"{level}-{column}-{row}-{kind}.js"
-                path.write_text(f'relight.tile("{path.stem}", {pictures});\n', encoding="ascii")
-                self.names.add(path.name)
-                total += path.stat().st_size
+        with ThreadPoolExecutor() as pool:  # Pillow encodes without the interpreter's lock
+            for number, level in enumerate(pyramid):
+                places = tile_places(*level[1].shape)
+                names = [f"{number}-{column}-{row}-{kind}" for column, row in places]
+                total += sum(pool.map(script, names, repeat(level), places))
+                self.names.update(f"{name}.js" for name in names)
         return total
 
 
-def _material_levels(maps: Maps) -> tuple[Any, tuple[int, int]]:
-    model, shape = maps.model, maps.covered.shape
-    values = components_of(model, maps.values, shape)
+def _material_levels(maps: Maps) -> Iterable[Level]:
+    """Return the levels of all components of the model; normals stay unit vectors."""
+    model = maps.model
+    values = components_of(model, maps.values, maps.covered.shape)
     at = next(model.offset(p.name) for p in model.parameters if p.is_normal)
 
     def settle(means: np.ndarray) -> np.ndarray:
@@ -104,15 +115,16 @@ def _material_levels(maps: Maps) -> tuple[Any, tuple[int, int]]:
         means[..., at : at + 3] /= np.maximum(length, 1e-9)
         return means
 
-    pairs = levels(values[::-1], maps.covered[::-1], settle)
-    return (material_planes(model, *pair) for pair in pairs), shape
+    return levels(values[::-1], maps.covered[::-1], settle)
 
 
-def _photograph_levels(photographs: Photographs, k: int) -> Any:
+def _photograph_levels(photographs: Photographs, k: int) -> Iterable[Level]:
     radiance = np.nan_to_num(photographs.pictures[k])[::-1] / np.float32(photographs.white(k))
-    whole = np.ones(radiance.shape[:2], bool)
-    for values, _ in levels(radiance, whole):
-        yield np.rint(255 * np.clip(srgb_from_linear(values), 0, 1)).astype(np.uint8)[None]
+    return levels(radiance, np.ones(radiance.shape[:2], bool))
+
+
+def _photograph_planes(radiance: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    return np.rint(255 * np.clip(srgb_from_linear(radiance), 0, 1)).astype(np.uint8)[None]
 
 
 def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, str]]]:

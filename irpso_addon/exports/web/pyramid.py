@@ -32,14 +32,17 @@ def levels(
         yield values, covered
 
 
-def tiles(planes: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yield (column, row, (P, h, w, C)) of planes (P, H, W, C); what a margin has beyond the border repeats it."""
-    height, width = planes.shape[1:3]
-    for row in range(-(-height // INSIDE)):
-        for column in range(-(-width // INSIDE)):
-            y = np.arange(row * INSIDE - 1, min((row + 1) * INSIDE, height) + 1).clip(0, height - 1)
-            x = np.arange(column * INSIDE - 1, min((column + 1) * INSIDE, width) + 1).clip(0, width - 1)
-            yield column, row, planes[:, y[:, None], x]
+def tile_places(height: int, width: int) -> list[tuple[int, int]]:
+    """Return (column, row) of each tile of a level."""
+    return [(column, row) for row in range(-(-height // INSIDE)) for column in range(-(-width // INSIDE))]
+
+
+def tile_of(values: np.ndarray, column: int, row: int) -> np.ndarray:
+    """Return (h, w, …) the tile of values (H, W, …); what its margin has beyond the border repeats the border."""
+    height, width = values.shape[:2]
+    y = np.arange(row * INSIDE - 1, min((row + 1) * INSIDE, height) + 1).clip(0, height - 1)
+    x = np.arange(column * INSIDE - 1, min((column + 1) * INSIDE, width) + 1).clip(0, width - 1)
+    return values[y[:, None], x]
 
 
 def _halved(values: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

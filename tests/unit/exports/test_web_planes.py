@@ -75,18 +75,17 @@ def test_what_is_not_covered_is_zero_in_every_plane():
 
 @pytest.mark.parametrize("shape", [(7, 5), (511, 510), (1300, 900)])
 def test_tiles_hold_every_texel_once_and_a_margin_of_their_neighbours(shape):
-    planes = np.arange(np.prod(shape), dtype=np.int64).reshape(1, *shape, 1)
+    numbers = np.arange(np.prod(shape)).reshape(shape)
     seen = np.zeros(shape, int)
-    for column, row, tile in pyramid.tiles(planes):
-        height, width = tile.shape[1] - 2, tile.shape[2] - 2
+    for column, row in pyramid.tile_places(*shape):
+        tile = pyramid.tile_of(numbers, column, row)
+        height, width = tile.shape[0] - 2, tile.shape[1] - 2
         assert max(tile.shape) <= pyramid.TILE
         y, x = row * pyramid.INSIDE, column * pyramid.INSIDE
         seen[y : y + height, x : x + width] += 1
-        rows, columns = (
-            np.clip(np.arange(y - 1, y + height + 1), 0, shape[0] - 1),
-            np.clip(np.arange(x - 1, x + width + 1), 0, shape[1] - 1),
-        )
-        assert (tile[0, ..., 0] == rows[:, None] * shape[1] + columns).all()
+        rows = np.clip(np.arange(y - 1, y + height + 1), 0, shape[0] - 1)
+        columns = np.clip(np.arange(x - 1, x + width + 1), 0, shape[1] - 1)
+        assert (tile == rows[:, None] * shape[1] + columns).all()
     assert (seen == 1).all()
 
 

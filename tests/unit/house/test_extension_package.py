@@ -38,7 +38,11 @@ def test_the_zip_is_named_after_the_manifest(package):
 
 
 def test_the_zip_holds_the_whole_program(names):
-    wanted = files_below("irpso_addon", "shaders", "presets", "web") | {"__init__.py", "blender_manifest.toml", "LICENSE"}
+    wanted = files_below("irpso_addon", "shaders", "presets", "web") | {
+        "__init__.py",
+        "blender_manifest.toml",
+        "LICENSE",
+    }
     assert wanted - names == set()
 
 
