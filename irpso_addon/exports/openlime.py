@@ -1,8 +1,9 @@
 """OpenLIME's BRDF layer: images of kd, ks, normals and gloss for a Ward lobe, and the layer's options as JSON.
 
-As in OpenLIME's LayerBRDF and ShaderBRDF (CNR-ISTI): the view is (0, 0, 1). Radiance is (kd / π + ks · ward) n·l times
-``brightness``, with ward = exp(−tan²θ / α²) / (4 π α² √(n·l n·v)). With ``alphaLimits`` (a, b) and g(α) = 1 − α^¼,
-α = (1 − gloss (g(a) − g(b)) − g(b))⁴. A pixel with a grey normal has no normal and is transparent.
+As in OpenLIME's LayerBRDF and ShaderBRDF (CNR-ISTI): the view is (0, 0, 1). Radiance is ``brightness`` times
+(kd / π + ks · ward) n·l + ``kAmbient`` kd / π, with ward = exp(−tan²θ / α²) / (4 π α² √(n·l n·v)). With ``alphaLimits``
+(a, b) and g(α) = 1 − α^¼, α = (1 − gloss (g(a) − g(b)) − g(b))⁴. A pixel with a grey normal has no normal and is
+transparent.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _EXPONENT = 4  # of OpenLIME's gloss
 _LOWEST, _HIGHEST = 0.005, 1.0
 _OUTSIDE = 0.5
 _GAMMA = 2.2
+_AMBIENT = 1e-6  # of kAmbient, which is 0.1 where none is given, and 0 counts as none
 
 
 def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
@@ -54,7 +56,8 @@ def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
             height, width = maps.covered.shape
             info = {
                 "type": "brdf", "layout": "image", "channels": names, "colorspaces": {"kd": "srgb", "ks": "srgb"},
-                "alphaLimits": limits, "brightness": math.pi, "gamma": _GAMMA, "width": width, "height": height,
+                "alphaLimits": limits, "brightness": math.pi, "gamma": _GAMMA, "kAmbient": _AMBIENT,
+                "width": width, "height": height,
             }  # fmt: skip
             stem = tile_stem("info", number, tiles)
             (place / f"{stem}.json").write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")

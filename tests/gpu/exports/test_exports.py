@@ -102,7 +102,9 @@ def openlime_radiance(folder, light):
     nl, nv, nh = n @ light, n[..., 2], n @ half
     ward = np.exp(-(np.tan(np.arccos(np.clip(nh, -1, 1))) ** 2) / alpha**2)
     ward = ward / (4 * np.pi * alpha**2 * np.sqrt(np.maximum(nl * nv, 1e-9)))
-    shaded = (unsrgb(kd[..., :3]) / np.pi + unsrgb(ks[..., :3]) * ward[..., None]) * np.maximum(nl, 0)[..., None]
+    diffuse = unsrgb(kd[..., :3]) / np.pi
+    shaded = (diffuse + unsrgb(ks[..., :3]) * ward[..., None]) * np.maximum(nl, 0)[..., None]
+    shaded += diffuse * (info.get("kAmbient", 0.1) or 0.02)  # as its LayerBRDF and ShaderBRDF read a missing one, and 0
     return np.where(length < 0.5, 0, shaded * info["brightness"])
 
 

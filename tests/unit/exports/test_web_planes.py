@@ -41,7 +41,7 @@ def test_normals_come_back_within_six_hundredths_of_a_degree():
 
 
 def test_a_normal_that_points_away_is_not_taken_for_a_hole():
-    down = octahedral(np.array([[[0.0, 0.0, -1.0]]]))
+    down = octahedral(np.array([[[-1e-6, -1e-6, -1.0]]]))
     assert down.any() and from_octahedral(down)[0, 0] @ [0, 0, -1] > 0.99999
 
 
@@ -116,9 +116,9 @@ def test_unseen_photographs_come_first_then_the_lights_farthest_apart():
 
 
 def test_near_lights_are_compared_as_seen_from_the_card():
-    # As seen from the origin all are in one direction; from the card at x = 10 the first and the last are opposite.
-    lights = np.array([[9.0, 0, 1, 1], [9.2, 0, 1, 1], [9.9, 0, 1, 1], [14.0, 0, 1, 1]])
-    assert spread(lights, bake_at(np.full((1, 1, 3), [10.0, 0, 0])), [0], 2) == [0, 3]
+    # As seen from the origin the second light is farthest from the first, from a card at x = 10 the third.
+    lights = np.array([[9.0, 0, 1, 1], [2.0, 5, 1, 1], [14.0, 0, 1, 1]])
+    assert spread(lights, bake_at(np.full((1, 1, 3), [10.0, 0, 0])), [0], 2) == [0, 2]
 
 
 def test_the_place_of_every_texel_follows_from_the_upper_left_corner():
