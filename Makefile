@@ -5,7 +5,7 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui site docs-images lint format extension portable release clean environment blender-window \
+.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui site docs-images lint format extension portable release clean environment browser blender-window \
         environment-test environment-bench environment-docs
 
 help: ## list the targets
@@ -54,6 +54,9 @@ test-matrix: environment-test ## the headless Blender tests on every supported v
 
 test-gui: environment-test ## the tests in a real Blender window: BLENDER=/path/to/blender, or Debian's, built once
 	$(RUN) tests/run_gui.py $(ONLY)
+
+browser: environment-test # Chromium for the tests of the web page; without it they skip
+	@PYTHONPATH=scripts $(RUN) -c "from blender_window.debian import need_programs; need_programs({'chromium': 'chromium'})"
 
 blender-window: environment-test # Debian's Blender for test-gui, built once
 	@PYTHONPATH=scripts $(RUN) -c "from blender_window.blenders import find_blender; find_blender()"

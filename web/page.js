@@ -94,7 +94,7 @@ relight.Page = class {
   area() {
     const width = window.innerWidth;
     if (this.state.bare) return { x: width / 2, y: window.innerHeight / 2, width, height: window.innerHeight };
-    const top = 56, height = Math.max(part("panel").getBoundingClientRect().top - 12 - top, 80);
+    const top = window.innerHeight <= 480 ? 10 : 56, height = Math.max(part("panel").getBoundingClientRect().top - 12 - top, 80);
     return { x: width / 2, y: top + height / 2, width, height };
   }
 
@@ -158,6 +158,8 @@ relight.Page = class {
     const { state, result } = this, taken = result.photographs[state.photograph];
     const press = (button, on) => button.setAttribute("aria-pressed", on);
     [...part("maps").children].forEach((button, index) => press(button, index === state.map));
+    if (this.shown !== state.map) part("maps").children[state.map].scrollIntoView({ block: "nearest", inline: "nearest" });
+    this.shown = state.map;
     press(part("uncertain"), state.uncertain);
     part("uncertain").disabled = !state.canDoubt;
     press(part("photograph"), state.comparing);
@@ -173,8 +175,15 @@ relight.Page = class {
     const shown = result.parameters[state.map - 1], single = shown && shown.uncertainty && (state.uncertain || !shown.place);
     part("legend").hidden = !(state.uncertain || single);
     part("most").textContent = single ? `${shown.uncertainty[1]}${shown.place ? " and more" : ""}` : "unknown";
-    part("dial").style.bottom = window.innerWidth <= 720 ? `${window.innerHeight - part("panel").getBoundingClientRect().top + 8}px` : "";
+    this.placeDial();
     this.say(this.words(u, v, taken));
+  }
+
+  // Beside the panel, or above it where there is no room.
+  placeDial() {
+    const panel = part("panel").getBoundingClientRect(), dial = part("dial");
+    const beside = panel.right + dial.clientWidth + 24 <= window.innerWidth;
+    dial.style.bottom = beside ? "" : `${window.innerHeight - panel.top + 8}px`;
   }
 
   // As high as the picture, in the window.

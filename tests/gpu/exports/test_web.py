@@ -383,12 +383,22 @@ def test_nothing_is_asked_of_the_network_and_nothing_fails(page):
 
 
 def test_small_windows_show_all_of_the_picture_and_every_row_of_controls(page):
-    page.resize(360, 640, 1, True)
-    page.settle()
-    inside = "document.getElementById('panel').getBoundingClientRect()"
-    assert page.run(f"{inside}.bottom <= innerHeight + 1 && {inside}.right <= innerWidth + 1 && {inside}.top > 300")
-    assert page.run("document.documentElement.scrollWidth <= innerWidth")
-    assert page.run("relight.page.fitting") * SHAPE[1] > 300
+    boxes = """[...document.querySelectorAll('#panel, .row:not(#maps) button, #exposure, #dial')].map((part) => {
+        const box = part.getBoundingClientRect();
+        return [part.id, box.left, box.top, box.right, box.bottom];
+    })"""
+    for width, height, share in ((320, 568, 0.9), (360, 640, 0.9), (844, 390, 0.3)):
+        page.resize(width, height, 1, True)
+        page.settle()
+        found = {name: box for name, *box in page.run(boxes)}
+        assert all(x >= -1 and y >= 0 and r <= width + 1 and b <= height + 1 for x, y, r, b in found.values()), found
+        assert found["dial"][0] >= found["panel"][2] or found["dial"][3] <= found["panel"][1]
+        assert page.run("document.documentElement.scrollWidth <= innerWidth")
+        assert page.run("relight.page.fitting") * SHAPE[1] > share * width
+    page.resize(320, 568, 1, True)
+    page.key("6")  # its button is out of sight
+    box = "document.querySelector('#maps [aria-pressed=true]').getBoundingClientRect()"
+    assert page.run(f"{box}.left >= 0 && {box}.right <= innerWidth")
     page.resize(*WINDOW)
 
 
