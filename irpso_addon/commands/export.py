@@ -11,11 +11,11 @@ from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
 from ..exports.asset import write_to_shelf
 from ..exports.formats import export
-from ..exports.names import ASSET, RELIEF
+from ..exports.names import ASSET, RELIEF, WEB
 from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
-from .options.page import page_photographs
+from .options.page import UNNAMED, names_photographs, page_photographs
 from .options.values import shelf_of, silent
 
 
@@ -36,6 +36,8 @@ def run(options: Namespace) -> dict:
         result, options.format, options.output, options.convention, lambda: _subject(result, options.object),
         lambda: page_photographs(result, options),
     )  # fmt: skip
+    if options.format == WEB and options.photographs is None and not names_photographs(result):
+        found["warnings"].append(f"no photographs: {UNNAMED}")
     if not silent(options):
         sys.stdout.write(_summary(found))
     return found

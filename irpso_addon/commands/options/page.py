@@ -18,25 +18,32 @@ from ...geometry.build import card_bake, card_lights, domain_from_card
 from ...geometry.domain import with_lights
 from .job import file_capture
 
+UNNAMED = "its report does not say which part of which photographs its maps show"
+
+
+def names_photographs(result: Result) -> bool:
+    """Whether the report says what its maps show: not where the window wrote it, or ``tile``."""
+    settings = result.report.get("settings")
+    return "tile" not in result.report and isinstance(settings, dict) and "crop" in settings
+
 
 def page_photographs(result: Result, options: Namespace) -> Photographs | None:
-    """Return --photographs of the photographs that a card was recovered from, read again as they were; None for none.
+    """Return --photographs of the photographs that a card was recovered from, read again as they were.
 
-    First come those held out of the fit, then those whose lights are farthest apart. Raises InputError where the
-    capture is no longer there or has changed; the remedy is --photographs 0.
+    None for 0 of them, and by default where the report does not name them. First come those held out of the fit, then
+    those whose lights are farthest apart. Raises InputError where the capture is no longer there or has changed; the
+    remedy is --photographs 0.
     """
     count = PHOTOGRAPHS if options.photographs is None else options.photographs
     if count < 0:
         raise InputError(f"--photographs {count}: give a number from 0")
-    settings = result.report.get("settings")
-    if not count or not result.card:
+    if not count:
         return None
-    if "tile" in result.report or not isinstance(settings, dict) or "crop" not in settings:
+    if not names_photographs(result):
         if options.photographs is None:
             return None
-        raise InputError(
-            f"{result.folder}: does not say which part of which photographs it shows; give --photographs 0"
-        )
+        raise InputError(f"{result.folder}: {UNNAMED}; give --photographs 0")
+    settings = result.report["settings"]
     if not Path(settings["capture"]).exists():
         raise InputError(
             f"{settings['capture']}: the capture of {result.folder} is no longer there; put it back, or give"
