@@ -38,7 +38,7 @@ def write_ptm(result: Result, path: str | Path) -> dict[str, Any]:
         file = path.with_name(f"{tile_stem(path.stem, number, result.maps.tiles)}.ptm")
         lights = even_lights(_LIGHTS, _WIDEST)
         basis = polynomial(lights)
-        renderer = _renderer(maps, lights)
+        renderer = card_renderer(maps, lights)
         try:
             coefficients = _fitted(renderer, basis)
             codes, scale, bias = quantised(coefficients)
@@ -81,8 +81,8 @@ def ptm_bytes(codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> bytes:
     return head.encode("ascii") + np.moveaxis(codes, 2, 0).tobytes()
 
 
-def _renderer(maps: Maps, lights: np.ndarray) -> Renderer:
-    """Return the renderer of the maps on a flat card, seen straight from above."""
+def card_renderer(maps: Maps, lights: np.ndarray) -> Renderer:
+    """Return the renderer of maps on a flat card, seen straight from above; lights: (K, 3), toward distant lights."""
     height, width = maps.covered.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     bake = GeometryBake(
