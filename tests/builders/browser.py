@@ -79,10 +79,14 @@ class Browser:
 
     def wait(self, value="yes"):
         """Wait until the page says that what it shows is there."""
+        self.until(f"document.documentElement?.dataset.ready === {value!r}")
+
+    def until(self, condition):
+        """Wait until a condition holds on the page."""
         deadline = time.monotonic() + _SECONDS
-        while self.run("document.documentElement?.dataset.ready") != value:
+        while not self.run(condition):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"not {value}: {self.run('document.body.innerText')[:2000]}\n{self.events[-5:]}")
+                raise TimeoutError(f"{condition}: {self.run('document.body.innerText')[:2000]}\n{self.events[-5:]}")
             time.sleep(0.02)
 
     def state(self, text):

@@ -206,7 +206,7 @@ def test_a_tile_that_is_missing_is_named_on_the_page(browser, tmp_path):
     write_page(Result("leaf", maps), tmp_path)
     (tmp_path / "tiles" / "0-0-0-maps.js").unlink()
     browser._call("Page.navigate", url=(tmp_path / "index.html").as_uri())
-    browser.run("new Promise(done => setTimeout(done, 300))")
+    browser.until("document.getElementById('fault')?.hidden === false")
     assert "tiles/0-0-0-maps.js" in browser.run("document.getElementById('fault').textContent")
 
 
