@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import extension
+import libraries
 
 # Of Blender's data nothing that the program uses: Cycles' kernels for GPUs, essentials assets, fonts of 15 MB.
 LEFT_OUT = (
@@ -27,11 +28,12 @@ LEFT_OUT = (
     "datafiles/fonts/*CJK*",
     "datafiles/studiolights/world",
 )
-PROGRAM = ("irpso_addon", "shaders", "presets", "LICENSE", "blender_manifest.toml", "__init__.py")
+UNUSED = ("site-packages", "dist-packages", "test", "idlelib", "*tkinter*", "ensurepip", "config-*", "__pycache__")
 # The node's own: they belong to its kernel and its compiler.
 NODES_OWN = re.compile(r"/(ld-linux[^/]*|lib(c|m|dl|pthread|rt|util|gcc_s|stdc\+\+|resolv|anl))\.so")
 # Loaders in front of the driver. A node with a driver has them.
 LOADERS = re.compile(r"/lib(EGL|GL|GLX|GLdispatch|OpenGL)\.so")
+_WITH_SBIN = {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin"}
 LAUNCHER = """\
 #!/bin/sh
 # Runs the program with what lies beside it, from any folder: ./irpso recover CAPTURE -o OUT
@@ -74,14 +76,26 @@ def runtime() -> list[str]:
     return list(dict.fromkeys(re.split(r"[<>=!~;]", text)[0].strip() for text in groups["runtime"]))
 
 
-def libraries(files: list[Path], path: str) -> Iterator[Path]:
+def program() -> list[str]:
+    """Return what of the repository is the program: what the manifest puts into the zips, and the manifest."""
+    patterns = extension.manifest()["build"]["paths_exclude_pattern"]
+    return [pattern[2:] for pattern in patterns if pattern.startswith("!/")] + ["blender_manifest.toml"]
+
+
+def linked(files: list[Path], path: str) -> Iterator[Path]:
     """Yield the shared libraries outside the tree that files link to, but the node's own."""
     environment = {**os.environ, "LD_LIBRARY_PATH": path}
-    lines: set[str] = set()
-    for file in files:
+    # Blender opens some by name.
+    cached = subprocess.run(["ldconfig", "-p"], env=_WITH_SBIN, capture_output=True, text=True, check=True).stdout
+    named = [
+        re.findall(rf"^\s{re.escape(name)} \(.*(?:x86-64|AArch64).*=> (/\S+)", cached, re.MULTILINE)[:1]
+        for name in libraries.LIBRARIES.values()
+    ]
+    found = {path for paths in named for path in paths}
+    for file in [*files, *sorted(found)]:
         shown = subprocess.run(["ldd", file], env=environment, capture_output=True, text=True).stdout
-        lines |= set(re.findall(r"=> (/\S+)", shown))
-    yield from (Path(line) for line in sorted(lines) if not NODES_OWN.search(line))
+        found |= set(re.findall(r"=> (/\S+)", shown))
+    yield from (Path(line) for line in sorted(found) if not NODES_OWN.search(line))
 
 
 def fill(tree: Path) -> None:
@@ -89,10 +103,9 @@ def fill(tree: Path) -> None:
     base, version = Path(sys.base_prefix), f"python{sys.version_info.major}.{sys.version_info.minor}"
     (tree / "python" / "bin").mkdir(parents=True)
     shutil.copy(Path(sys.executable).resolve(), tree / "python" / "bin" / "python3")
-    unused = shutil.ignore_patterns(
-        "site-packages", "dist-packages", "test", "idlelib", "tkinter", "ensurepip", "config-*", "__pycache__"
+    shutil.copytree(
+        sysconfig.get_path("stdlib"), tree / "python" / "lib" / version, ignore=shutil.ignore_patterns(*UNUSED)
     )
-    shutil.copytree(sysconfig.get_path("stdlib"), tree / "python" / "lib" / version, ignore=unused)
     for library in base.glob(f"lib/lib{version}*.so*"):
         shutil.copy(library, tree / "python" / "lib")
     for package in packages(runtime()):
@@ -107,18 +120,18 @@ def fill(tree: Path) -> None:
             for path in data.glob(name):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
     listed = subprocess.run(
-        ["git", "ls-files", "-z", *PROGRAM], cwd=extension.ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-files", "-z", *program()], cwd=extension.ROOT, capture_output=True, text=True, check=True
     )
     for name in filter(None, listed.stdout.split("\0")):
         target = tree / "program" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(extension.ROOT / name, target)
-    linked = [
+    files = [
         tree / "site" / "bpy" / "__init__.so",
         *(tree / "python").rglob("*.so"),
         tree / "python" / "bin" / "python3",
     ]
-    for library in libraries(linked, str(tree / "python" / "lib")):
+    for library in linked(files, str(tree / "python" / "lib")):
         folder = tree / ("loaders" if LOADERS.search(str(library)) else "lib")
         if tree not in library.parents:
             folder.mkdir(exist_ok=True)
