@@ -40,9 +40,12 @@ LAUNCHER = """\
 root=$(dirname "$(readlink -f "$0")")
 export PYTHONHOME="$root/python" PYTHONPATH="$root/program:$root/site" PYTHONNOUSERSITE=1 PYTHONDONTWRITEBYTECODE=1
 path="$root/python/lib:$root/lib"
-# The loaders of a node that has a driver know that driver.
-if ! PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null | grep -q libEGL.so.1; then path="$path:$root/loaders"; fi
-export LD_LIBRARY_PATH="$path${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
+loaders=
+# The loaders of a node that has a driver come first; it may have only one of them.
+for name in libEGL.so.1 libGL.so.1; do
+    PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null | grep -q "$name" || loaders=":$root/loaders"
+done
+export LD_LIBRARY_PATH="$path$loaders${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
 exec "$root/python/bin/python3" -m irpso_addon "$@"
 """
 

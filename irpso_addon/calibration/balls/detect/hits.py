@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,23 +104,35 @@ def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: fl
     return hits
 
 
-def improved(pictures: Pictures, circle: np.ndarray, kind: str, whole: Pictures) -> list[Hit]:
-    """Return balls near a circle (3,) of the photographs: circles that edges outline and whose shadow agrees.
+def improved_steps(
+    pictures: Pictures, circle: np.ndarray, kind: str, whole: Pictures
+) -> Generator[None, None, list[Hit]]:
+    """Yield often; return balls near a circle (3,) of the photographs.
 
-    whole: pictures of all the table, for the lamps' distance. A mirror ball's circle is the one at which its shadow
-    agrees best: a mirror shows at its rim what lies behind it, so that the visible edge lies up to 3 % inside the
-    outline, and on black cloth it is that of the reflected cloth, up to a fifth inside.
+    They are circles that edges outline and whose shadow agrees. whole: pictures of all the table, for the lamps'
+    distance. A mirror ball's circle is the one at which its shadow agrees best: a mirror shows at its rim what lies
+    behind it, so that the visible edge lies up to 3 % inside the outline, and on black cloth it is that of the
+    reflected cloth, up to a fifth inside.
     """
     x, y = (circle[:2] - pictures.origin) / pictures.block
     radius = circle[2] / pictures.block
-    old = [fitted(pictures.steady, x, y, radius), *(fitted(pictures.strong, x, y, f * radius) for f in _STARTS)]
-    outlines = distinct(old)
+    starts = [fitted(pictures.steady, x, y, radius)]
+    for factor in _STARTS:
+        yield
+        starts.append(fitted(pictures.strong, x, y, factor * radius))
+    outlines = distinct(starts)
     if kind == "mirror":
         outlines = [measured(pictures.steady, x, y, radius), *outlines]
-    hits = [hit for outline in outlines for hit in tested(pictures, outline, [kind], PROMISING)]
+    hits: list[Hit] = []
+    for outline in outlines:
+        yield
+        hits += tested(pictures, outline, [kind], PROMISING)
     if kind == "mirror":
-        best = [_with_distance(hit, whole) for hit in sorted(hits, key=lambda hit: -hit.score)[:_CLIMBED]]
-        hits = [_measured_by_shadow(_scanned(hit)) if _measurable(hit) else hit for hit in best]
+        best, hits = sorted(hits, key=lambda hit: -hit.score)[:_CLIMBED], []
+        for hit in best:
+            yield
+            near = _with_distance(hit, whole)
+            hits.append((yield from _measured_by_shadow(near)) if _measurable(near) else near)
     kept = [hit for hit in hits if hit.shadow is None or hit.shadow >= _wanted(hit)]
     return kept if kind == "mirror" else [_with_distance(hit, whole) for hit in kept]
 
@@ -152,10 +164,11 @@ def _with_distance(hit: Hit, whole: Pictures) -> Hit:
     return replace(hit, inverse=inverse_distance(whole.values, whole.clipped, ball, hit.seen.lights, hit.table))
 
 
-def _scanned(hit: Hit) -> Hit:
-    """Return a hit with the radius and the table, of a few radii and all tables, at which its shadow agrees best."""
+def _scanned(hit: Hit) -> Generator[None, None, Hit]:
+    """Yield often; return a hit with the radius and the table, of a few and of all, at which its shadow agrees best."""
     found = [hit]
     for factor in _SCAN:
+        yield
         x, y, radius = hit.outline.x, hit.outline.y, factor * hit.outline.radius
         ball, agrees = _agreeing(hit, x, y, radius)
         if agrees is not None:
@@ -164,15 +177,17 @@ def _scanned(hit: Hit) -> Hit:
     return max(found, key=lambda h: h.shadow or 0.0)
 
 
-def _measured_by_shadow(hit: Hit) -> Hit:
-    """Return a mirror ball's hit with the circle at which its shadow agrees best.
+def _measured_by_shadow(hit: Hit) -> Generator[None, None, Hit]:
+    """Yield often; return a mirror ball's hit with the circle at which its shadow agrees best.
 
     The shadow is as wide as the ball, and wider under near lamps. One coordinate after the other moves to the top of a
     parabola.
     """
+    hit = yield from _scanned(hit)
     circle, table = np.array([hit.outline.x, hit.outline.y, hit.outline.radius]), hit.table
     for step in _SHADOW_STEPS:
         for axis in (2, 0, 1, 2):
+            yield
             moves = step * hit.outline.radius * np.arange(-1, 2)
             heights = []
             for move in moves:

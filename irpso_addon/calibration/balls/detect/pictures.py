@@ -69,11 +69,12 @@ def enlarged_steps(
             windows.append((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
             blocks.append(block)
     cut = (yield from _cut_steps(readers, windows, blocks)) if windows else []
-    made = (
-        _pictures(*stacks, camera, reduced.white, block, window)
-        for stacks, block, window in zip(cut, blocks, windows, strict=True)
-    )
-    return [next(made) if chosen else None for chosen in small]
+    made = []
+    for stacks, block, window in zip(cut, blocks, windows, strict=True):
+        yield 1.0
+        made.append(_pictures(*stacks, camera, reduced.white, block, window))
+    rest = iter(made)
+    return [next(rest) if chosen else None for chosen in small]
 
 
 def _cut_steps(
