@@ -1,6 +1,6 @@
 """Cards photographed by hand with a phone's flash, by Cycles: JPEG with EXIF, and the truth beside them.
 
-Lengths are millimetres. The card lies in the plane z = 0 around the origin, on a printed sheet of markers or on bare
+Lengths are millimetres. The card lies in the plane z = 0 around the origin, on a printed marker board or on bare
 paper.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from irpso_addon.blender.scenes import cycles, table_top
 from irpso_addon.blender.scenes.true_surface import TrueMaps, grid_quads, smooth_mesh, true_material
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.frame.sheet import PAPERS, sheet_of, sheet_picture
+from irpso_addon.capture.frame.board import PAPERS, board_of, board_picture
 from irpso_addon.capture.images.exif import focal_in_pixels
 from irpso_addon.core.files import new_folder
 from irpso_addon.sample.photograph import developed, write_photograph
@@ -25,7 +25,7 @@ from irpso_addon.sample.relief import HALF, THICKNESS, tile
 from .textured import cc0_maps
 
 CARD = 120.0  # width and height
-SHEET = sheet_of("A4", 8)
+BOARD = board_of("A4", 8)
 SIZE, FOCAL_35MM = (400, 300), 30
 OFFSET = np.array([14.0, 9.0, 0.0])  # of the flash from the lens, in the camera's axes
 BEAM = 2.0  # power of the cosine with which the flash falls
@@ -130,9 +130,9 @@ def _beam(camera: Camera, place: np.ndarray) -> np.ndarray:
 
 def _build(scene, maps: TrueMaps, heights: np.ndarray | None, markers: bool) -> None:
     """Put the paper and the card into the scene."""
-    ink = np.asarray(sheet_picture(SHEET, 120).convert("L"), float)[::-1] / 255 if markers else np.ones((2, 2))
+    ink = np.asarray(board_picture(BOARD, 120).convert("L"), float)[::-1] / 255 if markers else np.ones((2, 2))
     paper = (_INK + (_PAPER - _INK) * ink)[..., None].repeat(3, axis=-1)
-    table_top.add_print(scene, paper, (0.0, 0.0), PAPERS[SHEET.paper], 0.01)
+    table_top.add_print(scene, paper, (0.0, 0.0), PAPERS[BOARD.paper], 0.01)
     count = 2 if heights is None else len(heights)
     along = np.linspace(0, 1, count)
     v, u = np.meshgrid(along, along, indexing="ij")

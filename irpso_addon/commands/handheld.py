@@ -101,13 +101,13 @@ def _offset(text: str | None) -> np.ndarray | None:
 
 
 def _summary(found: Handheld, out: Path) -> str:
-    unit = " mm" if found.sheet else ""
+    unit = " mm" if found.board else ""
     x, y, _ = found.flash.offset
     x0, y0, x1, y1 = found.field
     shorter = _TEXELS / min(x1 - x0, y1 - y0)
     size = f"{round((x1 - x0) * shorter)}x{round((y1 - y0) * shorter)}"
     by = (
-        found.sheet.name if found.sheet else "features of the card; lengths are in widths of the part that is recovered"
+        found.board.name if found.board else "features of the card; lengths are in widths of the part that is recovered"
     )
     lines: list[Any] = [
         f"{len(found.cameras)} cameras by {by}",

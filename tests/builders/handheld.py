@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from irpso_addon.calibration.handheld.flash import irradiance
-from irpso_addon.capture.frame.sheet import PAPERS, sheet_of, sheet_picture
+from irpso_addon.capture.frame.board import PAPERS, board_of, board_picture
 from irpso_addon.capture.types import Capture, Light, Observation
 from tests.builders.flat_scene import looking_camera, seen_plane, texture
 
@@ -45,15 +45,15 @@ def photographs(cameras, value, blurred=()):
     return Capture("card", tuple(shots), blank, tuple(np.ones(SIZE[::-1], bool) for _ in cameras))
 
 
-def on_sheet(places):
-    """Return the reflectance of a printed sheet with a textured card in its field, on a black table."""
-    sheet = sheet_of("A4", 8)
-    if not hasattr(on_sheet, "ink"):
-        on_sheet.ink = np.asarray(sheet_picture(sheet, 80).convert("L"), float) / 255
-    size, ink = np.array(PAPERS["A4"]), on_sheet.ink
+def on_board(places):
+    """Return the reflectance of a printed marker board with a textured card in its field, on a black table."""
+    board = board_of("A4", 8)
+    if not hasattr(on_board, "ink"):
+        on_board.ink = np.asarray(board_picture(board, 80).convert("L"), float) / 255
+    size, ink = np.array(PAPERS["A4"]), on_board.ink
     at = np.floor((places * (1, -1) + size / 2) / size * ink.shape[::-1]).astype(int)
     paper = ((at >= 0) & (at < ink.shape[::-1])).all(axis=-1)
     at = np.clip(at, 0, np.array(ink.shape[::-1]) - 1)
-    card = (np.abs(places) < np.array(sheet.field) / 2 - 4).all(axis=-1)
-    sheet_value = np.where(paper, 0.03 + 0.77 * ink[at[..., 1], at[..., 0]], 0.01)
-    return np.where(card, 0.2 + 0.5 * texture(3, 10.0)(places), sheet_value)
+    card = (np.abs(places) < np.array(board.field) / 2 - 4).all(axis=-1)
+    board_value = np.where(paper, 0.03 + 0.77 * ink[at[..., 1], at[..., 0]], 0.01)
+    return np.where(card, 0.2 + 0.5 * texture(3, 10.0)(places), board_value)

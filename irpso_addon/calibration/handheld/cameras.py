@@ -78,7 +78,7 @@ def _solved(
     # In pixels of the codes, from the upper left corner.
     centres = np.array([(c.centre[0], c.height - c.centre[1]) for c in cameras]) * factor
     start = _start(tracks, cameras, centres, factor, lens)
-    relief = None if tracks.sheet else _RELIEF * float(np.median(np.linalg.norm(start.shifts, axis=1)))
+    relief = None if tracks.board else _RELIEF * float(np.median(np.linalg.norm(start.shifts, axis=1)))
     free = adjusted(start, views, _SPREAD[lens], relief)
     if lens != "known":
         return free, _errors(free, views), turn_errors(free, views)
@@ -104,7 +104,7 @@ def _start(tracks: Tracks, cameras: Sequence[Camera], centres: np.ndarray, facto
             for n, (x, y) in zip(tracks.used, centres, strict=True)]  # fmt: skip
     given = cameras[0].scale[0] * factor
     size = max(cameras[0].width, cameras[0].height) * factor
-    if tracks.sheet is not None:
+    if tracks.board is not None:
         focal = given if lens != "unknown" else focal_of(maps) or given
         plane = np.insert(tracks.plane, 2, 0.0, axis=1)
         seen_from = np.eye(3)

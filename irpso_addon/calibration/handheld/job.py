@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...capture.camera import Camera
-from ...capture.frame.sheet import Sheet
+from ...capture.frame.board import Board
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps
@@ -23,14 +23,14 @@ ENOUGH, FEWEST = 30, 8  # photographs
 _GRID = 28  # places along a side of the card, for the flash
 _BLURRED = 0.6  # of the median sharpness
 _ONE_PLACE = 6.0  # degrees between views, seen from the card: root mean square
-_WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a sheet
+_WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a board
 _UNEVEN = 0.08  # standard deviation of the logarithm of the strengths above which exposures differ
 _UNSURE = 0.02  # of the distance: standard error of the flash's place that makes it useless
 _TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
-_SHOWN = 0.6  # of the photographs that must show a place of a card without a sheet
+_SHOWN = 0.6  # of the photographs that must show a place of a card without a board
 _SIDE = 96  # samples along a side of the square in which positions of a card are compared
 _ALIKE = "the card looks the same after a turn or a shift, so that its position is in doubt in"
-_SHEET = "lay a sheet of `irpso markers` around it"
+_BOARD = "lay a marker board (`irpso markers`) around it"
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Handheld:
     """cameras: of the photographs ``numbers``; the card lies in z = 0. field: (x0, y0, x1, y1) what is recovered.
 
     error: median reprojection error in pixels of the photographs. intensities: (K,) of the flash, at distance 1.
-    views: root mean square angle between the views, in degrees. sheet: of the markers, None for features.
+    views: root mean square angle between the views, in degrees. board: of the markers, None for features.
     """
 
     numbers: tuple[int, ...]
@@ -48,7 +48,7 @@ class Handheld:
     field: Box
     error: float
     views: float
-    sheet: Sheet | None
+    board: Board | None
     warnings: tuple[str, ...]
 
     @property
@@ -82,17 +82,17 @@ def handheld_steps(
     lost = _listed(np.delete(names[sharp], placed.tracks.used))
     _check_count(len(placed.cameras), f"; the card is not recognised well in {lost}")
     doubt: tuple[int, ...] = ()
-    if tracks.sheet is None:
+    if tracks.board is None:
         yield 0.8
         doubt = _in_doubt(placed, radiance)
-    alike = f"{_ALIKE} {_listed(names[sharp[list(doubt)]])}; {_SHEET}" if doubt else ""
+    alike = f"{_ALIKE} {_listed(names[sharp[list(doubt)]])}; {_BOARD}" if doubt else ""
     if doubt:
         _check_count(len(placed.cameras) - len(doubt), f"; {alike}")
         placed = placed_cameras(placed.tracks.without(doubt), seen_by, pictures.factor, lens)
         lost = _listed(np.delete(names[sharp], [*placed.tracks.used, *doubt]))
         _check_count(len(placed.cameras), f"; the card is not recognised well in {lost}")
     numbers = sharp[list(placed.tracks.used)]
-    field, cameras = _in_unit(_field(tracks.sheet, placed), placed.cameras, tracks.sheet)
+    field, cameras = _in_unit(_field(tracks.board, placed), placed.cameras, tracks.board)
     angle = _view_angle(cameras)
     if angle < _ONE_PLACE:
         raise InputError(
@@ -100,10 +100,10 @@ def handheld_steps(
             " lens, so go around the card, from straight above to 50° from the side"
         )
     yield 0.85
-    places = _places(field, tracks.sheet)
+    places = _places(field, tracks.board)
     seen = [_sampled(radiance[k], camera, places) for k, camera in zip(placed.tracks.used, cameras, strict=True)]
     samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(seen))
-    flash, intensities, more = _flash(samples, flash_offset, tracks.sheet)
+    flash, intensities, more = _flash(samples, flash_offset, tracks.board)
     told = (
         f"left out as blurred: {blurred}" if blurred else "",
         f"left out, because the card is not recognised well in it: {lost}" if lost else "",
@@ -111,7 +111,7 @@ def handheld_steps(
         f"{len(numbers)} photographs are used; {ENOUGH} or more are better" if len(numbers) < ENOUGH else "",
     )
     return Handheld(
-        tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.sheet,
+        tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.board,
         (*filter(None, told), *warnings, *more),
     )  # fmt: skip
 
@@ -134,7 +134,7 @@ def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[
         raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
     found = feature_tracks(codes)
     if found is None or len(found.used) < 2:
-        raise InputError(f"the photographs show neither printed markers nor enough features of one flat card; {_SHEET}")
+        raise InputError(f"the photographs show neither printed markers nor enough features of one flat card; {_BOARD}")
     if tracks is None:
         return found, []
     return found, [
@@ -143,10 +143,10 @@ def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[
     ]
 
 
-def _field(sheet: Sheet | None, placed: Placed) -> Box:
-    """Return what is recovered: the sheet's field, or the box around the features that most photographs show."""
-    if sheet is not None:
-        width, height = sheet.field
+def _field(board: Board | None, placed: Placed) -> Box:
+    """Return what is recovered: the board's field, or the box around the features that most photographs show."""
+    if board is not None:
+        width, height = board.field
         return -width / 2, -height / 2, width / 2, height / 2
     shown = np.stack([_shows(camera, placed.points[:, :2]) for camera in placed.cameras])
     there = shown.mean(axis=0) >= _SHOWN
@@ -173,9 +173,9 @@ def _shows(camera: Camera, places: np.ndarray) -> np.ndarray:
     return (depth > 0) & (pixels > 0).all(axis=-1) & (pixels < (camera.width, camera.height)).all(axis=-1)
 
 
-def _in_unit(field: Box, cameras: tuple[Camera, ...], sheet: Sheet | None) -> tuple[Box, tuple[Camera, ...]]:
-    """Return field and cameras, without a sheet with the field around the origin and 1 wide."""
-    if sheet is not None:
+def _in_unit(field: Box, cameras: tuple[Camera, ...], board: Board | None) -> tuple[Box, tuple[Camera, ...]]:
+    """Return field and cameras, without a board with the field around the origin and 1 wide."""
+    if board is not None:
         return field, cameras
     x0, y0, x1, y1 = field
     scale, middle = 1 / (x1 - x0), np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
@@ -195,12 +195,12 @@ def _view_angle(cameras: Sequence[Camera]) -> float:
     return float(np.degrees(np.sqrt((np.arccos(np.clip(away @ mean, -1, 1)) ** 2).mean())))
 
 
-def _places(field: Box, sheet: Sheet | None) -> np.ndarray:
-    """Return (P, 2) places of the card, a grid; before it those of bare paper, with a sheet."""
+def _places(field: Box, board: Board | None) -> np.ndarray:
+    """Return (P, 2) places of the card, a grid; before it those of bare paper, with a board."""
     x0, y0, x1, y1 = field
     share = (np.arange(_GRID) + 0.5) / _GRID
     grid = np.stack(np.meshgrid(x0 + share * (x1 - x0), y0 + share * (y1 - y0)), axis=-1).reshape(-1, 2)
-    return grid if sheet is None else np.concatenate([sheet.white, grid])
+    return grid if board is None else np.concatenate([board.white, grid])
 
 
 def _sampled(radiance: np.ndarray, camera: Camera, places: np.ndarray) -> np.ndarray:
@@ -214,7 +214,7 @@ def _sampled(radiance: np.ndarray, camera: Camera, places: np.ndarray) -> np.nda
     return np.where(inside, radiance[row, column], np.nan)
 
 
-def _flash(samples: Samples, offset: np.ndarray | None, sheet: Sheet | None) -> tuple[Flash, np.ndarray, list[str]]:
+def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> tuple[Flash, np.ndarray, list[str]]:
     """Return the flash, its intensities (K,), and warnings."""
     flash, warnings = flash_of(samples, offset), []
     distance = float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
@@ -229,7 +229,7 @@ def _flash(samples: Samples, offset: np.ndarray | None, sheet: Sheet | None) -> 
             f"the exposure differs between the photographs, by {np.log(gains).std():.0%} (standard deviation), and is"
             " divided out; fix it (AE lock) for a common one"
         )
-    paper = flash.albedo[: len(sheet.white)] if sheet else flash.albedo[:0]
+    paper = flash.albedo[: len(board.white)] if board else flash.albedo[:0]
     if np.isfinite(paper).any():
         strength = float(np.nanmedian(paper)) / _WHITE
     else:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ...capture.frame.board import Board
 from ...capture.frame.homography import homography, mapped
 from ...capture.frame.markers import seen_markers
-from ...capture.frame.sheet import Sheet
 from ...core.opencv import opencv
 
 _FEATURES = 2500  # of a photograph
@@ -34,7 +34,7 @@ class Tracks:
     """Points seen in photographs. One row for each time that a photograph shows a point.
 
     photograph, point: (M,) numbers. pixels: (M, 2). plane: (P, 2) places of the points in one plane: millimetres on a
-    sheet, y up, or pixels of the photograph ``reference``. used: photographs in which points were found.
+    board, y up, or pixels of the photograph ``reference``. used: photographs in which points were found.
     """
 
     photograph: np.ndarray
@@ -42,7 +42,7 @@ class Tracks:
     pixels: np.ndarray
     plane: np.ndarray
     used: tuple[int, ...]
-    sheet: Sheet | None = None
+    board: Board | None = None
     reference: int = -1
 
     def without(self, numbers: Sequence[int]) -> Tracks:
@@ -61,22 +61,22 @@ class Tracks:
 
 def marker_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
     """Return the corners of the markers that photographs (H, W) uint8 show, row 0 at the TOP; None for fewer than two
-    photographs with a sheet. Raises InputError without OpenCV."""
+    photographs with a board. Raises InputError without OpenCV."""
     found = [seen_markers(picture) for picture in codes]
     seen = {n: one for n, one in enumerate(found) if one is not None and len(one.numbers) >= _LEAST_MARKERS}
     if len(seen) < 2:
         return None
-    sheets = [one.sheet for one in seen.values()]
-    sheet = max(sheets, key=sheets.count)
-    seen = {n: one for n, one in seen.items() if one.sheet == sheet}
-    order = list(sheet.markers)
-    plane = np.concatenate([sheet.markers[number] for number in order])
+    boards = [one.board for one in seen.values()]
+    board = max(boards, key=boards.count)
+    seen = {n: one for n, one in seen.items() if one.board == board}
+    order = list(board.markers)
+    plane = np.concatenate([board.markers[number] for number in order])
     point = [
         np.concatenate([4 * order.index(marker) + np.arange(4) for marker in one.numbers]) for one in seen.values()
     ]
     return Tracks(
         np.repeat(list(seen), [len(p) for p in point]), np.concatenate(point),
-        np.concatenate([one.pixels for one in seen.values()]), plane, tuple(seen), sheet,
+        np.concatenate([one.pixels for one in seen.values()]), plane, tuple(seen), board,
     )  # fmt: skip
 
 

@@ -37,13 +37,13 @@ def table_text(spec: CaptureSpec, found: Handheld, folder: Path) -> str:
 
 
 def report_of(spec: CaptureSpec, found: Handheld) -> dict[str, Any]:
-    """Return what was found, for a report. Lengths are millimetres with a sheet, else widths of the recovered part."""
+    """Return what was found, for a report. Lengths are millimetres with a board, else widths of the recovered part."""
     used = [spec.observations[number].name for number in found.numbers]
     camera = found.cameras[0]
     return {
         "photographs": len(used),
         "left_out": [shot.name for shot in spec.observations if shot.name not in used],
-        "markers": None if found.sheet is None else found.sheet.name,
+        "markers": None if found.board is None else found.board.name,
         "error_px": round(found.error, 4),
         "views_degrees": round(found.views, 2),
         "fov_degrees": round(float(np.degrees(2 * np.arctan(camera.width / 2 / camera.scale[0]))), 3),

@@ -1,1 +1,1 @@
-"""Finds a flat subject in photographs: by printed markers around it, or as their one rectangle."""
+"""Finds a flat subject in photographs: by a printed marker board around it, or as their one rectangle."""

@@ -14,10 +14,10 @@ from ...core.steps import at_once, map_steps
 from ..bounds import without_bounds
 from ..errors import CaptureError
 from ..types import Capture
+from .board import Board
 from .homography import homography, mapped
 from .markers import Seen, seen_markers
 from .rectangle import dominant, fitted, quadrilaterals
-from .sheet import Sheet
 
 Corners = tuple[tuple[float, float], ...]
 _PICTURES = 9  # photographs that are read
@@ -32,27 +32,27 @@ _REMEDY = "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window"
 class Found:
     """corners: four (x, y), clockwise from the upper left one, in pixels from the picture's upper left corner.
 
-    photographs: how many of those read agree. read: how many that is. sheet: of the markers, None for a rectangle.
+    photographs: how many of those read agree. read: how many that is. board: of the markers, None for a rectangle.
     """
 
     corners: Corners
     photographs: int
     read: int
-    sheet: Sheet | None = None
+    board: Board | None = None
 
     @property
     def width(self) -> float | None:
-        """The width of the rectangle in millimetres, as its sheet says; None without markers."""
-        return None if self.sheet is None else self.sheet.field[0]
+        """The width of the rectangle in millimetres, as its board says; None without markers."""
+        return None if self.board is None else self.board.field[0]
 
     def __str__(self) -> str:
         points = "  ".join(f"{x:.1f},{y:.1f}" for x, y in self.corners)
-        by = "as the rectangle" if self.sheet is None else f"by {self.sheet.name}"
+        by = "as the rectangle" if self.board is None else f"by {self.board.name}"
         return f"{points}, {by} in {self.photographs} of {self.read} photographs"
 
 
 def corner_steps(capture: Capture) -> Generator[float, None, Found]:
-    """Return the corners of the flat subject of one camera: the field of a printed sheet, or the dominant rectangle.
+    """Return the corners of the flat subject of one camera: the field of a marker board, or the dominant rectangle.
 
     Yields the fraction done. Reads up to nine photographs. Raises CaptureError where neither shows, several could be
     meant or the photographs disagree, and InputError without OpenCV.
@@ -112,17 +112,17 @@ def _search_steps(codes: list[np.ndarray], together: list[np.ndarray], name: str
 def _by_markers(each: list[Seen | None], together: list[Seen | None]) -> Found:
     """Return the field's corners by all markers that a photograph or all of them together show."""
     seen = [found for found in (*each, *together) if found is not None]
-    sheet = max((found.sheet for found in seen), key=lambda sheet: sum(found.sheet == sheet for found in seen))
-    same = [found for found in seen if found.sheet == sheet]
+    board = max((found.board for found in seen), key=lambda board: sum(found.board == board for found in seen))
+    same = [found for found in seen if found.board == board]
     by_number: dict[int, list[np.ndarray]] = {}
     for found in same:
         for k, number in enumerate(found.numbers):
             by_number.setdefault(number, []).append(found.pixels[4 * k : 4 * k + 4])
-    plane = np.concatenate([sheet.markers[number] for number in by_number])
+    plane = np.concatenate([board.markers[number] for number in by_number])
     pixels = np.concatenate([np.median(places, axis=0) for places in by_number.values()])
-    corners = mapped(homography(plane, pixels), sheet.field_corners)
-    agree = sum(found is not None and found.sheet == sheet for found in each)
-    return Found(_points(corners), agree, len(each), sheet)
+    corners = mapped(homography(plane, pixels), board.field_corners)
+    agree = sum(found is not None and found.board == board for found in each)
+    return Found(_points(corners), agree, len(each), board)
 
 
 def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) -> Generator[None, None, Found]:

@@ -56,12 +56,12 @@ class Swarm:
 
     update: Update = setting("Update", "What moves in an iteration", choices=_UPDATE)
     linear: LinearKind = setting("Albedo", "How albedo and other linear weights are found", choices=_LINEAR)
-    particles: int = setting("Particles", "Particles of each texel's swarm, at least", least=1, soft_max=64)
+    particles: int = setting("Particles", "Fewest particles of each texel's swarm", least=1, soft_max=64)
     particles_per_dimension: float = setting(
-        "Per Dimension", "Particles for each number that is searched, where that makes more", soft_max=8
+        "Per Dimension", "Particles for each number that is searched, if that makes more", soft_max=8
     )
     inertia: float = setting("Inertia", "The part of its velocity that a particle keeps; 1 as in the paper", soft_max=1)
-    constriction: float = setting("Constriction", "Factor on the whole velocity; 1 as in the paper", soft_max=1)
+    constriction: float = setting("Constriction", "Factor of the whole velocity; 1 as in the paper", soft_max=1)
     c1: float = setting("Own Best", "c1 of Eq. 2: pull towards the particle's own best", soft_max=3)
     c2: float = setting("Swarm's Best", "c2 of Eq. 2: pull towards the best of the swarm", soft_max=3)
     c3: float = setting(
@@ -79,7 +79,7 @@ class Swarm:
         soft_max=50,
     )  # fmt: skip
     v_max: float = setting("Speed Limit", "Largest step, as a part of a parameter's range", above=True, soft_max=1)
-    walls: Walls = setting("Walls", "What a particle does that would leave the range", choices=_WALLS)
+    walls: Walls = setting("Walls", "What happens to a particle that would leave the range", choices=_WALLS)
     start_speed: float = setting("Start Speed", "Largest first step, as a part of a parameter's range", soft_max=1)
     seed: Seed = setting("Start", "Where the first particles stand", choices=_SEEDS)
     seeded: float = setting(
@@ -137,17 +137,19 @@ class Prefit:
     iterations: int = setting(
         "Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 0, soft_max=100
     )
-    refinement_iterations: int = setting("Refinement", "Levenberg–Marquardt steps after them", 5, soft_max=30)
+    refinement_iterations: int = setting(
+        "Refinement", "Levenberg–Marquardt steps after these iterations", 5, soft_max=30
+    )
     shadow: float = setting("Shadow", "Samples under this part of a texel's scale count as shadow", 0.3, soft_max=1)
     indirect_shadow: float = setting(
-        "Shadow Where Indirect", "The same in all that follows where the light is mostly indirect: there normals are"
-        " prefit once more, to the brightest samples. 0 is off", 0.0, soft_max=1,
+        "Shadow Where Indirect", "Shadow, for texels whose light is mostly indirect: their normals are prefit once"
+        " more, to the brightest samples. 0 is off", 0.0, soft_max=1,
     )  # fmt: skip
     sheen_gain: float = setting(
-        "Sheen Gain", "Where the prefit fits badly, a second one has sheen, bright at grazing angles as velvet is. Its"
-        " normals count where it fits by this part better. 0 is off", 0.0, soft_max=0.5,
+        "Sheen Gain", "Where the prefit fits badly, a second prefit has sheen, bright at grazing angles like velvet."
+        " Its normals are taken where it fits better by this part. 0 is off", 0.0, soft_max=0.5,
     )  # fmt: skip
-    observations: int = setting("Least Images", "With fewer observations the prefit is left out", 10, soft_max=100)
+    observations: int = setting("Fewest Photographs", "With fewer photographs the prefit is left out", 10, soft_max=100)
     acceptance_delta: float = setting(
         "Acceptance Delta", "Delta with which the prefit's normals and the model's are compared", 0.0125, above=True,
         soft_max=0.5, precision=4,
@@ -169,8 +171,8 @@ class Refinement:
     iterations: int = setting(
         "Iterations", "Levenberg–Marquardt steps from the best that was found; 0 for no refinement", 0, soft_max=100
     )
-    starts: bool = setting("Model's Starts", "Begin from the places that the model names as well", True)
-    start_iterations: int = setting("Start Steps", "Steps from each of these places", 5, least=1, soft_max=30)
+    starts: bool = setting("Model's Starts", "Also begin from the values that the model names", True)
+    start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, least=1, soft_max=30)
     rounds: int = setting("Rounds", "How often every texel tries what its neighbors have found", 1, soft_max=8)
     round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)
     candidate_ratio: float = setting(
@@ -182,7 +184,12 @@ class Refinement:
         " ambiguous. More leaves fewer lone texels; 0 is off", 0.0, soft_max=4,
     )  # fmt: skip
     damping: float = setting(
-        "Damping", "The first λ, as a part of the diagonal of JᵀJ", 0.01, above=True, soft_max=1, precision=4
+        "Damping",
+        "The first λ of Levenberg–Marquardt, as a part of the diagonal of JᵀJ",
+        0.01,
+        above=True,
+        soft_max=1,
+        precision=4,
     )
     ftol: float = setting(
         "Function Tolerance", "A texel is done once two steps gain less than this part of its fitness", 1e-5,
@@ -196,7 +203,7 @@ class Refinement:
         "Central Differences", "Differences to both sides instead of one: slower, more exact", False
     )
     widening: float = setting(
-        "Widening", "From the model's starts Delta is so many times as wide at first, and falls to its own", 1.0,
+        "Widening", "How many times as wide Delta is at first, from the model's starts; it falls to its own value", 1.0,
         least=1, soft_max=100,
     )  # fmt: skip
 
@@ -213,9 +220,9 @@ class Materials:
         "Rounds", "How often every texel tries the materials that the surface shares; 0 for none of this", 0, soft_max=8
     )
     iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
-    count: int = setting("Materials", "How many materials there are, at most", 16, least=1, soft_max=64)
+    count: int = setting("Materials", "Most materials of the surface", 16, least=1, soft_max=64)
     weight: float = setting(
-        "Weight", "A material that the whole surface is of counts like so many neighbors' votes", 1000.0,
+        "Weight", "Neighbors' votes that a material of the whole surface counts for", 1000.0,
         soft_max=10000, precision=0,
     )  # fmt: skip
 
@@ -224,25 +231,37 @@ class Materials:
 class Prior:
     """The spatial prior: neighbours that are alike inform the numbers that a texel's own samples leave open."""
 
-    rounds: int = setting("Rounds", "How often alike neighbors are asked; 0 for no prior", 0, soft_max=8)
-    scales: int = setting("Scales", "A round reaches 2 to this power texels", 4, least=1, most=6)
+    rounds: int = setting("Rounds", "How often similar neighbors are asked; 0 for no prior", 0, soft_max=8)
+    scales: int = setting("Scales", "A round reaches 2 to the power of this, in texels", 4, least=1, most=6)
     iterations: int = setting("Iterations", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
     likeness: float = setting(
-        "Likeness", "Neighbors are alike that differ by this part of a parameter's range", 0.1, above=True, soft_max=1
+        "Likeness",
+        "Neighbors count as similar up to this difference, as a part of a parameter's range",
+        0.1,
+        above=True,
+        soft_max=1,
     )
     likeness_color: float = setting(
-        "Color Likeness", "Neighbors are alike whose colors differ by this part", 0.1, above=True, soft_max=1
+        "Color Likeness",
+        "Neighbors count as similar up to this difference of their colors",
+        0.1,
+        above=True,
+        soft_max=1,
     )
     spread: float = setting(
-        "Spread", "Alike texels are taken to differ by this part of the range, at least", 0.02, above=True, soft_max=0.5
+        "Spread",
+        "Least difference that similar texels are taken to have, as a part of the range",
+        0.02,
+        above=True,
+        soft_max=0.5,
     )
     noise_freedom: float = setting(
-        "Noise Weight", "For how many samples of a texel's own the neighbors' noise counts", 10.0, above=True,
+        "Noise Weight", "Samples of a texel's own that the neighbors' noise counts for", 10.0, above=True,
         soft_max=100, precision=1,
     )  # fmt: skip
     share: float = setting(
         "Least Share",
-        "A texel is left alone of which the prior would have less than this",
+        "Texels on which the prior would have less influence than this stay as they are",
         0.02,
         above=True,
         soft_max=1,
@@ -251,7 +270,7 @@ class Prior:
         "Tolerance", "By how many standard deviations of the noise the fit may become worse", 3.0, above=True,
         soft_max=10, precision=1,
     )  # fmt: skip
-    turn: bool = setting("Turn Normals", "Whether normals are moved too", True)
+    turn: bool = setting("Turn Normals", "Also move normals", True)
 
 
 @dataclass(frozen=True)
@@ -284,11 +303,13 @@ class Interreflection:
         " it; 0 for never", 0, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
-        "Resolution", "Elements along the longer side of the maps that light one another, at most", 64, least=8,
+        "Resolution", "Most elements along the longer side of the maps, which light one another", 64, least=8,
         most=1024, soft_max=256,
     )  # fmt: skip
     rays: int = setting("Rays", "Directions that an element receives light from", 256, least=8, most=1024, soft_max=512)
-    bounces: int = setting("Bounces", "From surface to surface, at most", 3, least=1, most=16, soft_max=8)
+    bounces: int = setting(
+        "Bounces", "Most bounces of the light from surface to surface", 3, least=1, most=16, soft_max=8
+    )
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ class IRPSO_OT_mark_chart(_CornerMarking, bpy.types.Operator):
 
 
 class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
-    """Find the card in its photographs: by printed markers around it, or as the one rectangle that shows"""
+    """Find the card in its photographs: by a printed marker board around it, or as the one rectangle that shows"""
 
     bl_idname = "irpso.find_corners"
     bl_label = "Find Corners"
@@ -167,7 +167,7 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
         return (yield from corner_steps(build_capture(spec_of(settings), decode)))
 
     def finished(self, context, found: Found) -> set[str]:
-        """Store the corners, and the width of a printed sheet's field."""
+        """Store the corners, and the width of a printed marker board's field."""
         keep_corners(context.scene.irpso, found)
         self.report({"INFO"}, f"Corners: {found}")
         return {"FINISHED"}

@@ -39,11 +39,11 @@ class IRPSO_OT_save_asset(bpy.types.Operator):
     library: EnumProperty(name="Library", description="One of your asset libraries", items=_libraries)
     asset_name: StringProperty(name="Name", description="The asset's name, and that of its file in the library")
     catalog: StringProperty(
-        name="Catalog", description="Catalog in the library, as Tiles/Glazed; made where it is missing; may stay empty"
+        name="Catalog", description="Catalog in the library, as in Tiles/Glazed. Created if it does not exist. Optional"
     )
-    author: StringProperty(name="Author", description="Who photographed it; may stay empty")
-    license: StringProperty(name="License", description="For example CC-BY-4.0; may stay empty")
-    tags: StringProperty(name="Tags", description="Words to find it by, separated by commas; may stay empty")
+    author: StringProperty(name="Author", description="Who photographed it. Optional")
+    license: StringProperty(name="License", description="For example CC-BY-4.0. Optional")
+    tags: StringProperty(name="Tags", description="Words to find it by, separated by commas. Optional")
 
     @classmethod
     def poll(cls, context) -> bool:

@@ -50,7 +50,7 @@ class _OfOne:
     def _found(self) -> unkept.Unkept:
         found = next((one for one in unkept.listed() if one.path == Path(self.path)), None)
         if found is None:
-            raise InputError("this recovery is stored no longer")
+            raise InputError("this recovery is no longer stored")
         return found
 
 
@@ -81,7 +81,7 @@ class IRPSO_OT_forget(_OfOne, bpy.types.Operator):
     """Delete this stored recovery"""
 
     bl_idname = "irpso.forget"
-    bl_label = "Forget"
+    bl_label = "Delete"
 
     def execute(self, context):
         """Delete it."""

@@ -252,7 +252,7 @@ class _Images:
 
 class CreateScene(bpy.types.Operator):
     """Make objects of the capture's cameras and of its lights with their photographs. Only the light of the chosen
-    observation is switched on. Pressed again, it updates these objects and changes nothing else"""
+    photograph is switched on. Pressed again, it updates these objects and changes nothing else"""
 
     bl_idname = "irpso.create_scene"
     bl_label = "Create Cameras and Lights"
@@ -295,13 +295,13 @@ class CreateScene(bpy.types.Operator):
 
 
 class ShowObservation(bpy.types.Operator):
-    """Light the scene as in this observation: only its light is on, and its photograph is the camera's background"""
+    """Light the scene as in this photograph: only its light is on, and it is the camera's background"""
 
     bl_idname = "irpso.show_observation"
-    bl_label = "Show Observation"
+    bl_label = "Light as in Photograph"
     bl_options = {"REGISTER", "UNDO"}
 
-    number: IntProperty(name="Observation", description="Counted from 1", min=1, default=1)
+    number: IntProperty(name="Photograph", description="Its number, counted from 1", min=1, default=1)
 
     @classmethod
     def poll(cls, context) -> bool:
@@ -346,7 +346,7 @@ class AssignImages(bpy.types.Operator):
         context.view_layer.update()  # for lights that a script has just added
         lights = _assignable(context)
         if not names:
-            self.report({"ERROR"}, "no image was chosen; select the photographs of the lights in the file browser")
+            self.report({"ERROR"}, "No image was chosen: select the photographs of the lights in the file browser")
             return {"CANCELLED"}
         store, images = ImageStore(decode), _Images()
         try:

@@ -11,12 +11,16 @@ from ..operators.capture_import import checking
 from ..operators.scene_setup import capture_lights
 from ..properties import findings, upkeep
 from ..properties.scene_settings import CUSTOM
-from ..session.scene_capture import wants_distance
+from ..session.scene_capture import has_capture, wants_distance
 from .mesh import draw_mesh
 from .sidebar import BeforeRun
 
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
 _MOST_ERRORS, _MOST_FINDINGS = 8, 1  # that stand above; more warnings would push Recover out of view
+_FIRST_STEP = (
+    "Photographs with a ball in them: Find Lights. With a list of their lights: Import Capture. Without any: Open"
+    " Sample"
+)
 _FIRST_FACTS = ("images", "cameras", "enough for")  # the panel Details has the rest
 
 
@@ -40,13 +44,14 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
                 layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")
+                drawing.wrapped(layout, context, _FIRST_STEP, "INFO")
                 return
             row = layout.row(align=True)
             row.prop(settings, "capture_path", text="")
             _draw_check_again(row, context)
         else:
             layout.operator("irpso.import_cameras", text="Import Cameras…", icon="OUTLINER_OB_CAMERA")
-            layout.operator("irpso.assign_images", icon="FILE_IMAGE")
+            layout.operator("irpso.assign_images", text="Assign Images to Lights…", icon="FILE_IMAGE")
             _draw_light(layout, context)
         _draw_check(layout, context, settings)
         if settings.source == "SCENE":
@@ -112,7 +117,7 @@ def _draw_check(layout, context, settings) -> None:
     if others:
         layout.label(text=f"and {len(others)} more, in Details", icon="BLANK1")
     if lines and not first:
-        layout.label(text="Nothing Suspicious", icon="CHECKMARK")
+        layout.label(text="No Problems Found", icon="CHECKMARK")
     # The check of a scene reads headers only, so it does not see damaged pixels.
     damaged = any(item.code in DAMAGE for item in first + others)
     if settings.skip_damaged or settings.source == "SCENE" or damaged:
@@ -165,18 +170,21 @@ class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
                 _draw_fact(column, context, line)
 
 
-class IRPSO_PT_capture_reading(BeforeRun, bpy.types.Panel):
-    """How the photographs are read, and where their lights' strengths come from."""
-
-    bl_label = "Reading"
-    bl_parent_id = "IRPSO_PT_capture"
-    bl_options = {"DEFAULT_CLOSED"}
+class _OfCapture(BeforeRun):
+    """Base of panels with settings of a capture, hidden before the first one is chosen."""
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is a capture."""
-        settings = context.scene.irpso
-        return super().poll(context) and (settings.source == "SCENE" or settings.capture_path != "")
+        """Whether there is a capture, and no recovery."""
+        return super().poll(context) and has_capture(context.scene.irpso)
+
+
+class IRPSO_PT_capture_reading(_OfCapture, bpy.types.Panel):
+    """The photographs' color space, and what is estimated of their lights."""
+
+    bl_label = "Colors and Lights"
+    bl_parent_id = "IRPSO_PT_capture"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context) -> None:
         """Draw the settings, which seldom need a change."""
@@ -188,7 +196,7 @@ class IRPSO_PT_capture_reading(BeforeRun, bpy.types.Panel):
         column.prop(settings, "refine_directions")
 
 
-class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
+class IRPSO_PT_subject(_OfCapture, bpy.types.Panel):
     """The subject: a mesh or a flat card."""
 
     bl_label = "Subject"
@@ -263,7 +271,7 @@ def _draw_corners(layout, settings) -> None:
             row.prop(settings, "corners", index=index, text="")
 
 
-class IRPSO_PT_material(BeforeRun, bpy.types.Panel):
+class IRPSO_PT_material(_OfCapture, bpy.types.Panel):
     """The model and its maps."""
 
     bl_label = "Maps"
@@ -278,7 +286,8 @@ class IRPSO_PT_material(BeforeRun, bpy.types.Panel):
             column.prop(settings, "model_path", text="File")
         if upkeep.is_wanting(settings):
             upkeep.ask()
-        column = layout.column(heading="Recover", align=True)
+        column = layout.column(heading="Recover")
+        column.use_property_split, column.use_property_decorate = True, False
         for item in settings.parameters:
             column.prop(item, "recover", text=bpy.path.display_name(item.name), translate=False)
             if not item.recover:
@@ -288,6 +297,7 @@ class IRPSO_PT_material(BeforeRun, bpy.types.Panel):
 def _draw_fixed(layout, item) -> None:
     """Draw a fixed parameter's image, and its value if it has no image."""
     box = layout.box().column(align=True)
+    box.use_property_split = False
     if item.image is None and item.is_normal:
         box.label(text="Flat, or from an image:")
     elif item.image is None:

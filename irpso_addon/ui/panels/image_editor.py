@@ -29,7 +29,7 @@ class IRPSO_PT_image_failures(Failures, _ImageSidebar, bpy.types.Panel):
 class IRPSO_PT_image_maps(_ImageSidebar, bpy.types.Panel):
     """The converging maps, flat."""
 
-    bl_label = "Maps"
+    bl_label = "View"
 
     def draw_header(self, context) -> None:
         """Draw the switch of the overlay."""

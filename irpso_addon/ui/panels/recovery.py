@@ -16,6 +16,7 @@ from ..session import session
 from ..session.forecast import search_time
 from ..session.job import missing
 from ..session.keep import is_standard_view
+from ..session.scene_capture import has_capture
 from .sidebar import Sidebar
 
 
@@ -48,18 +49,22 @@ def draw_presets(layout, settings) -> None:
 
 
 def _draw_start(layout, context, text: str) -> None:
-    draw_presets(layout, context.scene.irpso)
+    chosen = has_capture(context.scene.irpso)  # else the panel Capture says how to begin
+    if chosen:
+        draw_presets(layout, context.scene.irpso)
     row = layout.row()
     row.scale_y = 2
     row.operator("irpso.recover", text=text, icon="PLAY")
-    if time := search_time(context):
-        drawing.fact(layout, context, "Search", time)
+    if not chosen:
+        return
+    if wanting := missing(context):
+        drawing.wrapped(layout, context, wanting, "INFO")
+    elif time := search_time(context):
+        drawing.fact(layout, context, "Search Time", time)
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(context.scene.irpso, "hold_out")  # below the button: a row above could push it out of view
     column.prop(context.scene.irpso.schedule, "interreflection")
-    if wanting := missing(context):
-        drawing.wrapped(layout, context, wanting, "INFO")
 
 
 def draw_progress(layout, context, running: session.Session) -> None:
@@ -132,7 +137,7 @@ def draw_result(layout, context, running: session.Session) -> None:
         layout.operator("irpso.save_asset", text="Save to Asset Library…", icon="ASSET_MANAGER")
     if kept and not is_standard_view(context.scene):
         drawing.wrapped(
-            layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
+            layout, context, "The scene's view transform changes colors. To compare with the photographs:", "INFO"
         )
         layout.operator("irpso.standard_view", icon="COLOR")
 
@@ -169,9 +174,9 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether settings have an effect now: not while a recovery runs."""
+        """Whether settings have an effect now: not before there is a capture, nor while a recovery runs."""
         running = session.current()
-        return running is None or running.state in ("paused", "done")
+        return has_capture(context.scene.irpso) if running is None else running.state in ("paused", "done")
 
     def draw(self, context) -> None:
         """Draw the seed, except during a pause, when it cannot change. Panels below have the other settings."""

@@ -36,7 +36,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, f"of {len(observations)}", observations[index].name)
         chosen, number = view.index(len(observations)), running.job.numbers[index]
         if chosen != number:
-            drawing.wrapped(column, context, f"Observation {chosen + 1} is held out: {number + 1} is shown", "INFO")
+            drawing.wrapped(column, context, f"Photograph {chosen + 1} is held out: {number + 1} is shown", "INFO")
         column.prop(view, "exposure")
     if view.shown in _OF_A_PHOTOGRAPH:
         column.prop(view, "mark_unused")

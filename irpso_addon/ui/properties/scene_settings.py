@@ -74,8 +74,8 @@ _SHOWN = (
         "The part of the photographed light that other parts of the subject sent: blue is none, red is half or more."
         " Interreflection finds it",
     ),
-    ("RENDER", "Render", "The recovered material under the light of one observation"),
-    ("REFERENCE", "Photograph", "The photograph of the observation"),
+    ("RENDER", "Render", "The recovered material under the light of one photograph"),
+    ("REFERENCE", "Photograph", "The photograph itself"),
     ("SPLIT", "Split", "Render on the left, photograph on the right"),
     ("BLINK", "Blink", "Render and photograph alternately"),
 )
@@ -115,7 +115,7 @@ def _model_item(name: str) -> tuple[str, str, str]:
 
 _MODEL_ITEMS = [
     *(_model_item(name) for name in shipped_models()),
-    (CUSTOM, "Own Model…", "A .toml that declares the parameters, with its .glsl beside it"),
+    (CUSTOM, "Custom Model…", "A .toml that declares the parameters, with its .glsl beside it"),
 ]
 
 
@@ -180,11 +180,12 @@ class ViewSettings(bpy.types.PropertyGroup):
         name="Show Maps", description="Draw the converging maps on the subject in viewports with overlays on, and flat"
         " in Image editors that show no image or a recovered map", default=True,
     )  # fmt: skip
-    shown: EnumProperty(name="Show", items=_SHOWN, default="PARAMETER")
+    shown: EnumProperty(name="Show", description="What is drawn on the subject", items=_SHOWN, default="PARAMETER")
     parameter: EnumProperty(name="Map", description="Which map is shown", items=_parameter_items)
     observation: IntProperty(
-        name="Observation", description="Number of the photograph and light to show, from 1. The capture's other lights"
-        " in the scene are switched off", min=1, default=1, update=lambda self, context: REACTIONS["observation"](self),
+        name="Photograph", description="Number of the photograph to show, from 1, with its light. The capture's other"
+        " lights in the scene are switched off", min=1, default=1,
+        update=lambda self, context: REACTIONS["observation"](self),
     )  # fmt: skip
     split: FloatProperty(
         name="Split", description="Where the render ends and the photograph begins", subtype="FACTOR", min=0, max=1,
@@ -211,7 +212,9 @@ class ViewSettings(bpy.types.PropertyGroup):
         name="Mark Unknown", description="Draw diagonal stripes over the map where the photographs do not determine it:"
         " its standard deviation exceeds a quarter of its range. Not shown while the recovery runs", default=True,
     )  # fmt: skip
-    opacity: FloatProperty(name="Opacity", subtype="FACTOR", min=0, max=1, default=1)
+    opacity: FloatProperty(
+        name="Opacity", description="Of what is drawn, over the viewport", subtype="FACTOR", min=0, max=1, default=1
+    )
     show_lights: BoolProperty(name="Lights", description="Draw the dome of lights around the subject", default=True)
     show_cameras: BoolProperty(name="Cameras", description="Draw the capture's cameras", default=True)
     dome_radius: FloatProperty(
@@ -242,7 +245,12 @@ class ViewSettings(bpy.types.PropertyGroup):
 class Settings(bpy.types.PropertyGroup):
     """All settings of a recovery."""
 
-    source: EnumProperty(name="Capture From", items=_SOURCES, default="FILES")
+    source: EnumProperty(
+        name="Capture From",
+        description="Where the photographs and their lights come from",
+        items=_SOURCES,
+        default="FILES",
+    )
     capture_path: StringProperty(
         name="Capture", description="Folder of photographs with their lights, an .lp list or a capture.toml",
         subtype="FILE_PATH", update=_capture_changed, **RELATIVE_PATH,
@@ -272,14 +280,14 @@ class Settings(bpy.types.PropertyGroup):
     checked_images: IntProperty(description="Number of images of the checked capture")
     checked_texels: IntProperty(description="Texels of the checked capture as a card")
     findings: CollectionProperty(type=FindingItem)
-    subject: EnumProperty(name="Subject", items=_SUBJECTS, default="CARD")
+    subject: EnumProperty(name="Subject", description="What the photographs show", items=_SUBJECTS, default="CARD")
     object: PointerProperty(
         name="Object", description="The mesh whose maps are recovered. Empty: the active object",
         type=bpy.types.Object, poll=lambda self, obj: obj.type == "MESH",
     )  # fmt: skip
     occluders: PointerProperty(
-        name="Occluders", description="A collection of objects around the mesh, as a table or a holder. They hide it"
-        " from cameras and lights and block the light that it throws on itself; they reflect none and are not"
+        name="Occluders", description="A collection of objects around the mesh, such as a table or a holder. They hide"
+        " it from cameras and lights and block the light that it throws on itself; they reflect none and are not"
         " recovered. The mesh itself, lights and cameras in it do not count", type=bpy.types.Collection,
     )  # fmt: skip
     card_distance: FloatProperty(
@@ -334,7 +342,7 @@ class Settings(bpy.types.PropertyGroup):
     )  # fmt: skip
     model: EnumProperty(
         name="Model",
-        description="What is recovered",
+        description="How the surface reflects light, and so which maps are recovered",
         items=_MODEL_ITEMS,
         default=DEFAULT_MODEL,
         update=refresh_parameters,

@@ -32,7 +32,7 @@ from ..properties.recipe import recipe_of
 from ..properties.scene_settings import model_of
 from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
-from .scene_capture import capture_of, capture_path, is_marked, knows_distance, wants_distance
+from .scene_capture import capture_of, capture_path, has_capture, is_marked, knows_distance, wants_distance
 
 _ROUNDING = 1e-5  # of a colour that is brought to another space
 _MESH = "mesh"  # the origin of a mesh's maps, beside its name
@@ -55,7 +55,7 @@ class SceneJob(Job):
 def missing(context) -> str:
     """Return what a recovery still lacks, with the remedy, "" for nothing. Opens no file."""
     settings = context.scene.irpso
-    if settings.source == "FILES" and not settings.capture_path:
+    if not has_capture(settings):
         return NO_CAPTURE
     if text := findings.obstacle(settings):
         return text

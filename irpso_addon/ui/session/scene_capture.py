@@ -23,6 +23,11 @@ from ...core.steps import map_steps, run_steps
 from ..common.file_paths import absolute
 
 
+def has_capture(settings) -> bool:
+    """Return whether there is something to recover from: the open scene, or files that were chosen."""
+    return settings.source == "SCENE" or settings.capture_path != ""
+
+
 def capture_of(scene) -> Capture:
     """Return the capture of a scene's settings; images are read at first use. Raises InputError."""
     return run_steps(capture_steps(scene))
@@ -81,7 +86,7 @@ def is_marked(settings) -> bool:
 
 
 def keep_corners(settings, found: Found) -> None:
-    """Store corners that were found as the frame, and the width of a printed sheet's field if near lights need it."""
+    """Store corners that were found as the frame, and the width of a marker board's field if near lights need it."""
     settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
     settings.crop = crop_around(np.array(found.corners))
     if found.width and settings.near_lights and not knows_distance(settings):

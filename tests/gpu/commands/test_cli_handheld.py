@@ -10,7 +10,7 @@ from irpso_addon.blender.scenes.scene import mesh_object, open_blend
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from tests.builders.command_line import run_cli
-from tests.builders.handheld import BEAM, FOCAL, OFFSET, SIZE, hand, on_sheet, photographs
+from tests.builders.handheld import BEAM, FOCAL, OFFSET, SIZE, hand, on_board, photographs
 
 pytestmark = pytest.mark.bpy_only
 FOV = np.degrees(2 * np.arctan(SIZE[0] / 2 / FOCAL))
@@ -18,11 +18,11 @@ FOV = np.degrees(2 * np.arctan(SIZE[0] / 2 / FOCAL))
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder of photographs of a sheet, without lens in their files, and the cameras."""
+    """Return a folder of photographs of a board, without lens in their files, and the cameras."""
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     cameras, made = hand(9, seed=6, widest=40.0, far=500.0), tmp_path_factory.mktemp("hand") / "photos"
     made.mkdir()
-    for shot in photographs(cameras, on_sheet).observations:
+    for shot in photographs(cameras, on_board).observations:
         image = shot.read()
         write_exr(made / f"{shot.name}.exr", {"": {name: image[..., k] for k, name in enumerate("RGB")}})
     return made, cameras
@@ -67,9 +67,9 @@ def test_wrong_options_are_refused_and_nothing_is_written(folder, tmp_path, word
     assert not (tmp_path / "out").exists()
 
 
-def test_a_sheet_is_written_for_both_papers(tmp_path):
+def test_a_board_is_written_for_both_papers(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV is not installed")
-    code, told, error = run_cli("markers", "-o", tmp_path / "sheet.pdf", "--paper", "letter", "--count", "4", "--json")
+    code, told, error = run_cli("markers", "-o", tmp_path / "board.pdf", "--paper", "letter", "--count", "4", "--json")
     assert code == 0, error
     assert json.loads(told.splitlines()[-1])["field"] == [135.9, 199.4]
-    assert (tmp_path / "sheet.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")

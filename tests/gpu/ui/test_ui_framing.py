@@ -9,13 +9,13 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.frame import find
-from irpso_addon.capture.frame.sheet import sheet_of
+from irpso_addon.capture.frame.board import board_of
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.ui.marks.card_marks import around
 from irpso_addon.ui.session import job, scene_capture
 from tests.builders.flat_scene import from_upper_left, looking_camera, seen_plane
-from tests.builders.handheld import on_sheet
+from tests.builders.handheld import on_board
 from tests.builders.near_card import DISTANCE, write_near_card, write_unlit_card
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -85,16 +85,16 @@ def test_a_mesh_is_not_cropped(settings):
     assert shape(settings) == (16, 24)
 
 
-def test_corners_are_found_by_a_printed_sheet_with_the_width_of_its_field(settings, tmp_path):
+def test_corners_are_found_by_a_printed_board_with_the_width_of_its_field(settings, tmp_path):
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     camera = looking_camera((400, 320), 430, 480, tilt=20, around=70)
-    grey = np.dstack([seen_plane(camera, on_sheet)] * 3 + [np.ones((320, 400))]).astype(np.float32)
+    grey = np.dstack([seen_plane(camera, on_board)] * 3 + [np.ones((320, 400))]).astype(np.float32)
     shots = tuple(Observation(f"{n}", lambda: grey, Light((n, 0.0, 90.0), distant=False)) for n in range(3))
     flat = Camera(400, 320, (430, 430), (200, 160))
-    write_capture(Capture("sheet", shots, (flat,), (np.ones((320, 400), bool),)), tmp_path / "sheet")
-    settings.capture_path = str(tmp_path / "sheet")
+    write_capture(Capture("board", shots, (flat,), (np.ones((320, 400), bool),)), tmp_path / "board")
+    settings.capture_path = str(tmp_path / "board")
     assert bpy.ops.irpso.find_corners() == {"FINISHED"}
-    true = from_upper_left(camera, sheet_of("A4", 8).field_corners)
+    true = from_upper_left(camera, board_of("A4", 8).field_corners)
     np.testing.assert_allclose(np.reshape(settings.corners, (4, 2)), true, atol=1.0)
     assert (settings.framing, settings.card_width) == ("CORNERS", 130.0)
 

@@ -215,7 +215,7 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
         index = running.observation(view)
         assert running.job.capture.observations[index].name == f"light {shown}" and index in running.job.fitted
         assert running.job.numbers[index] == shown
-        notice = f"Observation {chosen} is held out: {shown + 1} is shown"
+        notice = f"Photograph {chosen} is held out: {shown + 1} is shown"
         assert (notice in drawn().texts) == (chosen in (5, 13))
         np.testing.assert_allclose(running.domain.lights[index, :3], LIGHTS[shown], atol=1e-6)
     assert "of 20" in drawn().texts

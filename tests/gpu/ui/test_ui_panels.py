@@ -128,18 +128,32 @@ def settings(monkeypatch):
     irpso_addon.unregister()
 
 
+@pytest.fixture
+def chosen(settings):
+    """The same, with a capture."""
+    settings.capture_path = "/somewhere"
+    return settings
+
+
 @pytest.mark.bpy_only
 def test_a_fresh_scene_asks_for_a_capture_and_shows_nothing_that_needs_one(settings):
     found = drawn()
-    assert labels()[:5] == ["Capture", "Subject", "Maps", "Recover", "Search Settings"]
-    assert "irpso.import_capture" in found.operators and "irpso.recover" in found.operators
-    assert "irpso.create_scene" not in found.operators and "capture_path" not in found.props
-    assert any("No capture" in text for text in found.texts)
+    assert labels() == ["Capture", "Recover"] and found.props == ["source"]
+    ways = ["irpso.import_capture", "irpso.choose_photographs", "irpso.open_sample"]
+    assert set(ways) <= set(found.operators) and "irpso.create_scene" not in found.operators
+    assert found.operators[-1] == "irpso.recover"  # grey: its tooltip and the first panel say how to begin
+    assert any("Without any: Open Sample" in text for text in found.texts)
+    assert drawn("IMAGE_EDITOR").operators == []
+
+
+@pytest.mark.bpy_only
+def test_settings_of_a_mesh_are_not_shown_for_a_card(chosen):
+    found = drawn()
+    assert labels()[:5] == ["Capture", "Colors and Lights", "Subject", "Maps", "Recover"]
     of_meshes = {"resolution", "shadows", "occluders"}
     assert not of_meshes & set(found.props)  # of a card it is the images', and it shades nothing
-    settings.subject = "MESH"
+    chosen.subject = "MESH"
     assert of_meshes <= set(drawn().props)
-    assert drawn("IMAGE_EDITOR").operators == []
 
 
 @pytest.mark.bpy_only
@@ -155,8 +169,8 @@ def test_a_fresh_scene_and_a_new_one_have_the_parameters_of_their_model(settings
 
 
 @pytest.mark.bpy_only
-def test_fixed_maps_have_value_fields(settings):
-    items = settings.parameters
+def test_fixed_maps_have_value_fields(chosen):
+    items = chosen.parameters
     items["base_color"].recover = items["roughness"].recover = items["normal"].recover = False
     found = drawn()
     assert found.props.count("recover") == 5 and found.props.count("image") == 3
@@ -164,21 +178,20 @@ def test_fixed_maps_have_value_fields(settings):
     items["roughness"].image = bpy.data.images.new("given", 4, 4)
     assert drawn().props.count("value") == 0
     items["metallic"].recover = items["specular"].recover = False
-    settings.capture_path = "/somewhere"
     assert any("Nothing to recover" in text for text in drawn().texts)
 
 
 @pytest.mark.bpy_only
-def test_every_setting_of_the_search_is_somewhere_in_the_panels(settings):
+def test_every_setting_of_the_search_is_somewhere_in_the_panels(chosen):
     from irpso_addon.solver.settings.schedule import SETTINGS
 
-    settings.schedule.levels = 2
+    chosen.schedule.levels = 2
     assert set(SETTINGS) <= set(drawn().props)
 
 
 @pytest.mark.bpy_only
-def test_settings_that_do_nothing_are_not_shown(settings):
-    settings.schedule.preset = "paper"
+def test_settings_that_do_nothing_are_not_shown(chosen):
+    chosen.schedule.preset = "paper"
     found = drawn().props
     assert "refinement_iterations" in found and "refinement_rounds" not in found
     assert "prior_rounds" in found and "prior_scales" not in found

@@ -16,7 +16,7 @@ from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
 from tests.builders.flat_scene import from_upper_left, texture
-from tests.builders.handheld import BEAM, FOCAL, OFFSET, STRENGTH, hand, on_sheet, photographs
+from tests.builders.handheld import BEAM, FOCAL, OFFSET, STRENGTH, hand, on_board, photographs
 
 
 def off(found, true):
@@ -160,15 +160,15 @@ def test_irradiance_falls_with_distance_cosine_and_beam():
 def on_paper():
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     cameras = hand(9, seed=6, widest=40.0, far=500.0)
-    return cameras, photographs(cameras, on_sheet, blurred=(4,))
+    return cameras, photographs(cameras, on_board, blurred=(4,))
 
 
-def test_photographs_of_a_sheet_give_cameras_and_flash_in_millimetres(on_paper):
+def test_photographs_of_a_board_give_cameras_and_flash_in_millimetres(on_paper):
     cameras, capture = on_paper
     found = run_steps(handheld_steps(capture, "known"))
     assert found.numbers == (0, 1, 2, 3, 5, 6, 7, 8) and "blurred: IMG_4" in found.warnings[0]
     turn, shift = off([c.matrix for c in found.cameras], [cameras[n].matrix for n in found.numbers])
-    assert found.sheet is not None and turn < 0.8 and shift < 0.012
+    assert found.board is not None and turn < 0.8 and shift < 0.012
     np.testing.assert_allclose(found.flash.offset, OFFSET, atol=3.0)
     assert found.flash.beam == pytest.approx(BEAM, abs=0.3)
     np.testing.assert_allclose(found.intensities, STRENGTH, rtol=0.05)
@@ -187,7 +187,7 @@ def test_a_wrong_focal_length_is_refused_with_the_better_one(on_paper):
 def test_photographs_from_one_place_are_refused():
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     with pytest.raises(InputError, match="all from one place"):
-        run_steps(handheld_steps(photographs(hand(8, widest=4.0, far=500.0), on_sheet), "known"))
+        run_steps(handheld_steps(photographs(hand(8, widest=4.0, far=500.0), on_board), "known"))
 
 
 def test_few_photographs_and_photographs_without_a_card_are_refused(on_paper):
@@ -208,7 +208,7 @@ def test_a_textured_card_without_markers_gives_cameras_up_to_scale_and_place():
         return np.where((np.abs(places) < 65).all(-1), 0.1 + 0.35 * surface(places) + 0.35 * fine(places), 0.01)
 
     found = run_steps(handheld_steps(photographs(cameras, value), "known"))
-    assert len(found.cameras) >= 8 and found.sheet is None
+    assert len(found.cameras) >= 8 and found.board is None
     true = np.stack([cameras[n].matrix for n in found.numbers])
     own = np.stack([camera.matrix for camera in found.cameras])
     # The similarity that brings the found places onto the true ones (Umeyama 1991); its rotation is about z.

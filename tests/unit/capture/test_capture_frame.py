@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.errors import CaptureError
+from irpso_addon.capture.frame.board import BOARDS, PAPERS, board_of, board_picture, write_board
 from irpso_addon.capture.frame.find import corner_steps, find_corners
 from irpso_addon.capture.frame.homography import homography, mapped
-from irpso_addon.capture.frame.sheet import PAPERS, SHEETS, sheet_of, sheet_picture, write_sheet
 from irpso_addon.capture.framing import AUTO, Framing, framed
 from irpso_addon.capture.read import read_spec
 from irpso_addon.capture.types import Capture, Light, Observation
@@ -58,7 +58,7 @@ def test_a_card_is_found_to_a_third_of_a_pixel(camera):
     found = find_corners(capture_of(camera, card_pictures(camera, [((0, 0), _CARD)])))
     true = from_upper_left(camera, _AROUND * _CARD)
     assert np.linalg.norm(np.array(found.corners) - true, axis=1).max() < 0.35
-    assert found.photographs == found.read == 3 and found.sheet is None and found.width is None
+    assert found.photographs == found.read == 3 and found.board is None and found.width is None
 
 
 def test_the_search_yields_before_each_look_at_a_picture(camera):
@@ -90,10 +90,10 @@ def test_a_card_that_moves_between_photographs_is_refused(camera):
         find_corners(capture_of(camera, pictures))
 
 
-def sheet_value(sheet, dpi=150):
-    """Return places (…, 2) → values of the printed sheet on a grey table."""
-    ink = np.asarray(sheet_picture(sheet, dpi).convert("L"), float) / 255
-    size = np.array(PAPERS[sheet.paper])
+def board_value(board, dpi=150):
+    """Return places (…, 2) → values of the printed marker board on a grey table."""
+    ink = np.asarray(board_picture(board, dpi).convert("L"), float) / 255
+    size = np.array(PAPERS[board.paper])
 
     def value(places):
         at = np.floor((places * (1, -1) + size / 2) / size * ink.shape[::-1]).astype(int)
@@ -104,14 +104,14 @@ def sheet_value(sheet, dpi=150):
     return value
 
 
-def test_a_printed_sheet_gives_the_corners_and_the_width_of_its_field(camera):
-    sheet = sheet_of("letter", 8)
+def test_a_printed_board_gives_the_corners_and_the_width_of_its_field(camera):
+    board = board_of("letter", 8)
     wide = looking_camera((480, 400), 560, 520, tilt=25, around=70, roll=-95)
-    capture = capture_of(wide, [seen_plane(wide, sheet_value(sheet))])
+    capture = capture_of(wide, [seen_plane(wide, board_value(board))])
     found = find_corners(capture)
-    true = from_upper_left(wide, sheet.field_corners)
+    true = from_upper_left(wide, board.field_corners)
     assert np.linalg.norm(np.array(found.corners) - true, axis=1).max() < 0.5
-    assert found.sheet == sheet and found.width == pytest.approx(135.9)
+    assert found.board == board and found.width == pytest.approx(135.9)
     # The distance follows: the turned camera looks straight at the field, as far from its plane as this one is.
     part = framed(capture, Framing(corners=AUTO))
     assert part.card_distance == pytest.approx(wide.position[2], rel=0.01)
@@ -120,24 +120,24 @@ def test_a_printed_sheet_gives_the_corners_and_the_width_of_its_field(camera):
     )
 
 
-def test_no_number_is_on_two_sheets():
-    numbers = [number for sheet in SHEETS for number in sheet.markers]
+def test_no_number_is_on_two_boards():
+    numbers = [number for board in BOARDS for number in board.markers]
     assert len(set(numbers)) == len(numbers) and max(numbers) < 50
 
 
-def test_a_sheet_has_its_true_size_and_replaces_no_file(tmp_path):
+def test_a_board_has_its_true_size_and_replaces_no_file(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     from PIL import Image
 
-    path = tmp_path / "sheet.png"
-    write_sheet(sheet_of("A4", 4), path)
+    path = tmp_path / "board.png"
+    write_board(board_of("A4", 4), path)
     with Image.open(path) as picture:
         inches = np.array(picture.size) / picture.info["dpi"]
     np.testing.assert_allclose(inches * 25.4, (210, 297), atol=0.05)
     with pytest.raises(InputError, match="choose another name"):
-        write_sheet(sheet_of("A4", 4), path)
+        write_board(board_of("A4", 4), path)
     with pytest.raises(InputError, match=r"neither .pdf nor .png"):
-        write_sheet(sheet_of("A4", 4), tmp_path / "sheet.svg")
+        write_board(board_of("A4", 4), tmp_path / "board.svg")
 
 
 def test_corners_auto_is_a_value_of_table_and_command_line(tmp_path):

@@ -1,6 +1,6 @@
 """The printed frame: ArUco markers around an empty field of known size (Garrido-Jurado et al. 2014).
 
-The markers' numbers tell which sheet they are on, so that a photograph of them tells the field's size.
+The markers' numbers tell which board they are on, so that a photograph of them tells the field's size.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _SUFFIXES = (".png", ".pdf")
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A sheet of markers. Millimetres count from the middle of its field, x to the right and y up.
+class Board:
+    """A marker board. Millimetres count from the middle of its field, x to the right and y up.
 
     paper: a key of PAPERS. count: of markers. first: the number of its first marker; the others follow.
     """
@@ -50,7 +50,7 @@ class Sheet:
 
     @property
     def name(self) -> str:
-        """What the sheet is called in messages."""
+        """What the board is called in messages."""
         return f"{self.count} markers on {self.paper}"
 
     @property
@@ -76,40 +76,42 @@ class Sheet:
         ])  # fmt: skip
 
 
-SHEETS = tuple(
-    Sheet(paper, count, first)
+BOARDS = tuple(
+    Board(paper, count, first)
     for paper, count, first in (("A4", 4, 0), ("A4", 8, 4), ("letter", 4, 12), ("letter", 8, 16))
 )
 
 
-def sheet_of(paper: str, count: int) -> Sheet:
-    """Return the sheet of a paper and a number of markers. Raises InputError where there is none."""
-    for sheet in SHEETS:
-        if (sheet.paper.lower(), sheet.count) == (paper.lower(), count):
-            return sheet
-    raise InputError(f"there is no sheet of {count} markers on {paper}; choose 4 or 8, on {' or '.join(PAPERS)}")
+def board_of(paper: str, count: int) -> Board:
+    """Return the board of a paper and a number of markers. Raises InputError where there is none."""
+    for board in BOARDS:
+        if (board.paper.lower(), board.count) == (paper.lower(), count):
+            return board
+    raise InputError(
+        f"there is no marker board with {count} markers on {paper}; choose 4 or 8, on {' or '.join(PAPERS)}"
+    )
 
 
-def write_sheet(sheet: Sheet, path: Path) -> None:
-    """Write a sheet to print at its true size: .pdf or .png of 600 dots an inch. Raises InputError."""
+def write_board(board: Board, path: Path) -> None:
+    """Write a marker board to print at its true size: .pdf or .png of 600 dots an inch. Raises InputError."""
     if path.suffix.lower() not in _SUFFIXES:
         raise InputError(f"{path}: is neither .pdf nor .png; name the file so")
     check_unused(path, "choose another name for -o")
-    picture = sheet_picture(sheet, _DPI)
+    picture = board_picture(board, _DPI)
     with replacing_file(path) as partial:
         if path.suffix.lower() == ".pdf":
-            picture.save(partial, "PDF", resolution=_DPI, title=", ".join(_caption(sheet)))
+            picture.save(partial, "PDF", resolution=_DPI, title=", ".join(_caption(board)))
         else:
             picture.save(partial, "PNG", dpi=(_DPI, _DPI))
 
 
-def sheet_picture(sheet: Sheet, dpi: float) -> Image.Image:
-    """Return the sheet as a Pillow picture of one bit a pixel. dpi: dots an inch."""
+def board_picture(board: Board, dpi: float) -> Image.Image:
+    """Return the board as a Pillow picture of one bit a pixel. dpi: dots an inch."""
     from PIL import Image, ImageDraw, ImageFont
 
-    cv2 = opencv("a sheet of markers")
+    cv2 = opencv("a marker board")
     scale = dpi / _INCH
-    width, height = PAPERS[sheet.paper]
+    width, height = PAPERS[board.paper]
     picture = Image.new("1", (round(width * scale), round(height * scale)), 1)
     draw = ImageDraw.Draw(picture)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
@@ -117,11 +119,11 @@ def sheet_picture(sheet: Sheet, dpi: float) -> Image.Image:
     def place(point: Sequence[float] | np.ndarray) -> tuple[int, int]:
         return round((point[0] + width / 2) * scale), round((height / 2 - point[1]) * scale)
 
-    for number, corners in sheet.markers.items():
+    for number, corners in board.markers.items():
         (left, top), (right, low) = place(corners[0]), place(corners[2])
         bits = cv2.aruco.generateImageMarker(dictionary, number, 6)
         picture.paste(Image.fromarray(bits).resize((right - left, low - top), Image.Resampling.NEAREST), (left, top))
-    for corner in sheet.field_corners:  # ticks that point away from the field
+    for corner in board.field_corners:  # ticks that point away from the field
         for axis in (0, 1):
             end = corner.copy()
             end[axis] += np.sign(corner[axis]) * _QUIET / 2
@@ -130,11 +132,11 @@ def sheet_picture(sheet: Sheet, dpi: float) -> Image.Image:
     middle = -(width / 2 - _EDGE - SIDE / 2) / 2  # between two markers of the lower edge
     base = _EDGE - height / 2
     draw.line((*place((middle - _RULER / 2, base)), *place((middle + _RULER / 2, base))), 0, max(1, round(0.3 * scale)))
-    for number, text in enumerate(reversed(_caption(sheet))):
+    for number, text in enumerate(reversed(_caption(board))):
         draw.text(place((middle, base + 2.0 + 4.0 * number)), text, 0, font, "ms")
     return picture
 
 
-def _caption(sheet: Sheet) -> tuple[str, ...]:
-    across, down = sheet.field
-    return f"IRPSO, {sheet.name}", f"field {across:g} x {down:g} mm", f"print at 100 %: the line is {_RULER:g} mm"
+def _caption(board: Board) -> tuple[str, ...]:
+    across, down = board.field
+    return f"IRPSO, {board.name}", f"field {across:g} x {down:g} mm", f"print at 100 %: the line is {_RULER:g} mm"
