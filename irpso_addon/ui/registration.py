@@ -32,6 +32,7 @@ MODULES = (
     "panels.recovery",
     "operators.export",
     "operators.asset",
+    "operators.mix",
     "panels.view",
     "panels.image_editor",
     "overlay.handlers",

@@ -20,6 +20,7 @@ from ...results.maps import Maps
 from . import two_lobe_nodes as two_lobe
 from .anisotropy_nodes import connect_grain
 from .displacement import METHOD, displacement, divide
+from .look import ROUGHNESS, look_node
 from .nodes import OwnNodes, set_input
 from .textures import TAG as IMAGE_TAG
 from .textures import check_images, material_images
@@ -48,7 +49,8 @@ def build_material(
 
     tables = map_tables(maps.model)
     former = _own_material(subject)
-    material = former or _new_material(subject)
+    material = former or new_material(f"IRPSO {subject}")
+    material[TAG] = subject
     build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
     try:
         with OwnNodes(material.node_tree) as nodes:
@@ -56,8 +58,7 @@ def build_material(
             folder = None if images_folder is None else Path(images_folder).resolve()
             images = material_images(maps, subject, folder)
             sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
-            for name, socket in sockets:
-                nodes.link(sources[name], socket)
+            _connect(nodes, maps.model, sources, sockets)
             output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
             nodes.link(surface, output.inputs["Surface"])
             if height is not None:
@@ -264,10 +265,11 @@ def _own_material(subject: str):
     return local[0] if local else None
 
 
-def _new_material(subject: str):
+def new_material(name: str):
+    """Return a new material without nodes, which shades like the recovery."""
     import bpy
 
-    material = bpy.data.materials.new(f"IRPSO {subject}")
+    material = bpy.data.materials.new(name)
     if material.node_tree is None:  # since Blender 5.0 every material has one
         material.use_nodes = True
     material.node_tree.nodes.clear()
@@ -275,7 +277,6 @@ def _new_material(subject: str):
     # beyond). The recovery has no such term, so the material must not have it.
     if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
         material.cycles.use_bump_map_correction = False
-    material[TAG] = subject
     return material
 
 
@@ -296,7 +297,7 @@ def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: st
             nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
         color = texture.outputs["Color"]
         if table.is_normal:
-            bump = nodes.node(f"normal {table.name}", "ShaderNodeNormalMap", (-540, y), space="TANGENT", uv_map=uv_map)
+            bump = nodes.node(f"normal {table.name}", "ShaderNodeNormalMap", (60, 140), space="TANGENT", uv_map=uv_map)
             nodes.link(color, bump.inputs["Color"])
             sources[table.parameters[0].name] = bump.outputs["Normal"]
         elif len(table.parameters) == 1:
@@ -322,6 +323,19 @@ def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str,
                 nodes.link(channel, join.inputs[name])
             sources[parameter.name] = join.outputs["Color"]
     return sources
+
+
+def _connect(nodes: OwnNodes, model: ReflectanceModel, sources: dict, sockets: list[tuple[str, object]]) -> None:
+    """Connect the maps to the surface's sockets, roughness and relief by way of the node with their factors."""
+    roughness = tuple(socket.name for _, socket in sockets if socket.name in ROUGHNESS)
+    normal = next(sources[p.name] for p in model.parameters if p.is_normal).node
+    look = look_node(nodes, roughness, two_lobe.has_widths(model), normal)
+    for name, socket in sockets:
+        source = sources[name]
+        if socket.name in roughness:
+            nodes.link(source, look.inputs[socket.name])
+            source = look.outputs[socket.name]
+        nodes.link(source, socket)
 
 
 def _two_lobe(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[object, list[tuple[str, object]]]:

@@ -61,6 +61,16 @@ def surface(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str,
     return node.outputs["BSDF"], sockets
 
 
+def has_widths(model: ReflectanceModel) -> bool:
+    """Return whether a model's two roughnesses are the distribution's own widths, the squares of perceptual ones."""
+    return model.material.get("shader") == "two_lobe" and _settings(model).roughness == "alpha"
+
+
+def is_of_widths(node) -> bool:
+    """Return whether a node is the two lobes' group, for roughnesses as in ``has_widths``."""
+    return node.bl_idname == "ShaderNodeGroup" and str(node.node_tree.get(TAG, "")).endswith(" alpha")
+
+
 def _settings(model: ReflectanceModel) -> _Settings:
     table = model.material
     distribution = table.get("distribution", "BECKMANN")

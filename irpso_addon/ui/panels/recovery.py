@@ -135,6 +135,7 @@ def draw_result(layout, context, running: session.Session) -> None:
     row.operator("irpso.cancel", text="Close" if kept else "Discard", icon="X")
     if kept:
         layout.operator("irpso.save_asset", text="Save to Asset Library…", icon="ASSET_MANAGER")
+        layout.operator("irpso.mix_captures", text="Mix Captures…", icon="NODE_MATERIAL")
     if kept and not is_standard_view(context.scene):
         drawing.wrapped(
             layout, context, "The scene's view transform changes colors. To compare with the photographs:", "INFO"

@@ -78,7 +78,9 @@ def test_the_principled_material_connects_every_map():
     material = build_material(random_maps(load_model("principled")), "icon")
     assert links(material.node_tree) == {
         ("IRPSO map base_color", "Color", "IRPSO surface", "Base Color"),
-        ("IRPSO map roughness", "Color", "IRPSO surface", "Roughness"),
+        ("IRPSO map roughness", "Color", "IRPSO look", "Roughness"),
+        ("IRPSO look", "Roughness", "IRPSO surface", "Roughness"),
+        ("IRPSO look", "Normal Strength", "IRPSO normal normal", "Strength"),
         ("IRPSO map specular", "Color", "IRPSO surface", "Specular IOR Level"),
         ("IRPSO map normal", "Color", "IRPSO normal normal", "Color"),
         ("IRPSO normal normal", "Normal", "IRPSO surface", "Normal"),
@@ -113,7 +115,7 @@ def test_running_again_updates_the_same_images_material_and_group():
     np.testing.assert_allclose(pixels(bpy.data.images["IRPSO icon base_color"]), again.values["base_color"], atol=4e-5)
     build_material(random_maps(model, 2), "other")
     assert len(bpy.data.materials) == 2
-    assert len(bpy.data.node_groups) == 1
+    assert len(bpy.data.node_groups) == 2  # the lobes, and the look
 
 
 def test_a_renamed_image_and_material_are_still_found():
@@ -145,6 +147,27 @@ def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_
     assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
 
 
+def test_gloss_and_relief_set_by_the_user_survive_a_second_run_and_a_change_of_model():
+    material = build_material(random_maps(load_model("principled")), "icon")
+    inputs = material.node_tree.nodes["IRPSO look"].inputs
+    assert {item.name: item.description[:9] for item in inputs["Roughness Factor"].node.node_tree.interface.items_tree
+            if item.in_out == "INPUT" and item.description} == {
+        "Roughness Factor": "Factor of", "Normal Strength": "Factor of"}  # fmt: skip
+    inputs["Roughness Factor"].default_value, inputs["Normal Strength"].default_value = 0.5, 2.0
+    build_material(random_maps(load_model("principled"), 1), "icon")
+    for model in ("cook_torrance_two_lobe", "lambert", "principled"):
+        inputs = build_material(random_maps(load_model(model)), "icon").node_tree.nodes["IRPSO look"].inputs
+        assert (inputs["Roughness Factor"].default_value, inputs["Normal Strength"].default_value) == (0.5, 2.0)
+
+
+def test_a_strength_set_on_the_normal_map_node_itself_is_taken_over():
+    tree = build_material(random_maps(load_model("lambert")), "icon").node_tree
+    tree.nodes.remove(tree.nodes["IRPSO look"])  # as in a file of an earlier version
+    tree.nodes["IRPSO normal normal"].inputs["Strength"].default_value = 0.25
+    build_material(random_maps(load_model("lambert")), "icon")
+    assert tree.nodes["IRPSO look"].inputs["Normal Strength"].default_value == 0.25
+
+
 def test_a_users_material_and_image_of_the_same_name_are_not_touched():
     mine = bpy.data.materials.new("IRPSO icon")
     image = bpy.data.images.new("IRPSO icon normal", 3, 3)
@@ -171,7 +194,7 @@ def test_a_users_model_gets_image_nodes_and_the_sockets_it_names():
     np.testing.assert_allclose(pixels(bpy.data.images["IRPSO cloth fuzz"])[..., :1], maps.values["fuzz"], rtol=1e-6)
     found = links(tree)
     assert ("IRPSO map fuzz", "Color", "IRPSO surface", "Sheen Weight") in found
-    assert ("IRPSO split pair", "Red", "IRPSO surface", "Roughness") in found
+    assert ("IRPSO split pair", "Red", "IRPSO look", "Roughness") in found
     assert ("IRPSO map pair", "Alpha", "IRPSO join tint", "Blue") in found
     assert ("IRPSO join tint", "Color", "IRPSO surface", "Sheen Tint") in found
     assert tree.nodes["IRPSO map odd"].image is not None

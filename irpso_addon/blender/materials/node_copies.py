@@ -1,0 +1,48 @@
+"""Copies the nodes that drive a socket into another node tree; Blender's own copying needs an editor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...core.errors import InputError
+
+_CURVES = {"mapping", "color_ramp"}  # data of a node that scripts cannot assign
+
+
+class Copies:
+    """Nodes copied into ``tree``, each once. driven: with the nodes that drive them. made: original's name → copy."""
+
+    def __init__(self, tree: Any, driven: bool = True):
+        self._tree, self._driven = tree, driven
+        self.made: dict[str, Any] = {}
+
+    def of(self, output: Any) -> Any:
+        """Return the copy of an output socket, of its node. Raises InputError like ``node``."""
+        return self.node(output.node).outputs[list(output.node.outputs).index(output)]
+
+    def node(self, node: Any) -> Any:
+        """Return the copy of a node. Raises InputError for curves and ramps."""
+        if node.name in self.made:
+            return self.made[node.name]
+        if any(getattr(node, name, None) is not None for name in _CURVES):
+            raise InputError(
+                f"node '{node.name}' has curves or a color ramp, which cannot be copied; put it behind the mix instead"
+            )
+        copy = self.made[node.name] = self._tree.nodes.new(node.bl_idname)
+        copy.name, copy.label, copy.location, copy.mute = node.name, node.label, node.location, node.mute
+        for name in _own_properties(node):
+            setattr(copy, name, getattr(node, name))
+        for socket, target in zip(node.inputs, copy.inputs, strict=True):
+            if socket.is_linked and self._driven:
+                self._tree.links.new(self.of(socket.links[0].from_socket), target)
+            elif hasattr(socket, "default_value"):
+                target.default_value = socket.default_value
+        return copy
+
+
+def _own_properties(node: Any) -> list[str]:
+    """Return the names of the settings that a kind of node has beyond all nodes'."""
+    import bpy
+
+    common = bpy.types.Node.bl_rna.properties
+    return [p.identifier for p in node.bl_rna.properties if not p.is_readonly and p.identifier not in common]
