@@ -10,6 +10,7 @@ from typing import Any
 # Registered in this order: a module comes after the classes that its own refer to. Each may define CLASSES, register()
 # and unregister().
 MODULES = (
+    "translations.register",
     "common.failures",
     "properties.preferences",
     "properties.schedule_settings",
@@ -58,6 +59,8 @@ def register(command: Callable[[list[str]], int]) -> None:
             module = import_module(f".{name}", __package__)
             try:
                 for cls in getattr(module, "CLASSES", ()):
+                    if issubclass(cls, bpy.types.Operator):  # a tooltip in one line, as translations have it
+                        cls.bl_description = " ".join(cls.__doc__.split())
                     bpy.utils.register_class(cls)
                 getattr(module, "register", _nothing)()
             except Exception:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -11,14 +12,18 @@ from pathlib import Path
 
 from .debian import PRIVATE, ROOT, debian, need_programs
 
+# The Debian has no translations (debian.py). With a list of languages Blender offers them, for the words of add-ons.
+LANGUAGES = Path(__file__).with_name("languages")
 # Sees to the mounts of a Debian in a folder, then becomes the program: $1 the folder, $2 how many folders of this
 # machine it shall see in their own places, then those, then the program with its arguments.
-ENTER = """
+ENTER = f"""
 set -e
 root=$1 count=$2
 shift 2
 mount --rbind /dev "$root/dev"
 mount --rbind /proc "$root/proc"
+mount -t tmpfs none "$root/usr/share/locale"
+cp {shlex.quote(str(LANGUAGES))} "$root/usr/share/locale/languages"
 while [ "$count" -gt 0 ]; do
     mkdir -p "$root$1"
     mount --bind "$1" "$root$1"

@@ -22,11 +22,16 @@ def forecast(work: float, probed: Mapping[str, Any]) -> tuple[float, float]:
     return seconds / _SPREAD, seconds * _SPREAD
 
 
-def forecast_text(seconds: tuple[float, float]) -> str:
-    """Return a range of seconds in words: "less than a minute", "2 to 6 minutes", "1 to 4 hours"."""
+def in_units(seconds: tuple[float, float]) -> tuple[int, int, str]:
+    """Return a range of seconds as whole numbers of "minutes" or "hours"; 0 to 1 minutes is less than a minute."""
     low, high = seconds
     if high < _MINUTE:
-        return "less than a minute"
+        return 0, 1, "minutes"
     unit, name = (_MINUTE, "minutes") if high < 2 * _HOUR else (_HOUR, "hours")
-    least, most = max(1, round(low / unit)), max(2, round(high / unit))
-    return f"{least} to {most} {name}"
+    return max(1, round(low / unit)), max(2, round(high / unit)), name
+
+
+def forecast_text(seconds: tuple[float, float]) -> str:
+    """Return a range of seconds in words: "less than a minute", "2 to 6 minutes", "1 to 4 hours"."""
+    least, most, name = in_units(seconds)
+    return f"{least} to {most} {name}" if least else "less than a minute"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
+import unicodedata
 
 import bpy
 
@@ -10,21 +12,23 @@ _CHARACTER = 6.6  # mean width of a character in Blender's font, in pixels at sc
 _MARGINS = 58  # pixels of a panel's width without text: edges, tab, icon
 _GAPS = 45  # the same, without an icon
 _LEAST = 16  # characters per line
+_PIECES = re.compile(r"[!-~À-ɏ]+|.")  # Latin words, and single characters
+_CLOSING = "、。，．：；！？）」』】"
 _NAME = 0.4  # part of the line for a fact's name
 
 
 def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
-    """Draw a text, wrapped to the panel's width. The icon stands before the first line."""
+    """Draw a text in the user's language, wrapped to the panel's width. The icon stands before the first line."""
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for line in textwrap.wrap(text, _characters(context)):
+    for line in lines_of(text, _characters(context)):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
 
 
 def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
-    """Draw a name and its value, wrapped. lines: the least number of lines."""
-    wrapped_lines = textwrap.wrap(value, int(_characters(context, _GAPS) * (1 - _NAME)))
+    """Draw a name, which Blender translates, and its value, wrapped. lines: the least number of lines."""
+    wrapped_lines = lines_of(value, int(_characters(context, _GAPS) * (1 - _NAME)))
     for line in wrapped_lines + [""] * (lines - len(wrapped_lines)):
         row = layout.split(factor=_NAME)
         left = row.row()
@@ -32,6 +36,28 @@ def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
         left.label(text=name)
         row.label(text=line, translate=False)
         name = ""
+
+
+def lines_of(text: str, width: int) -> list[str]:
+    """Wrap a text at spaces, and Chinese and Japanese between characters, which count as two.
+
+    A line begins with no closing punctuation.
+    """
+    if not any(map(_is_wide, text)):
+        return textwrap.wrap(text, width)
+    lines, filled = [""], 0
+    for piece in _PIECES.findall(text):
+        taken = sum(2 if _is_wide(character) else 1 for character in piece)
+        if filled + taken > width and lines[-1].strip() and piece not in _CLOSING:
+            lines.append("")
+            filled = 0
+        lines[-1] += piece
+        filled += taken
+    return [line.strip() for line in lines]
+
+
+def _is_wide(character: str) -> bool:
+    return unicodedata.east_asian_width(character) in "WF"
 
 
 def redraw_sidebars() -> None:

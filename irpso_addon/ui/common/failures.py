@@ -12,6 +12,7 @@ from bpy.app.handlers import persistent
 
 from ...core.errors import IrpsoError
 from . import drawing
+from .words import iface
 
 # The engine's name in error messages → the name in Blender.
 _SETTINGS = {
@@ -71,7 +72,7 @@ def report(doing: str, error: Exception, names: Mapping[str, str] = MappingProxy
         text, expected = words(error, names), True
     else:
         what = " ".join(str(error).split()) or type(error).__name__
-        text, expected = f"{doing} has ended: {what}", False
+        text, expected = iface("{doing} has ended: {what}", doing=iface(doing), what=what), False
     if text not in _messages:
         _messages.append(text)
         if not expected:

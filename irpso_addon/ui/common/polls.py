@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import bpy
 
-NO_CAPTURE = "No capture: find the lights of a folder of photographs, or import photographs with known lights"
+from .words import n_, tip
+
+NO_CAPTURE = n_("No capture: find the lights of a folder of photographs, or import photographs with known lights")
 
 
 def usable(operator: type[bpy.types.Operator], there: object, otherwise: str) -> bool:
     """Return whether something is there; if not, the tooltip of the operator's grey button says what is missing."""
     if not there:
-        operator.poll_message_set(otherwise)
+        operator.poll_message_set(tip(otherwise))
     return bool(there)
 
 

@@ -13,6 +13,7 @@ import bpy
 from ...core.errors import InputError
 from ...core.optional import present
 from . import failures
+from .words import iface
 
 _SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # of work between redraws, and from one redraw to the next work at least
 
@@ -79,7 +80,9 @@ class SlicedOperator:
             self._leave(context, set())
             return failures.refused(self, error, self.names)
         if self._timer is not None:
-            context.workspace.status_text_set(f"{self.doing}: {part:.0%}. Esc cancels")
+            context.workspace.status_text_set(
+                iface("{doing}: {part:.0%}. Esc cancels", doing=iface(self.doing), part=part)
+            )
         return None
 
     def _leave(self, context, result: set[str]) -> set[str]:

@@ -16,6 +16,7 @@ from ...core.errors import InputError
 from ..common import failures
 from ..common.file_paths import absolute
 from ..common.polls import usable
+from ..common.words import n_
 from ..overlay.paint import HALO, Painter
 from .marking import Marking
 
@@ -33,7 +34,9 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
     bl_idname = "irpso.mark_balls"
     bl_label = "Correct Balls"
     bl_options = {"INTERNAL"}
-    help_text = "Drag a ball's middle or rim; click a highlight to drop it. Enter finds the lights again, Esc cancels"
+    help_text = n_(
+        "Drag a ball's middle or rim; click a highlight to drop it. Enter finds the lights again, Esc cancels"
+    )
 
     moves: FloatVectorProperty(
         name="Moves", description="For each ball, in pixels: to the right, down, and of the radius", size=3 * _MOST

@@ -15,12 +15,12 @@ from ...capture.spec import build_capture
 from ..common.file_paths import absolute
 from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
+from ..common.words import n_, rpt
 from ..overlay.paint import HALO, Painter
 from ..session.scene_capture import crop_around, keep_corners, spec_of
 from .marking import Marking
 
 _COLOUR = (1.0, 0.75, 0.2, 1.0)
-_HELP = "Click the four corners of {}; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
 
 
 class _CornerMarking(Marking):
@@ -53,7 +53,7 @@ class _CornerMarking(Marking):
     def confirmed(self, context) -> bool:
         """Take four corners."""
         if len(self._points) < 4:
-            self.report({"INFO"}, f"{len(self._points)} of 4 corners are marked; click the others")
+            self.report({"INFO"}, rpt("{count} of 4 corners are marked; click the others", count=len(self._points)))
             return False
         height = self._size[1]
         corners = np.array(self._points) * self._size
@@ -119,7 +119,9 @@ class IRPSO_OT_mark_card(_CornerMarking, bpy.types.Operator):
 
     bl_idname = "irpso.mark_card"
     bl_label = "Mark in Photograph"
-    help_text = _HELP.format("the card")
+    help_text = n_(
+        "Click the four corners of the card; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
+    )
 
     def _take(self, settings, corners: np.ndarray) -> None:
         take_corners(settings, corners)
@@ -131,7 +133,10 @@ class IRPSO_OT_mark_chart(_CornerMarking, bpy.types.Operator):
 
     bl_idname = "irpso.mark_chart"
     bl_label = "Mark Chart in Photograph"
-    help_text = _HELP.format("the chart's patches")
+    help_text = n_(
+        "Click the four corners of the chart's patches; drag one to move it. Backspace removes the last. Enter ends,"
+        " Esc cancels"
+    )
 
     def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
         """Yield the chart's own photograph, where it has one."""
@@ -151,7 +156,7 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
     bl_idname = "irpso.find_corners"
     bl_label = "Find Corners"
     bl_options = {"INTERNAL", "UNDO"}
-    doing = "Finding corners"
+    doing = n_("Finding corners")
 
     @classmethod
     def poll(cls, context):
@@ -169,7 +174,7 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
     def finished(self, context, found: Found) -> set[str]:
         """Store the corners, and the width of a printed marker board's field."""
         keep_corners(context.scene.irpso, found)
-        self.report({"INFO"}, f"Corners: {found}")
+        self.report({"INFO"}, rpt("Corners: {found}", found=found))
         return {"FINISHED"}
 
 

@@ -16,6 +16,7 @@ from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
 from ...gpu.viewport import Drawing
 from ..common import failures
+from ..common.words import iface, n_
 from ..overlay import handlers
 from ..overlay.paint import Painter
 from ..session.scene_capture import spec_of
@@ -81,14 +82,14 @@ class Marking:
         self._drawing = Drawing()
         self._handle: Any = bpy.types.SpaceImageEditor.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set(self.help_text)
+        context.workspace.status_text_set(iface(self.help_text))
         context.window_manager.modal_handler_add(self)
         handlers.redraw()
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
         """Place, move and remove marks. Blender handles all other events."""
-        with failures.reported("Marking"):
+        with failures.reported(n_("Marking")):
             return self._handled(context, event)
         return self._leave(context, {"CANCELLED"})
 
@@ -149,7 +150,7 @@ class Marking:
         return np.array(self._region.view2d.view_to_region(*place, clip=False), float)
 
     def _draw(self) -> None:
-        with failures.reported("Marking"):
+        with failures.reported(n_("Marking")):
             if bpy.context.area != self._area:
                 return
             painter = Painter(self._drawing, bpy.context.preferences.system.ui_scale)

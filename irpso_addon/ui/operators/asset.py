@@ -13,6 +13,7 @@ from ...core.errors import InputError
 from ...exports.asset import Shelf, write_to_shelf
 from ..common import failures
 from ..common.polls import usable
+from ..common.words import rpt
 
 _NO_LIBRARY = "no asset library: add one in Preferences › File Paths › Asset Libraries"
 _items: list[tuple[str, str, str]] = []  # of the menu: Blender needs them to stay
@@ -77,7 +78,7 @@ class IRPSO_OT_save_asset(bpy.types.Operator):
             path = write_to_shelf(shelf, context.object, name)
         except InputError as error:
             return failures.refused(self, error, {"--asset-name": "Name"})
-        self.report({"INFO"}, f"{path.name} is in the library {library.name}")
+        self.report({"INFO"}, rpt("{file} is in the library {library}", file=path.name, library=library.name))
         return {"FINISHED"}
 
 

@@ -12,6 +12,7 @@ from ...blender.scenes.scene_objects import set_camera
 from ...capture.poses import PoseFile, read_poses
 from ...core.errors import InputError
 from ..common.file_paths import absolute
+from ..common.words import rpt
 
 # Custom properties: the source file, on the collection, its empty and its cameras; the image's name, on a camera.
 _SOURCE, _IMAGE = "irpso_cameras", "irpso_camera_image"
@@ -92,10 +93,11 @@ class ImportCameras(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         made = create_cameras(context.scene, poses, self.axes)
-        text = f"{len(made)} camera{'s' * (len(made) > 1)} of {poses.program}"
+        cameras = rpt("1 camera") if len(made) == 1 else rpt("{count} cameras", count=len(made))
+        text = rpt("{cameras} of {program}", cameras=cameras, program=poses.program)
         if poses.unusable:
             name, why = next(iter(poses.unusable.items()))
-            text += f"; {len(poses.unusable)} left out: '{name}' {why}"
+            text += rpt("; {count} left out: '{name}' {why}", count=len(poses.unusable), name=name, why=why)
         self.report({"WARNING"} if poses.unusable else {"INFO"}, text)
         return {"FINISHED"}
 

@@ -31,6 +31,7 @@ from ...gpu import probe
 from ..common import drawing, failures
 from ..common.file_paths import absolute
 from ..common.polls import NO_CAPTURE, usable
+from ..common.words import n_, rpt
 from ..properties import findings
 from ..properties.scene_settings import REACTIONS, model_of
 from ..session.job import subject_object
@@ -117,7 +118,7 @@ def begin_check(scene) -> None:
         capture_path(settings), decode, settings.colour_space, tuple(goals), settings.card_distance or None,
         settings.skip_damaged, settings.card_width or None,
     )  # fmt: skip
-    _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
+    _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, n_("Checking"))]
     if bpy.app.background:
         _slice(_running[0], math.inf)
     elif not bpy.app.timers.is_registered(_tick):
@@ -130,7 +131,7 @@ def _tick() -> float | None:
         return None
     check, now = _running[0], time.perf_counter()
     more = False
-    with failures.reported("The check"):
+    with failures.reported(n_("The check")):
         more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
     if not more:
         _running.clear()
@@ -210,7 +211,7 @@ class ImportCapture(bpy.types.Operator):
         settings.checked_path = ""
         settings.view.observation = 1
         begin_check(context.scene)
-        self.report({"INFO"}, f"{spec.name}: {len(spec.observations)} images")
+        self.report({"INFO"}, rpt("{name}: {count} images", name=spec.name, count=len(spec.observations)))
         _warn(self, settings)
         return {"FINISHED"}
 
@@ -240,7 +241,7 @@ def _kept_path(path: Path) -> str:
 def _warn(operator, settings) -> None:
     """Report the first finding, errors before warnings."""
     if found := findings.shown(settings):
-        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        more = rpt(" (and {count} more)", count=len(found) - 1) if len(found) > 1 else ""
         operator.report({"WARNING"}, found[0].message + more)
 
 

@@ -21,6 +21,7 @@ from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute, first_free
 from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
+from ..common.words import n_, rpt
 from ..session.scene_capture import capture_path
 
 _COLOURS = (
@@ -42,9 +43,9 @@ def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], f
     """Import a new capture and report its first warning, or what was found; return how the operator ends."""
     bpy.ops.irpso.import_capture(directory=str(capture))
     if warnings:
-        more = f" (and {len(warnings) - 1} more, in report.json)" if len(warnings) > 1 else ""
+        more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
         operator.report({"WARNING"}, failures.words(InputError(warnings[0])) + more)
-    operator.report({"INFO"}, f"{found} written to {capture.name}")
+    operator.report({"INFO"}, rpt("{found} written to {name}", found=found, name=capture.name))
     return {"FINISHED"}
 
 
@@ -55,7 +56,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
     bl_idname = "irpso.develop"
     bl_label = "Develop"
     bl_options = {"REGISTER"}
-    doing = "Developing"
+    doing = n_("Developing")
     names = {
         "--colour-chart auto": "Colors", "--colour-chart": "Colors", "--response": "Response", "--dark": "Dark Frames",
         ", or use --scale-dark": "", "--flat": "Flat Fields",
@@ -131,12 +132,17 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
     def finished(self, context, result: tuple[Path, dict]) -> set[str]:
         """Import the images, and report what the chart said."""
         out, report = result
-        found = "Linear images"
+        found = rpt("Linear images")
         if chart := report.get("colour_chart"):
             before, after = (chart["delta_e_2000"][key]["mean"] for key in ("before", "after"))
-            found = f"Colors of the chart: ΔE2000 {before:.1f} → {after:.1f} on average; linear images"
+            found = rpt(
+                "Colors of the chart: ΔE2000 {before:.1f} → {after:.1f} on average; linear images", before=before,
+                after=after,
+            )  # fmt: skip
         if card := report.get("grey_card"):
-            found = f"Gray card found in {Path(card['file']).name} at {card['patch']}; linear images"
+            found = rpt(
+                "Gray card found in {file} at {place}; linear images", file=Path(card["file"]).name, place=card["patch"]
+            )
         return imported(self, out, report["warnings"], found)
 
 

@@ -24,6 +24,7 @@ from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
 from ...results.write import write_maps
 from ..common.file_paths import absolute
+from ..common.words import iface, rpt
 from ..session import session
 from ..session.keep import NOTHING, found_in, has_found, pictures_of, report_of
 
@@ -131,14 +132,15 @@ class IRPSO_OT_export(bpy.types.Operator):
         report, pictures = report_of(running, found), pictures_of(running, found)
         files = write_maps(found.written, folder, report, pictures, found.derived)
         priors = running.job.schedule.fitness.priors
-        return f"{len(files)} files written to {folder}", mode_warnings(found.solver, priors)
+        text = rpt("{count} files written to {folder}", count=len(files), folder=folder)
+        return text, mode_warnings(found.solver, priors)
 
     def _write_seamless(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
         found = found_in(running, False)
         tile = tiled(found.written, self.height)
         report = tile.report(report_of(running, found))
         files = write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
-        return f"{len(files)} files of maps that repeat written to {folder}", []
+        return rpt("{count} files of maps that repeat written to {folder}", count=len(files), folder=folder), []
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
         wanted = DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ()))
@@ -146,7 +148,8 @@ class IRPSO_OT_export(bpy.types.Operator):
         result = Result(file_stem(running.job.name), found.written, found.height, card=_is_card(running))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
-        return f"{FORMATS[self.format][0]} written to {report['output']}", report.get("warnings", [])
+        text = rpt("{found} written to {name}", found=FORMATS[self.format][0], name=report["output"])
+        return text, report.get("warnings", [])
 
 
 class IRPSO_MT_export(bpy.types.Menu):
@@ -157,8 +160,8 @@ class IRPSO_MT_export(bpy.types.Menu):
     def draw(self, context) -> None:
         """List the formats."""
         for name, (title, _) in _FORMATS.items():
-            text = f"{title} ({ONE_FILE.get(name, 'folder')})"
-            self.layout.operator("irpso.export", text=text).format = name
+            text = f"{iface(title)} ({ONE_FILE.get(name) or iface('folder')})"
+            self.layout.operator("irpso.export", text=text, translate=False).format = name
 
 
 def _is_card(running: session.Session | None) -> bool:

@@ -23,6 +23,7 @@ from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute, first_free
 from ..common.sliced import SlicedOperator
+from ..common.words import n_, rpt
 from ..panels.mesh import draw_mesh
 from ..session import session
 from ..session.scene_capture import knows_distance, spec_of
@@ -115,7 +116,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
     bl_idname = "irpso.find_lights"
     bl_label = "Find Lights"
     bl_options = {"REGISTER"}
-    doing = "Finding lights"
+    doing = n_("Finding lights")
     names = {
         "give its place as X,Y,R (--ball)": "choose From: Ball in a Circle", "--ball none": "From: Relief",
         "--ball auto": "From: Balls", "second --ball": "second ball", "--ball": "From", "--kind mirror": "Mirror",
@@ -233,11 +234,12 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         if given or settings.card_distance or settings.card_width:
             begin_check(context.scene)  # the one of the import did not know them
         if warnings:
-            more = f" (and {len(warnings) - 1} more, in the report beside it)" if len(warnings) > 1 else ""
+            count = len(warnings) - 1
+            more = rpt(" (and {count} more, in the report beside it)", count=count) if count else ""
             self.report({"WARNING"}, failures.words(InputError(warnings[0]), self.names) + more)
-        look = f"; look at {path.stem}_balls.png" if self.found_by not in WAYS else ""
-        below = "; Card Distance is that of the table below the balls" if given else ""
-        self.report({"INFO"}, f"Lights written to {path.name}{look}{below}")
+        look = rpt("; look at {file}", file=f"{path.stem}_balls.png") if self.found_by not in WAYS else ""
+        below = rpt("; Card Distance is that of the table below the balls") if given else ""
+        self.report({"INFO"}, rpt("Lights written to {name}", name=path.name) + look + below)
         return {"FINISHED"}
 
     def _found(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], float | None]]:

@@ -10,6 +10,7 @@ from ...blender.materials.mixture import mix_materials
 from ...core.errors import InputError
 from ..common import failures
 from ..common.polls import usable
+from ..common.words import rpt
 
 _MASK_SIDE = 1024  # pixels of a new mask
 _BY = (
@@ -83,7 +84,7 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
             apply_material(obj, made)
         except InputError as error:
             return failures.refused(self, error)
-        self.report({"INFO"}, f"Material '{made.name}' on '{obj.name}'")
+        self.report({"INFO"}, rpt("Material '{name}' on '{object}'", name=made.name, object=obj.name))
         return {"FINISHED"}
 
     def _mask(self):

@@ -22,6 +22,7 @@ from ...core.files import replacing_file
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ..common import failures
 from ..common.file_paths import absolute
+from ..common.words import iface, tip
 from ..properties.schedule_settings import base_schedule, differences, fill, is_shipped, name_today, schedule_of
 
 FOLDER = "irpso"  # in the user's folder of presets
@@ -35,6 +36,11 @@ def title_of(schedule: Schedule) -> str:
     return schedule.title.partition(":")[0]
 
 
+def purpose_of(schedule: Schedule) -> str:
+    """Return what a shipped schedule is for, as in "Few searched dimensions, the rest in closed form"."""
+    return schedule.title.partition(":")[2].strip().capitalize()
+
+
 def label_of(settings: Any) -> str:
     """Return the label of the preset menu: the preset's name, with a star if settings differ from it.
 
@@ -43,7 +49,7 @@ def label_of(settings: Any) -> str:
     if not is_shipped(settings):
         return settings.own or Path(settings.preset).stem
     changed = preset_text(settings) != settings.own_text if settings.own else bool(differences(settings))
-    return (settings.own or title_of(base_schedule(settings))) + (" *" if changed else "")
+    return (settings.own or iface(title_of(base_schedule(settings)))) + (" *" if changed else "")
 
 
 def preset_text(settings: Any) -> str:
@@ -115,8 +121,8 @@ class IRPSO_OT_preset_choose(bpy.types.Operator):
     def description(cls, context, properties) -> str:
         """Return the purpose of the schedule."""
         if properties.name not in shipped_presets():
-            return cls.__doc__
-        return load_schedule(properties.name).title.partition(":")[2].strip().capitalize()
+            return tip(cls.bl_description)
+        return tip(purpose_of(load_schedule(properties.name)))
 
     def execute(self, context):
         """Set the settings."""
@@ -163,8 +169,8 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
     def description(cls, context, properties) -> str:
         """Return the tooltip: for adding or for removing."""
         if properties.remove_active or properties.remove_name:
-            return "Remove this preset of yours. The settings do not change"
-        return cls.__doc__
+            return tip("Remove this preset of yours. The settings do not change")
+        return tip(cls.bl_description)
 
     def draw(self, context) -> None:
         """Draw the field for the name, with the cursor in it."""

@@ -10,6 +10,7 @@ from ...gpu import probe
 from ...solver.planning.machine import SOFTWARE_VULKAN
 from ..common import failures
 from ..common.polls import usable
+from ..common.words import n_, rpt, tip
 from ..overlay import handlers
 from ..properties import preferences
 from ..properties.recipe import schedule_recipe
@@ -92,7 +93,7 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     def modal(self, context, event):
         """Work for one slice at each timer event. Esc pauses; Blender handles all other events."""
-        with failures.reported("The recovery's timer"):
+        with failures.reported(n_("The recovery's timer")):
             return self._handle(context, event)
         self._session.pause()
         return self._leave(context)
@@ -103,7 +104,7 @@ class IRPSO_OT_run(bpy.types.Operator):
             return self._leave(context)
         if event.type == "ESC" and event.value == "PRESS":
             running.pause()
-            self.report({"INFO"}, "Paused: resume, stop or cancel in the IRPSO panel")
+            self.report({"INFO"}, rpt("Paused: resume, stop or cancel in the IRPSO panel"))
             return self._leave(context)
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -217,8 +218,8 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         """Return the tooltip, which says whether a kept material stays."""
         running = session.current()
         if running is not None and running.kept:
-            return "Close the recovery. The material that was kept stays"
-        return cls.__doc__
+            return tip("Close the recovery. The material that was kept stays")
+        return tip(cls.bl_description)
 
     @classmethod
     def poll(cls, context):

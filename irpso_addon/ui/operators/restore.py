@@ -13,6 +13,7 @@ from ...core.errors import InputError, IrpsoError
 from ...solver.state.checkpoint import glance
 from ..common import drawing, failures
 from ..common.polls import usable
+from ..common.words import iface, n_
 from ..properties.recipe import apply_recipe
 from ..session import session, unkept
 from ..session.card_place import show_card
@@ -25,9 +26,8 @@ def draw_unkept(layout, context) -> None:
     """Draw the recoveries that were not kept, each with buttons to restore and to delete it."""
     for found in unkept.listed():
         box = layout.box()
-        drawing.wrapped(
-            box, context, f"A recovery of '{found.name}' was not kept ({found.fraction:.0%})", "RECOVER_LAST"
-        )
+        text = iface("A recovery of '{name}' was not kept ({part:.0%})", name=found.name, part=found.fraction)
+        drawing.wrapped(box, context, text, "RECOVER_LAST")
         row = box.row(align=True)
         row.operator("irpso.restore", icon="LOOP_BACK").path = str(found.path)
         row.operator("irpso.forget", icon="X").path = str(found.path)
@@ -102,7 +102,7 @@ def follow(context, begun: session.Session) -> None:
     bpy.ops.irpso.run("INVOKE_DEFAULT")
 
 
-@failures.reported("Marking the file as changed")
+@failures.reported(n_("Marking the file as changed"))
 def mark_changed() -> None:
     """Make Blender ask before it closes the file while a recovery is not kept.
 

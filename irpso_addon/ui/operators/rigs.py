@@ -20,6 +20,7 @@ from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
+from ..common.words import n_, rpt
 from ..session.scene_capture import capture_path
 from .develop import free_folder, imported
 
@@ -64,8 +65,12 @@ class IRPSO_OT_save_rig(bpy.types.Operator):
             rig = save_rig(read_spec(capture_path(settings), settings.colour_space), out, decode)
         except InputError as error:
             return failures.refused(self, error)
-        kind = "with" if rig.measured is not None else "without"
-        self.report({"INFO"}, f"{out.name}: {len(rig.photographs)} lamps, {kind} corrections")
+        count = len(rig.photographs)
+        if rig.measured is not None:
+            text = rpt("{name}: {count} lamps, with corrections", name=out.name, count=count)
+        else:
+            text = rpt("{name}: {count} lamps, without corrections", name=out.name, count=count)
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
@@ -75,7 +80,7 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
     bl_idname = "irpso.apply_rig"
     bl_label = "Apply Rig"
     bl_options = {"REGISTER"}
-    doing = "Applying the rig"
+    doing = n_("Applying the rig")
     names = {
         "--match names or --match numbers": "Match: Names or Numbers", "--match order": "Match: Order",
         "--match names": "Match: Names", "--match numbers": "Match: Numbers", ", or scale with --exposure exif": "",
@@ -114,8 +119,9 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
     def finished(self, context, result: tuple[Path, Applied]) -> set[str]:
         """Import the capture, and report the lamps."""
         out, applied = result
-        kind = "linear images" if applied.developed else "a capture"
-        found = f"{len(applied.lamps)} lamps, {kind}"
+        count = len(applied.lamps)
+        developed = applied.developed
+        found = rpt("{count} lamps, linear images", count=count) if developed else rpt("{count} lamps", count=count)
         return imported(self, out, [*applied.left_out, *applied.warnings], found)
 
 

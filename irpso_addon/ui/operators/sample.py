@@ -30,6 +30,7 @@ from ...sample.truth import PAGE
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 from ..common.sliced import SlicedOperator
+from ..common.words import iface, n_, rpt
 from ..session import session
 from .capture_import import begin_check
 from .find_lights import free_table
@@ -51,7 +52,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
     bl_idname = "irpso.open_sample"
     bl_label = "Open Sample"
     bl_options = {"REGISTER"}
-    doing = "Opening the sample"
+    doing = n_("Opening the sample")
 
     folder: StringProperty(
         name="Folder", description="Where the sample lies. It is rendered into this folder unless it is there already",
@@ -71,7 +72,8 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
     def draw(self, context) -> None:
         """Draw the dialog."""
         column = self.layout.column()
-        column.label(text=f"Cycles renders {PHOTOGRAPHS} photographs, in a minute or two", icon="INFO")
+        text = iface("Cycles renders {count} photographs, in a minute or two", count=PHOTOGRAPHS)
+        column.label(text=text, icon="INFO", translate=False)
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(self, "folder")
 
@@ -88,7 +90,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
         settings.framing, settings.crop = "CROP", layout.tile_crop(found.camera)
         settings.card_distance = found.card_distance
         begin_check(context.scene)  # the one of the import did not know the distance
-        self.report({"INFO"}, f"The sample is open; {path.parents[1] / PAGE} says what is in it")
+        self.report({"INFO"}, rpt("The sample is open; {file} says what is in it", file=path.parents[1] / PAGE))
         return {"FINISHED"}
 
     def _found(self) -> Generator[float, None, tuple[Path, tuple[int, int]]]:

@@ -33,6 +33,7 @@ from ...core.steps import run_steps
 from ..common import failures
 from ..common.file_paths import absolute
 from ..common.polls import NO_CAPTURE, usable
+from ..common.words import rpt
 from ..properties.scene_settings import REACTIONS
 from ..session import session
 from ..session.card_place import is_free, show_card
@@ -287,9 +288,10 @@ class CreateScene(bpy.types.Operator):
             if context.window is not None:
                 show_card(context, card, np.array(card.matrix_world), rows / columns)
         cameras = len(capture.cameras)
-        text = f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}"
+        counted = rpt("1 camera") if cameras == 1 else rpt("{count} cameras", count=cameras)
+        text = rpt("{cameras} and {lights} lights of {name}", cameras=counted, lights=len(lights), name=capture.name)
         if any(obj.type == "LIGHT" and not obj.hide_render and obj not in lights for obj in scene.objects):
-            text += "; other lights are also on: hide them, and darken the world, to compare with the photographs"
+            text += rpt("; other lights are also on: hide them, and darken the world, to compare with the photographs")
         self.report({"INFO"}, text)
         return {"FINISHED"}
 
@@ -359,15 +361,25 @@ class AssignImages(bpy.types.Operator):
         for light, reference in zip(lights, references, strict=False):
             light.irpso.image = images.of(reference)
         if len(names) == len(lights):
-            self.report({"INFO"}, f"{len(names)} images assigned to {len(lights)} lights")
+            self.report(
+                {"INFO"}, rpt("{count} images assigned to {lights} lights", count=len(names), lights=len(lights))
+            )
             return {"FINISHED"}
         count = min(len(names), len(lights))
-        left = f"light '{lights[count].name}'" if len(lights) > count else f"image '{names[count]}'"
+        longer = len(lights) > count
+        left = rpt("light '{name}'", name=lights[count].name) if longer else rpt("image '{name}'", name=names[count])
         more = abs(len(names) - len(lights))
         self.report(
             {"WARNING"},
-            f"{len(names)} images for {len(lights)} lights: {count} assigned, {more} left over, from {left} on; check"
-            " the selection",
+            rpt(
+                "{images} images for {lights} lights: {count} assigned, {more} left over, from {left} on; check the"
+                " selection",
+                images=len(names),
+                lights=len(lights),
+                count=count,
+                more=more,
+                left=left,
+            ),
         )
         return {"FINISHED"}
 

@@ -8,15 +8,16 @@ import numpy as np
 
 from ...blender.materials.textures import TAG as MAP_TAG
 from ...core.udim import ONE_SQUARE, tile_place
+from ..common.words import iface
 from .layout import Rectangle
 
 
 def why_covered(space) -> str:
     """Return in a sentence why an Image editor has no overlay, "" if it shows no image or a recovered map."""
     if space.mode not in ("VIEW", "UV"):  # painting and masking are the user's own work
-        return "This editor paints or masks: choose View in its header"
+        return iface("This editor paints or masks: choose View in its header")
     if space.image is not None and MAP_TAG not in space.image:
-        return f"This editor shows '{space.image.name}': unlink it, or choose a recovered map"
+        return iface("This editor shows '{name}': unlink it, or choose a recovered map", name=space.image.name)
     return ""
 
 

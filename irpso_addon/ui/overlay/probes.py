@@ -6,6 +6,7 @@ from bpy.props import IntProperty
 
 from ..common import failures
 from ..common.polls import usable
+from ..common.words import n_, rpt
 from ..session import session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
@@ -57,7 +58,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
 
     def modal(self, context, event):
         """Probe on clicks on the subject. Blender handles all other events."""
-        with failures.reported("Probing"):
+        with failures.reported(n_("Probing")):
             return self._handle(context, event)
         return self._leave(context)
 
@@ -74,7 +75,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
             return {"PASS_THROUGH"}
         nearest = nearest_texel(running.fitted.solvable, *texel, _REACH)
         if nearest is None:
-            self.report({"INFO"}, "No photograph shows this texel; click another")
+            self.report({"INFO"}, rpt("No photograph shows this texel; click another"))
             return {"RUNNING_MODAL"}
         self._watch(running, *nearest)
         return {"RUNNING_MODAL"}
@@ -89,7 +90,10 @@ class IRPSO_OT_probe(bpy.types.Operator):
         dropped = running.probes.add(row, column)
         if dropped is not None:
             where = f"{dropped.column}, {dropped.row}"
-            self.report({"INFO"}, f"Probe {dropped.number} has moved here from texel {where}: there are four at most")
+            self.report({"INFO"}, rpt(
+                "Probe {number} has moved here from texel {where}: there are four at most", number=dropped.number,
+                where=where,
+            ))  # fmt: skip
         handlers.redraw()
 
     @staticmethod

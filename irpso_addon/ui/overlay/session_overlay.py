@@ -16,6 +16,7 @@ from ...gpu.viewport import Drawing, Surface
 from ...solver.views.display import Shown
 from ...solver.views.texel_probe import TexelProbe
 from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
+from ..common.words import iface
 from ..properties import preferences
 from ..session.job import image_map
 from ..session.probes import Probe
@@ -159,7 +160,7 @@ class SessionOverlay:
             return flat.why_covered(context.space_data)
         reason = surface.why_unseen(context, self.running, self.running.subject(), self.home_scene)
         if not reason and surface.shows_itself(context, self.running):  # the overlay would cover it
-            reason = "This viewport renders the material that was kept: choose Solid shading to see this map"
+            reason = iface("This viewport renders the material that was kept: choose Solid shading to see this map")
         return reason
 
     def _draws_in(self, context) -> bool:

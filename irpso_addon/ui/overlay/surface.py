@@ -13,6 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
 from ...results.scales import PERCENT, round_up, steady_limit
 from ...solver.views.display import Shown
+from ..common.words import iface
 from ..session.session import Session
 from .place import Placement, card_corners, card_frame, placement_of
 
@@ -102,15 +103,19 @@ def why_unseen(context, running: Session, subject, home_scene: int) -> str:
     """
     space, name = context.space_data, running.job.name
     if not space.overlay.show_overlays:
-        return "Viewport overlays are off: switch them on in this viewport's header"
+        return iface("Viewport overlays are off: switch them on in this viewport's header")
     if subject is None and running.mesh is not None:
-        return f"'{name}' has been deleted: undo that"
+        return iface("'{name}' has been deleted: undo that", name=name)
     if subject is None:
-        return "" if context.scene.session_uid == home_scene else "The card is in another scene"
+        return "" if context.scene.session_uid == home_scene else iface("The card is in another scene")
     if subject.mode != "OBJECT":  # the map would cover the user's editing or painting
-        return f"'{subject.name}' is not in Object Mode: press Tab, or choose Object Mode in the header"
+        return iface(
+            "'{name}' is not in Object Mode: press Tab, or choose Object Mode in the header", name=subject.name
+        )
     if not subject.visible_get(view_layer=context.view_layer, viewport=space):
-        return f"'{subject.name}' is hidden in this viewport: show it in the Outliner, or leave local view"
+        return iface(
+            "'{name}' is hidden in this viewport: show it in the Outliner, or leave local view", name=subject.name
+        )
     return ""
 
 

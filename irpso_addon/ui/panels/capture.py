@@ -7,6 +7,7 @@ import bpy
 from ...capture.inspect.damage import DAMAGE
 from ...core.errors import InputError
 from ..common import drawing, failures
+from ..common.words import iface, n_
 from ..operators.capture_import import checking
 from ..operators.scene_setup import capture_lights
 from ..properties import findings, upkeep
@@ -15,9 +16,15 @@ from ..session.scene_capture import has_capture, wants_distance
 from .mesh import draw_mesh
 from .sidebar import BeforeRun
 
+_CORNERS = (n_("Upper Left"), n_("Upper Right"), n_("Lower Right"), n_("Lower Left"))
+_FACTS = {  # of the check: name → the panel's
+    "kind": n_("Kind"), "images": n_("Images"), "cameras": n_("Cameras"), "enough for": n_("Enough For"),
+    "formats": n_("Formats"), "lights": n_("Lights"), "encoding": n_("Encoding"), "noise": n_("Noise"),
+    "brightness": n_("Brightness"), "colours": n_("Colors"), "used": n_("Used"), "card": n_("Card"),
+}  # fmt: skip
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
 _MOST_ERRORS, _MOST_FINDINGS = 8, 1  # that stand above; more warnings would push Recover out of view
-_FIRST_STEP = (
+_FIRST_STEP = n_(
     "Photographs with a ball in them: Find Lights. With a list of their lights: Import Capture. Without any: Open"
     " Sample"
 )
@@ -44,7 +51,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
                 layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")
-                drawing.wrapped(layout, context, _FIRST_STEP, "INFO")
+                drawing.wrapped(layout, context, iface(_FIRST_STEP), "INFO")
                 return
             row = layout.row(align=True)
             row.prop(settings, "capture_path", text="")
@@ -69,14 +76,14 @@ def draw_observation(layout, context) -> None:
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(view, "observation")
-    drawing.fact(column, context, f"of {len(lights)}", lights[view.index(len(lights))].name)
+    drawing.fact(column, context, iface("of {count}", count=len(lights)), lights[view.index(len(lights))].name)
 
 
 def _draw_light(layout, context) -> None:
     """Draw the active light's photograph and camera, or a hint to select a light."""
     obj = context.object
     if obj is None or obj.type != "LIGHT":
-        drawing.wrapped(layout, context, "Select a light to choose its photograph", "INFO")
+        drawing.wrapped(layout, context, iface("Select a light to choose its photograph"), "INFO")
         return
     box = layout.box()
     box.label(text=obj.name, icon="LIGHT", translate=False)
@@ -88,7 +95,7 @@ def _draw_light(layout, context) -> None:
 
 def _draw_fact(layout, context, line: str) -> None:
     name, _, value = line.partition(": ")
-    drawing.fact(layout, context, name[:1].upper() + name[1:], value)
+    drawing.fact(layout, context, _FACTS.get(name, name[:1].upper() + name[1:]), value)
 
 
 def _is_first(line: str) -> bool:
@@ -110,12 +117,12 @@ def _draw_check(layout, context, settings) -> None:
         for line in filter(_is_first, lines):
             _draw_fact(column, context, line)
     if doing:
-        layout.label(text=doing, icon="SORTTIME", translate=False)
+        layout.label(text=iface(doing), icon="SORTTIME", translate=False)
         return
     first, others = _first_findings(settings)
     _draw_findings(layout, context, first)
     if others:
-        layout.label(text=f"and {len(others)} more, in Details", icon="BLANK1")
+        layout.label(text=iface("and {count} more, in Details", count=len(others)), icon="BLANK1")
     if lines and not first:
         layout.label(text="No Problems Found", icon="CHECKMARK")
     # The check of a scene reads headers only, so it does not see damaged pixels.
@@ -255,12 +262,14 @@ def _draw_distance(layout, scene) -> None:
     if not settings.card_width:
         column.prop(settings, "card_distance" if files else "card_length")
     if files and settings.stated_distance and not settings.card_distance:
-        column.label(text=f"The capture says {settings.stated_distance:g}", icon="INFO", translate=False)
+        column.label(
+            text=iface("The capture says {distance:g}", distance=settings.stated_distance), icon="INFO", translate=False
+        )
 
 
 def _draw_corners(layout, settings) -> None:
     """Draw X and Y of each corner in a row."""
-    for number, name in enumerate(("Upper Left", "Upper Right", "Lower Right", "Lower Left")):
+    for number, name in enumerate(_CORNERS):
         split = layout.split(factor=0.4)
         side = split.row()
         side.alignment = "RIGHT"
@@ -289,7 +298,7 @@ class IRPSO_PT_material(_OfCapture, bpy.types.Panel):
         column = layout.column(heading="Recover")
         column.use_property_split, column.use_property_decorate = True, False
         for item in settings.parameters:
-            column.prop(item, "recover", text=bpy.path.display_name(item.name), translate=False)
+            column.prop(item, "recover", text=bpy.path.display_name(item.name))
             if not item.recover:
                 _draw_fixed(column, item)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..common.words import iface
 from ..session.job import subject_object
 
 
@@ -10,12 +11,12 @@ def draw_mesh(column, context) -> None:
     settings = context.scene.irpso
     column.prop(settings, "object")
     if settings.object is None and (active := subject_object(context)) is not None:
-        column.label(text=f"Active: {active.name}", icon="OBJECT_DATA", translate=False)
+        column.label(text=iface("Active: {name}", name=active.name), icon="OBJECT_DATA", translate=False)
     chosen = subject_object(context)
     if chosen is not None and len(chosen.material_slots) > 1:
         column.prop(settings, "slots")
         if settings.slots == "ACTIVE" and (material := chosen.active_material) is not None:
-            column.label(text=f"Active: {material.name}", icon="MATERIAL", translate=False)
+            column.label(text=iface("Active: {name}", name=material.name), icon="MATERIAL", translate=False)
         if settings.slots == "NAMED":
             column.prop(settings, "slot_list", text="Names")
     column.prop(settings, "occluders")

@@ -10,6 +10,7 @@ from ...core.errors import InputError
 from ...pipeline.result import capture_warnings
 from ...solver.settings.schedule import GROUPS
 from ..common import drawing, failures
+from ..common.words import iface, n_
 from ..operators.presets import label_of
 from ..operators.restore import draw_unkept
 from ..session import session
@@ -30,11 +31,11 @@ class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
         running = session.current()
         if running is None:
             draw_unkept(self.layout, context)
-            _draw_start(self.layout, context, "Recover")
+            _draw_start(self.layout, context, n_("Recover"))
         elif running.state == "done":
             draw_result(self.layout, context, running)
             self.layout.separator()
-            _draw_start(self.layout, context, "Recover Again")
+            _draw_start(self.layout, context, n_("Recover Again"))
         else:
             draw_progress(self.layout, context, running)
 
@@ -72,12 +73,14 @@ def draw_progress(layout, context, running: session.Session) -> None:
     layout.label(text=running.job.name, icon="TEXTURE", translate=False)
     progress = running.progress
     title = running.title.replace("_", " ").replace(" + ", ", ")
-    text = f"Paused at {running.fraction:.0%}" if running.state == "paused" else f"{running.fraction:.0%}"
+    text = (
+        iface("Paused at {part:.0%}", part=running.fraction) if running.state == "paused" else f"{running.fraction:.0%}"
+    )
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
     column = layout.column(align=True)
     column.scale_y = 0.9
     lines = 3 if running.job.schedule.interreflection.rounds else 2  # buttons must not jump
-    drawing.fact(column, context, "Now", title[:1].upper() + title[1:], lines)
+    drawing.fact(column, context, "Now", iface(title[:1].upper() + title[1:]), lines)
     if progress is not None:
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
         drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
@@ -105,7 +108,7 @@ def draw_result(layout, context, running: session.Session) -> None:
     """Draw the result's figures and warnings, and the buttons."""
     kept, stopped = running.kept, running.stopped
     column = layout.column(align=True)
-    state = ["Stopped Early"] * stopped + ["Kept"] * kept or ["Done"]
+    state = [iface("Stopped Early")] * stopped + [iface("Kept")] * kept or [iface("Done")]
     column.label(text=f"{running.job.name}: {', '.join(state)}", icon="PAUSE" if stopped else "CHECKMARK",
                  translate=False)  # fmt: skip
     if stopped:
@@ -137,9 +140,8 @@ def draw_result(layout, context, running: session.Session) -> None:
         layout.operator("irpso.save_asset", text="Save to Asset Library…", icon="ASSET_MANAGER")
         layout.operator("irpso.mix_captures", text="Mix Captures…", icon="NODE_MATERIAL")
     if kept and not is_standard_view(context.scene):
-        drawing.wrapped(
-            layout, context, "The scene's view transform changes colors. To compare with the photographs:", "INFO"
-        )
+        text = iface("The scene's view transform changes colors. To compare with the photographs:")
+        drawing.wrapped(layout, context, text, "INFO")
         layout.operator("irpso.standard_view", icon="COLOR")
 
 
@@ -152,11 +154,13 @@ def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
     """Draw what the rounds of interreflection have found."""
     if not found["rounds"]:
         return
-    drawing.fact(layout, context, "Indirect Light", f"{drawing.percent(found['share'])} of all")
+    drawing.fact(layout, context, "Indirect Light", iface("{share} of all", share=drawing.percent(found["share"])))
     drawing.fact(layout, context, "Rounds", str(found["rounds"]))
     drawing.fact(layout, context, "Strength", f"{found['strength'][-1]:.2f}")
     if count := found["unknown_texels"]:
-        drawing.fact(layout, context, "Left Unknown", "1 texel" if count == 1 else f"{count} texels")
+        drawing.fact(
+            layout, context, "Left Unknown", iface("1 texel") if count == 1 else iface("{count} texels", count=count)
+        )
 
 
 def _draw_displacement(layout, context) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..common import drawing
+from ..common.words import iface
 from ..overlay.handlers import why_hidden
 from ..session import session
 from .capture import draw_observation
@@ -33,10 +34,11 @@ def draw_shown(layout, context, running: session.Session) -> None:
         observations = running.job.capture.observations
         column.prop(view, "observation")
         index = running.observation(view)
-        drawing.fact(column, context, f"of {len(observations)}", observations[index].name)
+        drawing.fact(column, context, iface("of {count}", count=len(observations)), observations[index].name)
         chosen, number = view.index(len(observations)), running.job.numbers[index]
         if chosen != number:
-            drawing.wrapped(column, context, f"Photograph {chosen + 1} is held out: {number + 1} is shown", "INFO")
+            text = iface("Photograph {chosen} is held out: {shown} is shown", chosen=chosen + 1, shown=number + 1)
+            drawing.wrapped(column, context, text, "INFO")
         column.prop(view, "exposure")
     if view.shown in _OF_A_PHOTOGRAPH:
         column.prop(view, "mark_unused")
@@ -44,7 +46,8 @@ def draw_shown(layout, context, running: session.Session) -> None:
         column.prop(view, "split", slider=True)
     if view.shown == "INDIRECT" and running.recovery.indirect_share is None:
         on = running.job.schedule.interreflection.rounds > 0
-        text = "Known when the first round begins" if on else "Not looked for: recover with Interreflection on"
+        known = iface("Known when the first round begins")
+        text = known if on else iface("Not looked for: recover with Interreflection on")
         drawing.wrapped(column, context, text, "INFO")
     if reason := why_hidden(context):
         drawing.wrapped(layout, context, reason, "HIDE_ON")

@@ -18,6 +18,7 @@ from ...solver.planning.memory import parse_memory
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 from ..common.polls import usable
+from ..common.words import rpt
 
 DISPLAY_RATE = 10  # pictures per second
 _SPARING_SECONDS = 10.0  # between pictures under software Vulkan, which limits the number of draws (gpu/context.py)
@@ -143,7 +144,7 @@ class Doctor(bpy.types.Operator):
             _report["GPU"] = f"none usable: {error}"
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, "The report is in the add-on's preferences")
+        self.report({"INFO"}, rpt("The report is in the add-on's preferences"))
         return {"FINISHED"}
 
 
@@ -161,7 +162,7 @@ class CopyReport(bpy.types.Operator):
     def execute(self, context):
         """Copy the report to the clipboard."""
         context.window_manager.clipboard = report()
-        self.report({"INFO"}, "The report is in the clipboard")
+        self.report({"INFO"}, rpt("The report is in the clipboard"))
         return {"FINISHED"}
 
 

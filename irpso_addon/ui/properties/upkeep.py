@@ -6,11 +6,12 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..common import failures
+from ..common.words import n_
 from .scene_settings import CUSTOM, refresh_parameters
 from .schedule_settings import rename_stored
 
 
-@failures.reported("Listing the maps of the model")
+@failures.reported(n_("Listing the maps of the model"))
 def fill_lists() -> None:
     """Give every scene the parameters of its model. Panels cannot: Blender forbids changes during drawing."""
     for scene in bpy.data.scenes:

@@ -8,9 +8,10 @@ from ...core.errors import InputError
 from ...gpu import probe
 from ...reflectance.model import load_model
 from ...solver.planning.cost import recovery_cost
-from ...solver.planning.forecast import forecast, forecast_text
+from ...solver.planning.forecast import forecast, in_units
 from ...solver.settings.schedule import Schedule
 from ..common.file_paths import absolute
+from ..common.words import iface
 from ..properties import findings
 from ..properties.scene_settings import CUSTOM
 from ..properties.schedule_settings import schedule_of
@@ -30,7 +31,12 @@ def search_time(context) -> str:
         each = _work(_model(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
     except InputError:  # Recover says what is wrong
         return ""
-    return forecast_text(forecast(_texels(settings) * each, probe.measured()))
+    least, most, unit = in_units(forecast(_texels(settings) * each, probe.measured()))
+    if least == 0:
+        return iface("less than a minute")
+    if unit == "hours":
+        return iface("{least} to {most} hours", least=least, most=most)
+    return iface("{least} to {most} minutes", least=least, most=most)
 
 
 def _texels(settings) -> float:

@@ -16,12 +16,13 @@ from ...results.derived_maps import DerivedMaps
 from ...results.map_tables import map_tables
 from ...results.preview import Curves, convergence, display_image
 from ..common.polls import usable
+from ..common.words import n_, rpt
 from ..properties import preferences
 from . import session, unkept
 from .card_place import put_card
 
 _NO_EXTRAS = DerivedMaps()
-NOTHING = "Nothing has been recovered yet: press Recover"
+NOTHING = n_("Nothing has been recovered yet: press Recover")
 _STANDARD = "Standard"
 
 
@@ -115,8 +116,11 @@ def _keep(context, running: session.Session) -> str:
             put_card(subject, job.place)
         _show(context, subject, new=former is None)
     count = len(map_tables(job.model))
-    where = f"in {folder}" if folder else "packed into the file"
-    return f"Material '{made.name}' on '{subject.name}', with {count} maps {where}"
+    where = rpt("in {folder}", folder=folder) if folder else rpt("packed into the file")
+    return rpt(
+        "Material '{name}' on '{object}', with {count} maps {where}", name=made.name, object=subject.name, count=count,
+        where=where,
+    )  # fmt: skip
 
 
 def _show(context, card, new: bool) -> None:

@@ -28,6 +28,7 @@ from ...solver.views.held_out import relit_line
 from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
 from ..common.polls import usable
+from ..common.words import n_
 from . import unkept
 from .job import SceneJob
 from .probes import Probes
@@ -35,7 +36,7 @@ from .worker import Worker
 
 _ERROR_EVERY = 0.5  # seconds between measurements of the mean error, each a small render
 
-_TITLES = {READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitting a first guess"}
+_TITLES = {READ: n_("Reading images"), LIGHTS: n_("Finding the lights"), PREPARE: n_("Fitting a first guess")}
 
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
@@ -180,7 +181,7 @@ class Session:
             self._work(started + budget_s)
             self._look()
         except Exception as error:  # noqa: BLE001  Blender calls a modal operator again after an error
-            self.failure = failures.report("The recovery", error)
+            self.failure = failures.report(n_("The recovery"), error)
             self.close()
         took = time.perf_counter() - started
         self.longest_stall_s = max(self.longest_stall_s, took)
@@ -220,12 +221,12 @@ class Session:
         """Stop; the maps wait to be kept, after held-out photographs are relit. A second call skips relighting."""
         if not self.work.is_relit and not self.relighting:
             self._relighting = self._relight()
-            self.state, self.title = "running", "Relighting unseen photographs"
+            self.state, self.title = "running", n_("Relighting unseen photographs")
             _notify()
             return
         self._leave_relighting()
         self.state, self.doubts = "done", self.recovery.warnings
-        self.title = "Stopped" if self.stopped else "Done"
+        self.title = n_("Stopped") if self.stopped else n_("Done")
         _notify()
 
     def maps(self, confidence: bool = True) -> Maps:
@@ -279,7 +280,7 @@ class Session:
                 if time.perf_counter() >= deadline:
                     return
         except Exception as error:  # noqa: BLE001  an error in a comparison must not lose the maps
-            failures.report("Relighting unseen photographs", error)
+            failures.report(n_("Relighting unseen photographs"), error)
         self.finish()
 
     def _relight(self) -> Generator[None, None, None]:
@@ -395,6 +396,6 @@ def unregister() -> None:
 
 
 @persistent
-@failures.reported("Leaving the file")
+@failures.reported(n_("Leaving the file"))
 def _on_load(*_: object) -> None:
     forget()

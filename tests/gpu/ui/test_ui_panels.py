@@ -73,7 +73,7 @@ class Drawn:
         self.notes["texts"].append(text)
         getattr(bpy.types, panel).draw(SimpleNamespace(layout=Drawn(self.notes)), bpy.context)
 
-    def operator(self, name, text="", icon="NONE", emboss=True):
+    def operator(self, name, text="", icon="NONE", emboss=True, translate=True):
         assert icon in ICONS, icon
         kind = getattr(bpy.types, "IRPSO_OT_" + name.partition(".")[2], None) or next(
             (c for c in bpy.types.Operator.__subclasses__() if c.bl_idname == name and c.is_registered), None

@@ -1,0 +1,36 @@
+"""Gives Blender the words of all languages, for the one that is chosen in its preferences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from .po import read_po
+
+# Blender looks for de_DE, then for de. Chinese has two scripts and so keeps its own.
+LOCALES = ("de", "es", "fr", "ja", "zh_HANS")
+FOLDER = Path(__file__).parent
+_CONTEXTS = ("*", "Operator")  # of labels and properties; of operators' names, as in buttons and menus
+
+
+def words() -> dict[str, dict[tuple[str, str], str]]:
+    """Return locale → (context, English text) → translation."""
+    read = {locale: read_po(FOLDER / f"{locale}.po") for locale in LOCALES}
+    return {
+        locale: {(context, text): word for text, word in found.items() for context in _CONTEXTS}
+        for locale, found in read.items()
+    }
+
+
+CLASSES = ()
+
+
+def register() -> None:
+    """Register the words under this module's name."""
+    bpy.app.translations.register(__name__, words())
+
+
+def unregister() -> None:
+    """Remove them."""
+    bpy.app.translations.unregister(__name__)
