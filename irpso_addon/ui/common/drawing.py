@@ -12,7 +12,7 @@ _CHARACTER = 6.6  # mean width of a character in Blender's font, in pixels at sc
 _MARGINS = 58  # pixels of a panel's width without text: edges, tab, icon
 _GAPS = 45  # the same, without an icon
 _LEAST = 16  # characters per line
-_PIECES = re.compile(r"[!-~À-ɏ]+|.")  # Latin words, and single characters
+_PIECES = re.compile(r"[!-~À-ɏ]+|[「『（【“]?.")  # Latin words, and single characters
 _CLOSING = "、。，．：；！？）」』】"
 _NAME = 0.4  # part of the line for a fact's name
 

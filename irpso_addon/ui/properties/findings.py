@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ...capture.inspect.frames import Finding
+from ..common.words import iface
 
 
 def is_checked(settings) -> bool:
@@ -39,4 +40,4 @@ def obstacle(settings) -> str:
     if settings.source != "FILES":  # a scene changes with every edit: Recover checks it itself
         return ""
     first = next((item.message for item in shown(settings) if item.severity == "error"), "")
-    return first and f"This capture cannot be used: {first}. Then check again"
+    return first and iface("This capture cannot be used: {fault}. Then check again", fault=first)

@@ -27,6 +27,7 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ...solver.planning.planning import scratch_folder
 from ...solver.views.held_out import FEWEST_SPARING, held_out_last, spared
 from ..common.polls import NO_CAPTURE
+from ..common.words import iface
 from ..properties import findings, preferences
 from ..properties.recipe import recipe_of
 from ..properties.scene_settings import model_of
@@ -56,30 +57,34 @@ def missing(context) -> str:
     """Return what a recovery still lacks, with the remedy, "" for nothing. Opens no file."""
     settings = context.scene.irpso
     if not has_capture(settings):
-        return NO_CAPTURE
+        return iface(NO_CAPTURE)
     if text := findings.obstacle(settings):
         return text
     if settings.source == "SCENE":
         count = sum(obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects)
         if not count:
-            return "No light of this scene has a photograph: assign images to the lights, or import a capture"
+            return iface("No light of this scene has a photograph: assign images to the lights, or import a capture")
         if count < FEWEST and findings.wants_normal(settings):
-            lights = "1 light has a photograph" if count == 1 else f"{count} lights have photographs"
-            return f"Only {lights}: a normal needs at least three; add some, or give the normals"
+            lights = iface("1 light has a photograph")
+            if count > 1:
+                lights = iface("{count} lights have photographs", count=count)
+            return iface("Only {lights}: a normal needs at least three; add some, or give the normals", lights=lights)
     if wants_distance(context.scene) and not knows_distance(settings):
-        return "No distance of the card: its lights have positions; set Card Distance or Card Width, in their unit"
+        return iface(
+            "No distance of the card: its lights have positions; set Card Distance or Card Width, in their unit"
+        )
     if settings.source == "FILES" and settings.subject == "CARD" and not is_marked(settings):
-        return "Frame: nothing is marked; mark the card in the photograph, or set Frame to As Imported"
+        return iface("Frame: nothing is marked; mark the card in the photograph, or set Frame to As Imported")
     if settings.subject == "MESH":
         obj = subject_object(context)
         if obj is None:
-            return "No mesh: choose the object whose maps are to be recovered, or make it active"
+            return iface("No mesh: choose the object whose maps are to be recovered, or make it active")
         if not obj.data.uv_layers:
-            return f"'{obj.name}' has no UV map: unwrap it first"
+            return iface("'{name}' has no UV map: unwrap it first", name=obj.name)
         if settings.slots == "NAMED" and len(obj.material_slots) > 1 and not settings.slot_list.strip():
-            return f"No slot is chosen: name those to be recovered, of {listed(slot_names(obj))}"
+            return iface("No slot is chosen: name those to be recovered, of {slots}", slots=listed(slot_names(obj)))
     if settings.parameters and not any(item.recover for item in settings.parameters):
-        return "Nothing to recover: tick at least one map"
+        return iface("Nothing to recover: tick at least one map")
     return ""
 
 

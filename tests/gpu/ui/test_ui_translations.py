@@ -99,16 +99,6 @@ def test_blender_has_the_words_of_every_language_in_both_contexts():
     assert found["de"]["*", "Recover"] == found["de"]["Operator", "Recover"] != "Recover"
 
 
-def test_registering_twice_and_unregistering_leaves_nothing_behind():
-    for _ in range(2):
-        irpso_addon.register()
-        with pytest.raises(ValueError, match="already"):
-            bpy.app.translations.register("irpso_addon.ui.translations.register", {})
-        irpso_addon.unregister()
-    bpy.app.translations.register("irpso_addon.ui.translations.register", {})
-    bpy.app.translations.unregister("irpso_addon.ui.translations.register")
-
-
 def test_a_tooltip_stands_in_one_line(words):
     names = [name for name in dir(bpy.ops.irpso) if not name.startswith("_")]
     texts = {name: getattr(bpy.ops.irpso, name).get_rna_type().description for name in names}
