@@ -142,7 +142,7 @@ def test_the_zip_brings_reviewable_sources_alone(package):
         names = [name for name in archive.namelist() if not name.endswith("/")]
         texts = {name: archive.read(name) for name in names}
     kinds = {Path(name).suffix for name in names}
-    assert kinds <= {"", ".py", ".glsl", ".toml", ".md", ".html", ".css", ".js"}
+    assert kinds <= {"", ".py", ".glsl", ".toml", ".md", ".html", ".css", ".js", ".po"}
     assert [name for name, data in texts.items() if b"\0" in data] == []
     assert max(len(line) for name in names if name.endswith(".py") for line in texts[name].decode().splitlines()) <= 120
     assert {"__init__.py", "blender_manifest.toml", "LICENSE"} <= set(names)
