@@ -146,9 +146,9 @@ def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
     bpy.ops.irpso.restore(path=str(stored.path))
     bpy.ops.irpso.cancel()
     assert list(folder.iterdir()) == [mine] and session.current() is None
-    with pytest.raises(RuntimeError, match="stored no longer"):
+    with pytest.raises(RuntimeError, match="no longer stored"):
         bpy.ops.irpso.restore(path=str(stored.path))
-    with pytest.raises(RuntimeError, match="stored no longer"):
+    with pytest.raises(RuntimeError, match="no longer stored"):
         bpy.ops.irpso.forget(path=str(mine))
     assert unkept.listed() == [] and mine.exists()
 
@@ -170,7 +170,7 @@ def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
     running = session.current()
     while running.active:
         running.tick(0.05)
-    assert "is of another recovery: fixed differs; forget it, and recover anew" in running.failure
+    assert "is of another recovery: fixed differs; delete it, and recover anew" in running.failure
     assert "--" not in running.failure and stored.path.exists()
 
 
