@@ -162,17 +162,28 @@ def main() -> int:
     cut = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     options, rest = parser.parse_args(sys.argv[1:cut]), sys.argv[cut + 1 :]
 
-    # Software GL would start a thread a core in every process, and have them wait for each other at every small draw.
-    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // options.jobs)))
     targets, results = targets_of(options.paths), []
     no_gpu = probe_gpu() if any(TESTS / "gpu" in target.parents for target in targets) else ""
     if no_gpu and os.environ.get("IRPSO_REQUIRE_GPU"):
         results.append(Result("GPU probe", failed=[no_gpu]))
-    with ThreadPoolExecutor(options.jobs) as pool:
-        for result in pool.map(lambda target: run_pytest(target, options.timeout, rest, no_gpu), targets):
+    results += run_all(targets, options.jobs, options.timeout, rest, no_gpu)
+    return summarize(results)
+
+
+def run_all(targets: list[Path], jobs: int, timeout: float, arguments: list[str], no_gpu: str = "") -> list[Result]:
+    """Run pytest on every target, ``jobs`` at a time, and print a line for each; return what became of them."""
+    # Software GL would start a thread a core in every process, and have them wait for each other at every small draw.
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // jobs)))
+    results = []
+    with ThreadPoolExecutor(jobs) as pool:
+        for result in pool.map(lambda target: run_pytest(target, timeout, arguments, no_gpu), targets):
             results.append(result)
             report(result)
+    return results
 
+
+def summarize(results: list[Result]) -> int:
+    """Print what was skipped, run again or failed, and the counts; return 1 if anything failed."""
     failed = [test for result in results for test in result.failed]
     skipped = [test for result in results for test in result.skipped]
     for test in skipped:

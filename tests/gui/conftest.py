@@ -32,11 +32,15 @@ def blender() -> Blender:
 
 @pytest.fixture(scope="session")
 def installed(blender, tmp_path_factory) -> Path:
-    """Blender's settings and extensions, with the built zip installed and enabled and nothing else."""
-    folder = tmp_path_factory.mktemp("installed")
-    package = os.environ.get("IRPSO_PACKAGE")
-    install(blender, Path(package) if package else build_package(folder / "dist"), folder / "user")
-    return folder / "user"
+    """Blender's settings and extensions, with the built zip installed and enabled and nothing else; only to be copied.
+
+    run_gui.py installs once for all modules and hands the folder over.
+    """
+    if folder := os.environ.get("IRPSO_INSTALLED"):
+        return Path(folder)
+    own = tmp_path_factory.mktemp("installed")
+    install(blender, build_package(own / "dist"), own / "user")
+    return own / "user"
 
 
 @pytest.fixture(scope="session")
