@@ -34,7 +34,7 @@ def ready(window, tmp_path_factory):
     window.open_sidebar("IRPSO")
     window.run(f"bpy.ops.irpso.import_capture(filepath={str(folder)!r})")
     window.wait("bool(settings.checked_path)", timeout=120)
-    window.run("settings.hold_out = 'AUTO'; settings.schedule.preset = 'swarm'; settings.schedule.iterations = 40")
+    window.run("settings.hold_out = 'AUTO'; settings.schedule.preset = 'swarm'; settings.schedule.iterations = 20")
     window.settle()
     window.screenshot("hold out set", window.region(region="UI"))
     return window
