@@ -322,7 +322,7 @@ def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(rea
     ready.move(*ready.region("FILE_BROWSER").centre)
     ready.key("Return")
     ready.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
-    assert any("no image was chosen" in line for line in ready.reports())
+    assert any("No image was chosen" in line for line in ready.reports())
     assert ready.run("[image.name for image in bpy.data.images if image.source == 'FILE']") == []
 
 
