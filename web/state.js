@@ -51,7 +51,7 @@ relight.State = class {
   compare(index) {
     const count = this.result.photographs.length;
     if (!count) return;
-    this.photograph = (index + count) % count;
+    this.photograph = ((index % count) + count) % count;
     this.comparing = true;
     this.map = 0;
     this.uncertain = false;

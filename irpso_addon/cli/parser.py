@@ -106,7 +106,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--preview",
         action=argparse.BooleanOptionalAction,
-        help="first write maps of a quarter of the size into OUT/preview (default: of two million texels or more)",
+        help="first write maps of a quarter of each side into OUT/preview (default: from two million texels on)",
     )
     add.add_argument("--live", action="store_true", help="keep OUT/live.png, a picture of the maps so far")
     add.add_argument("--memory", metavar="SIZE", help="most memory to use, as 4G or device=4G,host=8G")

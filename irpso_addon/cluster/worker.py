@@ -22,7 +22,7 @@ from ..solver.engine.tiles import Tile, TilePool
 from ..solver.settings.fixed import full_map
 from ..solver.settings.schedule import Schedule
 from ..solver.state import prepare
-from ..solver.state.checkpoint import Checkpoint, named
+from ..solver.state.checkpoint import NEVER, Checkpoint, named
 from ..solver.state.layout import digest_of_texels, joined, numbered
 from .exchange import RankTransport
 from .partition import Partition, around
@@ -200,7 +200,7 @@ class Worker:
             return None
         numbers = numbered(self.domain.solvable)
         rows = ((own_rows(numbers, self.places[r].box), arrays) for r, arrays in enumerate(parts) if arrays is not None)
-        return Checkpoint(stage, iteration, self._progress.evaluations, joined(self._total, rows))
+        return Checkpoint(stage, iteration, self._progress.evaluations, joined(self._total, rows), begun=NEVER)
 
     def restore(self, saved: Checkpoint | None) -> Progress:
         """Continue from what ``state`` returned to rank 0; the others have None."""

@@ -71,7 +71,12 @@ def _preview(options: Namespace, job: Job, work: float) -> None:
     folder = Path(options.output) / PREVIEW
     run = Run(job, StepBars(silent(options)))
     own = run.first_plan().work
-    report, _, _ = _solved(options, run, folder, Saving(None))
+    try:
+        report, _, _ = _solved(options, run, folder, Saving(None))
+    except InputError as error:  # of a quarter alone, perhaps
+        sys.stderr.write(f"irpso: warning: no preview: {error}\n")
+        return
+    (folder / LIVE).unlink(missing_ok=True)
     if not silent(options):
         seconds = report["seconds"]["solve"] * work / own
         time_left = forecast_text((seconds / _PACE_SPREAD, seconds * _PACE_SPREAD))

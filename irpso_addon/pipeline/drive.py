@@ -76,7 +76,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         if not progress.done:
             if saving.path is None:
                 raise KeyboardInterrupt
-            saver.save(saving.path)
+            saver.save(saving.path, running=True)
             raise KeyboardInterrupt(f"{saving.path} holds the run so far, go on with --resume")
     return saver.seconds, saver.warnings
 
@@ -99,12 +99,12 @@ class _Saver:
         """The run's seconds so far."""
         return self.before + time.perf_counter() - self._began
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path, running: bool | None = None) -> None:
         """Write a checkpoint. Raises InputError where it cannot be written."""
         if self.turns:  # tiles that are behind catch up: the history would miss a measurement after a resume
             self._recovery.step(0)
             self._history.look()
-        self._recovery.save(path, {**self._history.notes, _SECONDS: np.array(self.seconds)})
+        self._recovery.save(path, {**self._history.notes, _SECONDS: np.array(self.seconds)}, running)
 
     def save_when_due(self) -> None:
         """Write a checkpoint if it is due; where it cannot be written, warn once and continue."""

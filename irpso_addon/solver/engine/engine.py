@@ -172,7 +172,8 @@ class RecoveryEngine(ABC):
 
         Its arrays are of the solvable texels of the whole domain, row by row (state/layout.py), however it is divided.
         running: with what the running stage has found. Without it a resumed run makes the stage again; what is left
-        takes a fifth of the bytes or less. Ranks always return all.
+        takes a twelfth to a half of the bytes. Ranks always return all, and so does a stage that began under settings
+        that have been changed since.
         """
 
     @abstractmethod
@@ -190,13 +191,16 @@ class RecoveryEngine(ABC):
         """A number of all samples; found once, because it reads them all."""
         return digest_of_texels(self.domain)
 
-    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
+    def save(
+        self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({}), running: bool | None = None
+    ) -> None:
         """Write a checkpoint, from which ``load`` continues to the same maps bit for bit. Written whole or not at all.
 
-        notes: arrays of the caller's own, which ``load`` returns. Of a large domain the file holds the begin of the
-        running stage.
+        notes: arrays of the caller's own, which ``load`` returns. running: as for ``state``; None: unless the domain is
+        large.
         """
-        running = bool(np.count_nonzero(self.domain.solvable) <= _MOST_RUNNING)
+        if running is None:
+            running = bool(np.count_nonzero(self.domain.solvable) <= _MOST_RUNNING)
         checkpoint.write(Path(path), self.identity, replace(self.state(running), notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:

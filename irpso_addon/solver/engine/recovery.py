@@ -28,7 +28,7 @@ from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
-from ..state.checkpoint import PHASE, Checkpoint, named
+from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prepare import Prepared
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
@@ -240,14 +240,16 @@ class Recovery(RecoveryEngine):
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None and running:
             arrays |= {PHASE + name: array for name, array in self._phase.state().items()}
-        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit}, begun=self._begun)
+        begun = self._begun if self._repeats else NEVER
+        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit}, begun=begun)
 
     def remember(self, saved: Checkpoint) -> None:
         """Continue from what ``memory`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
-        self._index, self._evaluations, self._begun = saved.stage, saved.evaluations, saved.begun
+        self._index, self._evaluations = saved.stage, saved.evaluations
+        self._begun, self._repeats = saved.begun, saved.begun != NEVER
         self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED})
         if self._phase is not None:
             self._phase.close()
@@ -278,7 +280,7 @@ class Recovery(RecoveryEngine):
         known = measured_by(self._stages[: goes_on.index], self._prefit)
         begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
-        new._begun, new._repeats = self._begun, not (goes_on.phase or goes_on.swarms)
+        new._repeats = False  # it goes on with other swarms, or begins around what has been found
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):

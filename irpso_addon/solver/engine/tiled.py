@@ -17,7 +17,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule, refuse_levels
 from ..state import prepare
-from ..state.checkpoint import Checkpoint
+from ..state.checkpoint import NEVER, Checkpoint
 from ..state.layout import TexelLayout, joined, numbered
 from .engine import Capabilities, RecoveryEngine
 from .halo import Box, held_rows, own_of, own_rows, part_of, rectangle
@@ -55,6 +55,7 @@ class TiledRecovery(RecoveryEngine):
         context.ensure()
         super().__init__(domain, model, schedule, seed, fixed, entry)
         self._halo = halo
+        self._once: int | None = None  # a stage that cannot be made again from its begin
         _check_boxes(boxes, domain)
         prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
         if guess is not None:
@@ -120,7 +121,7 @@ class TiledRecovery(RecoveryEngine):
             self._pool.active.particle_tiles,
         )
 
-        begun = []
+        running, begun = running or at[0] == self._once, []
 
         def rows(number: int) -> dict[str, np.ndarray]:
             part = self._pool.tiles[number]
@@ -134,16 +135,17 @@ class TiledRecovery(RecoveryEngine):
 
         parts = ((own_rows(numbers, part.box), rows(number)) for number, part in enumerate(self._pool.tiles))
         arrays = joined(self._solved, parts, self._pool.empty)
-        saved = Checkpoint(*at, self.progress.evaluations, arrays, begun=sum(begun))
+        saved = Checkpoint(*at, self.progress.evaluations, arrays, begun=NEVER if at[0] == self._once else sum(begun))
         return saved if running else saved.of_stage
 
     def restore(self, saved: Checkpoint) -> None:
         self._driver.restart()
+        self._once = saved.stage if saved.begun == NEVER else None
         numbers, limit = numbered(self.domain.solvable), context.max_texture_size()
         for number, part in enumerate(self._pool.tiles):
             held = held_rows(numbers, part.place)
             arrays = TexelLayout(part.domain).arrays({n: rows[held] for n, rows in saved.arrays.items()}, limit)
-            made, begun = (n // max(1, self._solved) * part.solved for n in (saved.evaluations, saved.begun))
+            made, begun = (max(0, n) // max(1, self._solved) * part.solved for n in (saved.evaluations, saved.begun))
             self._pool.wait(number, replace(saved, evaluations=made, begun=begun, arrays=arrays))
         self._pool.fill()
         for part in self._pool.tiles:

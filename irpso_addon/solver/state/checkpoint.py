@@ -26,6 +26,7 @@ from .layout import digest_of_texels
 
 _VERSION = 6
 _NOTE = "note_"  # prefix of the caller's own arrays in the file
+NEVER = -1  # in place of the evaluations at a begin from which the stage cannot be made again
 PHASE = "phase_"  # prefix of the arrays of the running phase
 
 
@@ -35,7 +36,7 @@ class Checkpoint:
 
     stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels
     (layout.py), or textures for the same process; without those of the phase the stage begins anew. notes: the
-    caller's arrays by name. begun: the evaluations at the begin of the stage.
+    caller's arrays by name. begun: the evaluations at the begin of the stage, or NEVER.
     """
 
     stage: int

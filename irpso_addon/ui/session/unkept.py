@@ -58,7 +58,7 @@ def store(running: Any) -> None:
             HISTORY: np.array(running.history).reshape(-1, 2),
             SECONDS: np.array(running.seconds),
         }
-        running.recovery.save(job.resumed or place / f"{file_stem(job.name)}-{digest}.npz", notes)
+        running.recovery.save(job.resumed or place / f"{file_stem(job.name)}-{digest}.npz", notes, running=True)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
     look()

@@ -99,7 +99,7 @@ class FullDisk:
         self.progress = replace(self.progress, done=self._made == 5)
         return self.progress
 
-    def save(self, path, notes):
+    def save(self, path, notes, running=None):
         self.saved += 1
         if self._fails:
             with replacing_file(path):
@@ -121,7 +121,7 @@ def test_the_seconds_of_a_run_sum_over_its_resumes(tmp_path):
         def load(self, path):
             return {"seconds": np.array(700.0)}
 
-        def save(self, path, notes):
+        def save(self, path, notes, running=None):
             self.noted = float(notes["seconds"])
 
     run = GoneOnWith(fails=False)
@@ -167,7 +167,7 @@ def test_slow_checkpoints_take_at_most_a_twentieth_of_the_time(tmp_path, monkeyp
             self.progress = replace(self.progress, done=clock[0] > 10000)
             return self.progress
 
-        def save(self, path, notes):
+        def save(self, path, notes, running=None):
             self.saved += 1
             clock[0] += 30
 

@@ -297,3 +297,30 @@ def test_swapped_tiles_take_at_most_the_planned_bytes(preset, budget, device):
         recovery.step()
         recovery.maps()
     assert 0.7 * plan.device < device() <= plan.device <= budget
+
+
+@pytest.mark.parametrize("tiles", [False, True], ids=["whole", "tiles"])
+def test_a_stage_whose_settings_changed_is_stored_whole(tiles, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "_MOST_RUNNING", 0)
+    (domain, _, _), schedule, path = known("several stages"), SCHEDULES["several stages"], tmp_path / "run.npz"
+    changed = schedule.replaced(c1=1.1)
+    with Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as recovery:
+        recovery.step(iterations=2)
+        other = recovery.reconfigure(changed)
+    other.step(iterations=1)
+    other.save(path)
+    other.step()
+    wanted = everything(other.maps())
+    other.close()
+    make = (
+        (lambda: tiled(domain, changed, FEW))
+        if tiles
+        else (lambda: Recovery(domain, TWO_LOBES, changed, 1, entry="fragment"))
+    )
+    with make() as recovery:
+        recovery.load(path)
+        recovery.save(path)  # and again from there
+    with make() as recovery:
+        recovery.load(path)
+        recovery.step()
+        assert everything(recovery.maps()) == wanted
