@@ -140,7 +140,7 @@ def _words(key: str, value: Any, path: Path | None) -> list[str]:
     """Return one option as words of a command line; a list repeats the option."""
     option = f"--{key.replace('_', '-')}"
     if isinstance(value, bool):
-        return [option] if value else []
+        return [option] if value else [f"--no-{key}"] if key == "preview" else []
     if isinstance(value, list):
         return [word for one in value for word in _words(key, one, path)]
     return [option, _beside(path, key, str(value))]

@@ -155,6 +155,7 @@ def _solved(options: Namespace, run: Run, folder: Path, saving: Saving) -> tuple
     started = time.perf_counter()
     found = found_of(run, maps, derived_maps_of(options))
     settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
+    settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
     write_maps(found.written, folder, report, pictures, found.derived)

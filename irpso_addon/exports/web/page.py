@@ -37,6 +37,7 @@ from .pyramid import INSIDE, TILE, level_shapes, levels, tile_of, tile_places
 
 ENTRY = "index.html"
 _TILES = "tiles"
+_RESULT = "result.js"
 _TILE_NAME = re.compile(r"\d+-\d+-\d+-\w+\.js$")
 _QUALITY = 90  # of a photograph's JPEG
 _FROM_ABOVE = np.array([0.0, 0.0, 1.0, 0.0])
@@ -55,6 +56,10 @@ def write_page(result: Result, folder: str | Path, photographs: Photographs | No
         raise InputError(
             f"{result.name}: its maps are those of a mesh, which the page does not show; choose gltf (--format gltf)"
         )
+    if (Path(folder) / ENTRY).exists() and not (Path(folder) / _RESULT).exists():
+        raise InputError(
+            f"{Path(folder) / ENTRY}: is no page of this program's and would be replaced; name another folder"
+        )
     maps, bytes_of = measured_maps(result), {"maps": 0, "uncertainty": 0, "photographs": 0}
     with filled_folder(folder) as place:
         for file in sorted(PAGE.iterdir()):
@@ -71,7 +76,7 @@ def write_page(result: Result, folder: str | Path, photographs: Photographs | No
             bytes_of["photographs"] += writer.write(f"p{k}", pyramid, _photograph_planes, _jpeg)
         described = _description(result, maps, photographs, entries)
         text = json.dumps(plain(described), indent=1, ensure_ascii=False, allow_nan=False)
-        (place / "result.js").write_text(f"relight.result = {text};\n", encoding="utf-8")
+        (place / _RESULT).write_text(f"relight.result = {text};\n", encoding="utf-8")
     for former in (Path(folder) / _TILES).iterdir():
         if _TILE_NAME.match(former.name) and former.name not in writer.names:
             former.unlink()

@@ -170,3 +170,9 @@ def test_a_job_with_a_rig_reads_photographs_under_its_lamps(listed):
     assert (listed / "out" / "one_capture" / "capture.toml").is_file()
     for part, values in maps_of(listed / "alone").items():
         np.testing.assert_array_equal(maps_of(listed / "out" / "one")[part], values)
+
+
+def test_a_list_can_leave_the_preview_out():
+    from irpso_addon.commands.batch import _words
+
+    assert _words("preview", False, None) == ["--no-preview"] and _words("preview", True, None) == ["--preview"]

@@ -261,6 +261,16 @@ def test_a_second_page_in_the_folder_leaves_none_of_the_first_ones_tiles(recover
     assert {path.name for path in (out / "tiles").iterdir()} == {"0-0-0-maps.js", "mine.txt"}
 
 
+def test_a_page_of_the_users_own_is_not_replaced(recovered, tmp_path):
+    result, *_ = recovered
+    mine = tmp_path / "site" / "index.html"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    code, _, said = run_cli("export", result, "--format", "web", "-o", mine.parent)
+    assert code == 2 and "would be replaced" in said
+    assert mine.read_text() == "mine" and list(mine.parent.iterdir()) == [mine]
+
+
 def test_a_capture_that_is_gone_or_has_changed_is_named_with_the_remedy(recovered, tmp_path):
     result, maps, lights = recovered
     half = np.stack([oracle(maps, light)[::-1][:40] for light in lights])
