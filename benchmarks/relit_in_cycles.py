@@ -30,8 +30,13 @@ _SAMPLES = 64
 _QUALITY = 80  # of the JPEG
 
 
-def rendered(blend: Path, size: tuple[int, int], lights: list[Light], intensities: list[list[float]]) -> np.ndarray:
-    """Return (K, H, W, 3) radiance of the card in a .blend file; size: (width, height)."""
+def by_cycles(
+    blend: Path, size: tuple[int, int], directions: np.ndarray, samples: int, filter_width: float | None = None
+) -> np.ndarray:
+    """Return (K, H, W, 3) radiance of the card in a .blend file under Suns of intensity 1, directions (K, 3).
+
+    size: (width, height). filter_width: of a pixel, Cycles' own where None.
+    """
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     scene = bpy.context.scene
     card = next(thing for thing in scene.objects if thing.type == "MESH")
@@ -40,10 +45,16 @@ def rendered(blend: Path, size: tuple[int, int], lights: list[Light], intensitie
     camera.location = (*card.location[:2], card.location[2] + 10)
     scene.collection.objects.link(camera)
     scene.camera = camera
-    render.set_up(scene, render.View(*size, samples=_SAMPLES, bounces=0))
+    render.set_up(scene, render.View(*size, samples=samples, bounces=0))
+    if filter_width is not None:
+        scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", filter_width
     with TemporaryDirectory() as folder:
-        directions = np.array([light.vector for light in lights])
-        pictures = np.stack(list(render.photographs(Path(folder), directions, shadows=False)))
+        return np.stack(list(render.photographs(Path(folder), directions, shadows=False)))
+
+
+def rendered(blend: Path, size: tuple[int, int], lights: list[Light], intensities: list[list[float]]) -> np.ndarray:
+    """Return (K, H, W, 3) radiance of the card in a .blend file under lights; size: (width, height)."""
+    pictures = by_cycles(blend, size, np.array([light.vector for light in lights]), _SAMPLES)
     return pictures * np.array(intensities)[:, None, None]
 
 

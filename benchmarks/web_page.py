@@ -12,10 +12,9 @@ import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import bpy
 import numpy as np
 
-from benchmarks.scenes import render
+from benchmarks.relit_in_cycles import by_cycles
 from benchmarks.scenes.scores import psnr
 from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.exports.ptm import card_renderer, even_lights
@@ -26,22 +25,6 @@ from tests.builders.browser import Browser
 
 _LIGHTS, _WIDEST = 10, 65.0  # degrees from the normal
 _SAMPLES, _NARROW = 4, 0.01  # of Cycles; pixels, the filter's width
-
-
-def by_cycles(blend: Path, size: tuple[int, int], lights: np.ndarray) -> np.ndarray:
-    """Return (K, H, W, 3) radiance of the card in a .blend file under Suns of intensity 1; size: (width, height)."""
-    bpy.ops.wm.open_mainfile(filepath=str(blend))
-    scene = bpy.context.scene
-    card = next(thing for thing in scene.objects if thing.type == "MESH")
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.data.type, camera.data.ortho_scale = "ORTHO", max(card.dimensions)
-    camera.location = (*card.location[:2], card.location[2] + 10)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    render.set_up(scene, render.View(*size, samples=_SAMPLES, bounces=0))
-    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", _NARROW
-    with TemporaryDirectory() as folder:
-        return np.stack(list(render.photographs(Path(folder), lights, shadows=False)))
 
 
 def by_program(maps: Maps, lights: np.ndarray) -> np.ndarray:
@@ -72,7 +55,7 @@ def main() -> None:
     size = covered.shape[::-1]
     shown = [
         srgb_from_linear(np.clip(made, 0, 1))
-        for made in (by_cycles(result.blend, size, lights), by_program(result.maps, lights))
+        for made in (by_cycles(result.blend, size, lights, _SAMPLES, _NARROW), by_program(result.maps, lights))
     ]
     with TemporaryDirectory() as folder:
         write_page(result, folder)

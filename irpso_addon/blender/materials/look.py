@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .nodes import OwnNodes
+from .nodes import OwnNodes, tagged_group
 
 FACTOR, STRENGTH = "Roughness Factor", "Normal Strength"
 ROUGHNESS = ("Roughness", "Roughness 1", "Roughness 2")  # sockets of surfaces
@@ -35,14 +35,10 @@ def look_node(nodes: OwnNodes, roughness: tuple[str, ...], widths: bool, normal)
 
 def _group(roughness: tuple[str, ...], widths: bool):
     """Return the node group for these sockets, by its tag or new."""
-    import bpy
-
     key = f"{', '.join(roughness)} {'widths' if widths else 'perceptual'}"
-    for group in bpy.data.node_groups:
-        if group.get(_TAG) == key and group.library is None:
-            return group
-    group = bpy.data.node_groups.new("IRPSO Gloss and Normal", "ShaderNodeTree")
-    group[_TAG] = key
+    group, fresh = tagged_group(_TAG, key, "IRPSO Gloss and Normal")
+    if not fresh:
+        return group
     for name in roughness:
         group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
     for name, (most, text) in _INPUTS.items():

@@ -7,6 +7,18 @@ from typing import Any
 TAG = "irpso_role"
 
 
+def tagged_group(tag: str, key: str, name: str) -> tuple[Any, bool]:
+    """Return the open file's own node group whose tag has a value, or else a new one, and whether it is new."""
+    import bpy
+
+    for group in bpy.data.node_groups:
+        if group.get(tag) == key and group.library is None:
+            return group, False
+    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
+    group[tag] = key
+    return group, True
+
+
 class OwnNodes:
     """IRPSO's nodes of a tree, each identified by its role.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ...core.errors import InputError
 from ...reflectance.model import ReflectanceModel
-from .nodes import OwnNodes, set_input
+from .nodes import OwnNodes, set_input, tagged_group
 
 TAG = "irpso_group"
 _ROLES = {"Base Color": "base_color", "Roughness 1": "r1", "Roughness 2": "r2", "Weight": "w", "Normal": "normal"}
@@ -92,14 +92,10 @@ def _settings(model: ReflectanceModel) -> _Settings:
 
 def _group(settings: _Settings):
     """Return the node group of these settings, by its tag or new."""
-    import bpy
-
     key = f"two_lobe {_kind(settings)} {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
-    for group in bpy.data.node_groups:
-        if group.get(TAG) == key and group.library is None:
-            return group
-    group = bpy.data.node_groups.new("IRPSO Two Lobes", "ShaderNodeTree")
-    group[TAG] = key
+    group, fresh = tagged_group(TAG, key, "IRPSO Two Lobes")
+    if not fresh:
+        return group
     for socket in _ROLES:
         item = group.interface.new_socket(socket, in_out="INPUT", socket_type=_KINDS.get(socket, "NodeSocketFloat"))
         if socket == "Normal":

@@ -33,7 +33,8 @@ def share_planes(shares: np.ndarray, covered: np.ndarray) -> np.ndarray:
 
 
 def octahedral(normals: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) bytes of unit vectors. Cigolle et al. 2014, Efficient Representations for Unit Vectors.
+    """Return (H, W, 3) bytes of unit vectors. Cigolle et al. 2014, A Survey of Efficient Representations for
+    Independent Unit Vectors.
 
     The direction (0, 0, −1) at the corner of the square, whose bytes are 0, moves to the next corner.
     """
