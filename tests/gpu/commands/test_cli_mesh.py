@@ -64,7 +64,7 @@ def ball(tmp_path_factory):
         "--size", f"{PIXELS}x{PIXELS}", "--lights", folder / "lights.txt", "-o", folder / "capture", "--json",
     )  # fmt: skip
     assert (code, err) == (0, "") and json.loads(out.splitlines()[-1])["images"] == 48
-    recover_ball(folder, "out", "--fixed", "specular=0.5", "--iterations", 1500)
+    recover_ball(folder, "out", "--fixed", "specular=0.5", "--iterations", 600)
     return folder, values
 
 
@@ -110,7 +110,7 @@ def test_albedo_and_roughness_are_recovered_under_a_known_normal_map(ball):
     normal = values["normal"].astype(np.float32)
     write_exr(folder / "normal.exr", {"": {c: normal[..., i] for i, c in enumerate("RGB")}})
     fixed = ["--fixed", f"normal={folder / 'normal.exr'}", "--fixed", "specular=0.5"]
-    recover_ball(folder, "known", *fixed, "--iterations", 1000)
+    recover_ball(folder, "known", *fixed, "--iterations", 500)
     found = read_maps(folder / "known", load_model("principled"))
     seen = seen_texels(folder / "known")
     color = 100 * np.abs(found["base_color"] - values["base_color"]).mean(axis=-1)[seen]
@@ -223,7 +223,7 @@ AGAINST_CYCLES = {
 }
 
 
-ITERATIONS = {"lambert": 400, "principled": 1500, "cook_torrance_two_lobe": 1500, "principled_two_lobe": 1500}
+ITERATIONS = {"lambert": 400, "principled": 600, "cook_torrance_two_lobe": 600, "principled_two_lobe": 600}
 
 
 @pytest.mark.parametrize("name", AGAINST_CYCLES)
