@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from irpso_addon.gpu import context, textures
-from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.gpu.kernel import Kernel, Output
+from irpso_addon.gpu.passes import Pass
 
 from . import rule
 from .functions import Function

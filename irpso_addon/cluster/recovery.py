@@ -12,7 +12,7 @@ from typing import Concatenate, TypeVar
 import numpy as np
 
 from ..geometry.domain import Domain, with_lights
-from ..gpu.passes import EntryChoice
+from ..gpu.kernel import EntryChoice
 from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
 from ..solver.engine.engine import Capabilities, RecoveryEngine

@@ -12,7 +12,7 @@ from ..core.optional import present
 from ..geometry.domain import Domain, subset, tile, with_lights
 from ..geometry.samples import SampleStack
 from ..gpu import context
-from ..gpu.passes import Entry
+from ..gpu.kernel import Entry
 from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
 from ..solver.engine.halo import Box, Part, Place, held_rows, own_of, own_rows, part_of, rectangle

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..core.errors import ShaderError
 from ..core.paths import SHADERS
 
-_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+_INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"[ \t]*$', re.M)
 
 
 def read_source(path: str | Path, given: Mapping[str, str | Path] = {}) -> str:
@@ -38,16 +38,12 @@ def _expand(found: Path | tuple[str, str], given: Mapping[str, str | Path], seen
     else:
         label, text = found
         beside = None
-    before, lines = [], [f'#line 1 "{label}"']
-    for number, line in enumerate(text.splitlines(), start=1):
-        match = _INCLUDE.match(line)
-        if match:
-            included = _find(match.group(1), beside, given, label, number)
-            if included not in seen:
-                before += _expand(included, given, seen)
-            line = ""
-        lines.append(line)
-    return before + lines
+    before: list[str] = []
+    for match in _INCLUDE.finditer(text):
+        included = _find(match.group(1), beside, given, label, text.count("\n", 0, match.start()) + 1)
+        if included not in seen:
+            before += _expand(included, given, seen)
+    return [*before, f'#line 1 "{label}"', _INCLUDE.sub("", text).removesuffix("\n")]
 
 
 def _find(

@@ -16,7 +16,8 @@ import numpy as np
 from ..core.errors import GpuUnavailableError
 from . import context, textures
 from .child import child_command
-from .passes import Entry, Kernel, Output, Pass
+from .kernel import Entry, Kernel, Output
+from .passes import Pass
 
 COMPUTE_WORTHWHILE = 1.5  # least speed-up of the compute entry over the paper's fragment passes
 _SIZE = 256

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..capture.types import Capture
 from ..geometry.surface.mesh import MeshData
-from ..gpu.passes import EntryChoice
+from ..gpu.kernel import EntryChoice
 from ..reflectance.model import ReflectanceModel
 from ..solver.lights.refine import Intensities
 from ..solver.settings.schedule import Schedule

@@ -3,7 +3,8 @@
 import numpy as np
 
 from irpso_addon.gpu import textures
-from irpso_addon.gpu.passes import Kernel, Output, Packed, Pass
+from irpso_addon.gpu.kernel import Kernel, Output, Packed
+from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.glsl import material_declaration
 
 

@@ -25,6 +25,7 @@ from irpso_addon.geometry.domain import tile
 from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
 from irpso_addon.geometry.samples import ArrayStack
 from irpso_addon.gpu import context
+from irpso_addon.gpu.program import KeptPrograms
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
@@ -164,6 +165,7 @@ def resumed(path):
 def main(folder):
     """Recover all cases over some sizes, some of them with a change of ranks midway; write the digests."""
     world = joined()
+    kept = KeptPrograms()  # cases share kernels
     context.ensure()
     # Made once: a rank outside a case goes on to its next case and sleeps there.
     groups = {size: world.among(world.rank < size) for size in (1, 2, 4, 5)}
@@ -188,6 +190,7 @@ def main(folder):
         found[name] = by_size
     if world.leads:
         (folder / "digests.json").write_text(json.dumps(found, indent=2))
+    kept.close()
     world.close()
 
 

@@ -3,6 +3,7 @@
 import functools
 import os
 import sys
+from contextlib import closing
 
 import pytest
 
@@ -53,22 +54,9 @@ def made_once(request):
         yield
         return
     from irpso_addon.gpu import probe
-    from irpso_addon.gpu.passes import Pass
+    from irpso_addon.gpu.program import KeptPrograms
 
-    made, compiled = {}, Pass.compile
-
-    def once(self):
-        if self._shader is None:
-            key = repr((self.kernel, self.entry))
-            if key not in made:
-                compiled(self)
-                kept = "_shader", "_triangle", "_constants", "_active", "_samplers"
-                made[key] = {name: getattr(self, name) for name in kept}
-            vars(self).update(made[key])
-        return self
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Pass, "compile", once)
+    with pytest.MonkeyPatch.context() as patch, closing(KeptPrograms()):
         patch.setattr(probe, "probe", functools.cache(probe.probe))
         yield
 

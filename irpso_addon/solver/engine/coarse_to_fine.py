@@ -11,7 +11,7 @@ from ...core.errors import InputError
 from ...core.optional import present
 from ...geometry.coarsen import coarser, coarser_map, finer_map
 from ...geometry.domain import Domain
-from ...gpu.passes import EntryChoice
+from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule

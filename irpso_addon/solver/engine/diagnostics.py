@@ -38,7 +38,8 @@ class Diagnostics:
     ):
         self._fitness = fitness
         self._model, self._domain, self._estimates, self._fixed = model, domain, estimates, frozenset(fixed)
-        self._residual = residual_pass(model, domain.defines).compile()
+        self._residual = residual_pass(model, domain.defines)
+        self._residual.compile()
         self._error = textures.empty(*estimates.size)
         self._doubts: tuple[Confidence, Alternatives] | None = None  # made when first asked for: two more shaders
         self._bands = Bands()

@@ -16,7 +16,8 @@ import numpy as np
 from ...core.errors import InputError
 from ...geometry.domain import Domain
 from ...gpu import probe
-from ...gpu.passes import EntryChoice, Pass
+from ...gpu.kernel import EntryChoice
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps

@@ -16,7 +16,7 @@ from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
 from ...geometry.light.surroundings import Surroundings
 from ...geometry.samples import SampleStack
-from ...gpu.passes import EntryChoice
+from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule

@@ -14,7 +14,8 @@ from ...core.optional import present
 from ...geometry.domain import Domain
 from ...gpu import context, textures
 from ...gpu.bands import Bands
-from ...gpu.passes import EntryChoice, Pass
+from ...gpu.kernel import EntryChoice
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps

@@ -13,7 +13,9 @@ from typing import Self
 import numpy as np
 
 from ...geometry.domain import Domain
-from ...gpu.passes import EntryChoice, Pass
+from ...gpu.kernel import EntryChoice
+from ...gpu.passes import Pass
+from ...gpu.program import KeptPrograms
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..phases.phase import Phase
@@ -46,6 +48,7 @@ class Successive(RecoveryEngine):
         self._schedules = tuple(schedules)
         self._at, self._before = 0, 0
         self._passing: Iterator[None] | None = None
+        self._programs = KeptPrograms()
         self._live: RecoveryEngine
 
     @abstractmethod
@@ -138,6 +141,7 @@ class Successive(RecoveryEngine):
     def close(self) -> None:
         self._passing = None
         self._live.close()
+        self._programs.close()
 
     def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:
         """Return a run that continues from here, or from the next recovery if between two, under other schedules."""

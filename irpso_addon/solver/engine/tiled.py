@@ -12,7 +12,7 @@ import numpy as np
 from ...core.optional import present
 from ...geometry.domain import Domain, tile
 from ...gpu import context
-from ...gpu.passes import EntryChoice
+from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule, refuse_levels

@@ -10,7 +10,8 @@ import numpy as np
 
 from ...geometry.domain import Domain
 from ...geometry.samples import mapped_array
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
+from ...gpu.program import KeptPrograms
 from ...reflectance.model import ReflectanceModel
 from ..phases.phase import BACKGROUND_BAND_SECONDS
 from ..settings.schedule import Schedule
@@ -84,6 +85,7 @@ class TilePool:
         self._settings, self._entry, self._scratch = (model, schedule, seed), entry, scratch
         self._most = len(self.tiles) if most is None else min(most, len(self.tiles))
         self._last = 0  # the last tile used
+        self._programs = KeptPrograms()  # a tile that comes back compiles nothing
         self.fill()
 
     @property
@@ -140,6 +142,7 @@ class TilePool:
                 tile.recovery.close()
             tile.recovery = tile.memory = None
             tile.files = {}
+        self._programs.close()
 
     def empty(self, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
         """Return zeros in memory, or in a file."""

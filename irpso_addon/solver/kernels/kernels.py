@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from ...gpu.kernel import Defines, Includes, Kernel, Output, Packed, Samplers
 from ...gpu.library import defined
-from ...gpu.passes import Defines, Includes, Kernel, Output, Packed, Pass, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...core.errors import InputError
-from ...gpu.passes import Packed
+from ...gpu.kernel import Packed
 from ...reflectance.model import Parameter, ReflectanceModel
 
 MAX_WEIGHTS = 8  # two RGBA texels hold the linear weights of a swarm's best

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...core.paths import SHADERS
-from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
+from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement

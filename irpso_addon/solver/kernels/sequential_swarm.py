@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
+from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
 from .encoding import Encoding

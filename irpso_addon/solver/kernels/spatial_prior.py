@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...core.paths import SHADERS
-from ...gpu.passes import Defines, Entry, Includes, Kernel, Output, Pass, Samplers
+from ...gpu.kernel import Defines, Entry, Includes, Kernel, Output, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..settings.groups import Prior, Refinement
 from ..settings.resolve import ResolvedPrior

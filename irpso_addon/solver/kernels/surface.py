@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
+from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Prior
 from ..settings.resolve import ResolvedSurface

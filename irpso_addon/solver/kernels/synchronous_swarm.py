@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...gpu.passes import Defines, Entry, Kernel, Output, Packed, Pass, Samplers
+from ...gpu.kernel import Defines, Entry, Kernel, Output, Packed, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
 from . import kernels

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...core.errors import InputError
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import (
     Resolved,

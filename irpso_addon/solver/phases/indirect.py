@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 import numpy as np
 
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit
 from ..settings.schedule import Schedule

@@ -7,7 +7,8 @@ from collections.abc import Generator, Iterator, Mapping
 import numpy as np
 
 from ...gpu.bands import Bands
-from ...gpu.passes import Defines, Entry, Kernel, Output, Pass
+from ...gpu.kernel import Defines, Entry, Kernel, Output
+from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..kernels.spatial_prior import taps_of

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import Resolved

@@ -11,7 +11,8 @@ from ...capture.inspect.checks import NARROW, flatness
 from ...core.paths import SHADERS
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
+from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels

@@ -10,7 +10,8 @@ import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry, Pass
+from ...gpu.kernel import Entry
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.refinement import NO_PENALTY, SPREAD_REACH, RefinementPasses, build_refinement_passes

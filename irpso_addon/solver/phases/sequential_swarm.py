@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ..kernels.sequential_swarm import SequentialSwarmPasses, build_sequential_swarm_passes
 from ..state.phase_textures import PhaseTextures, sequential_swarm_table
 from .swarm import SwarmPhase

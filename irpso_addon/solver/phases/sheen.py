@@ -8,7 +8,7 @@ import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSheen
 from ..settings.schedule import Schedule

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry, Pass
+from ...gpu.kernel import Entry
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.surface import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import build_encoding

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ...core.errors import InputError
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ..kernels.linear_weights import linear_weights
 from ..kernels.synchronous_swarm import MAX_PARTICLES, SynchronousSwarmPasses, build_synchronous_swarm_passes
 from ..state.phase_textures import GLOBAL_BESTS, PARTICLES, PhaseTextures, synchronous_swarm_table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...gpu import textures
-from ...gpu.passes import Entry
+from ...gpu.kernel import Entry
 from ...gpu.textures import Texture
 from ..kernels.kernels import copy_pass
 

@@ -13,8 +13,9 @@ import numpy as np
 from ...core.errors import InputError
 from ...gpu import textures
 from ...gpu.bands import Bands
+from ...gpu.kernel import Kernel, Output, Packed
 from ...gpu.library import defined
-from ...gpu.passes import Kernel, Output, Packed, Pass
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...gpu import textures
-from ...gpu.passes import Kernel, Output, Packed, Pass
+from ...gpu.kernel import Kernel, Output, Packed
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..engine.engine import RecoveryEngine

@@ -9,7 +9,8 @@ from typing import TypeVar
 
 from ...geometry.domain import Domain
 from ...gpu import textures
-from ...gpu.passes import Kernel, Output, Pass
+from ...gpu.kernel import Kernel, Output
+from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ..engine.engine import RecoveryEngine
 from ..engine.halo import Box

@@ -66,7 +66,7 @@ def ball(tmp_path_factory):
     y, x = np.mgrid[:48, :48]
     grey = np.stack([0.2 + 0.3 * np.abs(np.sin(0.2 * x + k) * np.cos(0.15 * y)) for k in range(10)])
     cli_maker.write_card(folder / "ball", grey[..., None] * np.array([1, 0.8, 0.6]), LIGHTS)
-    return [folder / "ball", "--blend", folder / "ball.blend", "--resolution", 29]
+    return [folder / "ball", "--blend", folder / "ball.blend", "--resolution", 21]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def bowl(tmp_path_factory):
     y, x = np.mgrid[:48, :48]
     grey = np.stack([0.4 + 0.1 * np.sin(0.1 * x + k) * np.cos(0.15 * y) for k in range(10)])
     cli_maker.write_card(folder / "bowl", grey[..., None] * np.array([1, 0.8, 0.6]), LIGHTS)
-    return [folder / "bowl", "--blend", folder / "bowl.blend", "--resolution", 29]
+    return [folder / "bowl", "--blend", folder / "bowl.blend", "--resolution", 21]
 
 
 def options_of(subject, settings, folder, *more):

@@ -1,6 +1,7 @@
 """Passes: which texels they touch, how their sources are put together, and what is said where one does not compile."""
 
 import re
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 
 from irpso_addon.core.errors import GpuUnavailableError, ShaderError
 from irpso_addon.core.paths import SHADERS
-from irpso_addon.gpu import context, textures
+from irpso_addon.gpu import context, program, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.compiler import messages_of
+from irpso_addon.gpu.kernel import Kernel, Output, Packed
 from irpso_addon.gpu.library import read_source
-from irpso_addon.gpu.passes import Kernel, Output, Packed, Pass
+from irpso_addon.gpu.passes import Pass
+from irpso_addon.gpu.program import KeptPrograms
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.kernels import copy_pass, render_pass
 
@@ -191,12 +194,29 @@ def test_timed_bands_wait_for_the_gpu(paced):
     assert (unfenced == 0) == paced
 
 
-def test_a_pass_compiles_at_its_first_run(entry, monkeypatch):
-    compiled = []
-    from irpso_addon.gpu import passes
+@pytest.fixture
+def compiled(monkeypatch):
+    """The names of the kernels that are compiled meanwhile, but for the one by which a test reads."""
+    names, real = [], program.compile_shader
 
-    real = passes.compile_shader
-    monkeypatch.setattr(passes, "compile_shader", lambda name, *rest: compiled.append(name) or real(name, *rest))
+    def noted(name, *rest):
+        if name != "common/copy.glsl":
+            names.append(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr(program, "compile_shader", noted)
+    return names
+
+
+def ran(entry, mark):
+    """Run a pass of its own over a texture; return the pass and what it wrote."""
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+    target = textures.empty(5, 3, value=BEFORE)
+    work.run([target], {}, {"u_mark": mark, "u_skip": 0, "u_scale": 0.1})
+    return work, read(target)
+
+
+def test_a_pass_compiles_at_its_first_run(entry, compiled):
     work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
     assert not compiled
     target = textures.empty(5, 3, value=BEFORE)
@@ -204,6 +224,40 @@ def test_a_pass_compiles_at_its_first_run(entry, monkeypatch):
         work.run([target], {}, {"u_mark": 5, "u_skip": 0, "u_scale": 0.1})
         assert len(compiled) == 1
     work.close()
+
+
+def test_passes_of_one_kernel_compile_once_while_any_has_it(entry, compiled):
+    first, five = ran(entry, 5)
+    second, seven = ran(entry, 7)
+    assert len(compiled) == 1 and (five != seven).any()  # each with its own constants
+    first.close()
+    third, again = ran(entry, 5)
+    assert len(compiled) == 1 and (again == five).all()
+    second.close()
+    third.close()
+    ran(entry, 5)[0].close()
+    assert len(compiled) == 2
+
+
+def test_kept_programs_outlive_their_passes(entry, compiled):
+    with closing(KeptPrograms()):
+        for _ in range(2):
+            ran(entry, 5)[0].close()
+        assert len(compiled) == 1
+    ran(entry, 5)[0].close()
+    assert len(compiled) == 2
+
+
+def test_a_kernel_that_its_file_no_longer_holds_is_compiled_anew(entry, compiled, tmp_path):
+    source, target = tmp_path / "mine.glsl", textures.empty(2, 2)
+    with closing(KeptPrograms()):
+        for value in ("1.0", "2.0"):
+            source.write_text(f"bool texel_kernel(ivec2 t)\n{{\n    o_0 = vec4({value});\n    return true;\n}}\n")
+            work = Pass(Kernel(source, (Output("o_0"),), {}, {}, {}), entry)
+            work.run([target], {})
+            assert (read(target) == float(value)).all()
+            work.close()
+    assert len(compiled) == 2
 
 
 def test_unused_samplers_take_no_texture_unit(entry, monkeypatch):

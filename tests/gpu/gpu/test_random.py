@@ -8,7 +8,8 @@ from scipy import stats
 
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
-from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.gpu.kernel import Kernel, Output
+from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.kernels import copy_pass
 from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from irpso_addon.gpu import textures
-from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.gpu.kernel import Kernel, Output
+from irpso_addon.gpu.passes import Pass
 from tests.oracles import reflectance as oracles
 
 EPS = 2.0**-23  # the spacing of float32 at 1; an operation rounds by half of it

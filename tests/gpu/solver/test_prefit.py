@@ -14,7 +14,8 @@ from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
-from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.gpu.kernel import Kernel, Output
+from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.kernels import kernels
