@@ -91,6 +91,7 @@ class _Saver:
         self.before = 0.0
         self._began = self._last = time.perf_counter()
         self._took = 0.0
+        self._saved: int | None = None  # a stage of which nothing more would be saved
         if saving.path is not None:
             remove_partials(saving.path)
 
@@ -104,12 +105,15 @@ class _Saver:
         if self.turns:  # tiles that are behind catch up: the history would miss a measurement after a resume
             self._recovery.step(0)
             self._history.look()
-        self._recovery.save(path, {**self._history.notes, _SECONDS: np.array(self.seconds)}, running)
+        more = self._recovery.save(path, {**self._history.notes, _SECONDS: np.array(self.seconds)}, running)
+        self._saved = None if more else self._recovery.progress.stage
 
     def save_when_due(self) -> None:
         """Write a checkpoint if it is due; where it cannot be written, warn once and continue."""
         now, path, every = time.perf_counter(), self._saving.path, self._saving.every
         if path is None or every is None or not self._recovery.settled:
+            return
+        if self._saved == self._recovery.progress.stage:
             return
         if now - self._last < max(every, self._took / _MOST_SAVING if self._took > _LONG else 0.0):
             return

@@ -194,15 +194,17 @@ class RecoveryEngine(ABC):
 
     def save(
         self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({}), running: bool | None = None
-    ) -> None:
+    ) -> bool:
         """Write a checkpoint, from which ``load`` continues to the same maps bit for bit. Written whole or not at all.
 
         notes: arrays of the caller's own, which ``load`` returns. running: as for ``state``; None: unless the domain is
-        large.
+        large. Returns whether another in the same stage would hold more.
         """
         if running is None:
             running = bool(np.count_nonzero(self.domain.solvable) <= _MOST_RUNNING)
-        checkpoint.write(Path(path), self.identity, replace(self.state(running), notes=notes))
+        state = self.state(running)
+        checkpoint.write(Path(path), self.identity, replace(state, notes=notes))
+        return running or any(name.startswith(checkpoint.PHASE) for name in state.arrays)
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Continue from a checkpoint of the same domain, model, schedule and seed, and return its notes.

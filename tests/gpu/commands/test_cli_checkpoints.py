@@ -104,6 +104,7 @@ class FullDisk:
         if self._fails:
             with replacing_file(path):
                 raise OSError(28, "No space left on device")
+        return True
 
 
 class NoHistory:
@@ -123,6 +124,7 @@ def test_the_seconds_of_a_run_sum_over_its_resumes(tmp_path):
 
         def save(self, path, notes, running=None):
             self.noted = float(notes["seconds"])
+            return True
 
     run = GoneOnWith(fails=False)
     seconds, _ = drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", True, 0.0), quiet=True)
@@ -168,8 +170,8 @@ def test_slow_checkpoints_take_at_most_a_twentieth_of_the_time(tmp_path, monkeyp
             return self.progress
 
         def save(self, path, notes, running=None):
-            self.saved += 1
             clock[0] += 30
+            return super().save(path, notes, running)
 
     monkeypatch.setattr(drive.time, "perf_counter", lambda: clock[0])
     run = Slow(fails=False)
@@ -186,6 +188,22 @@ def test_a_checkpoint_waits_until_tiles_are_at_the_same_iteration(tmp_path):
     run = InTurns(fails=False)
     drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), quiet=True)
     assert run.saved == 1
+
+
+def test_the_begin_of_a_stage_is_written_once(tmp_path):
+    class OfStages(FullDisk):
+        def step(self, iterations=None, time_budget_s=None):
+            super().step()
+            self.progress = replace(self.progress, stage=self._made // 3)
+            return self.progress
+
+        def save(self, path, notes, running=None):
+            super().save(path, notes, running)
+            return False  # a later one would hold no more
+
+    run = OfStages(fails=False)
+    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), quiet=True)
+    assert run.saved == 2
 
 
 def test_the_next_run_removes_half_written_files(tmp_path):
