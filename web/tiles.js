@@ -64,7 +64,10 @@ relight.Tiles = class {
       this.waiting.set(name, resolve);
       script.src = `tiles/${name}.js`;
       script.onerror = reject;
-      script.onload = () => script.remove();
+      script.onload = () => {
+        script.remove();
+        reject(); // nothing where it has called relight.tile; a script that was cut off has not
+      };
       document.head.append(script);
     });
   }

@@ -5,7 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from ..blender.materials import material
 from ..cluster.transport import joined
@@ -18,7 +21,7 @@ from ..gpu import context, probe
 from ..pipeline.drive import CHECKPOINT, Saving, drive
 from ..pipeline.job import Job
 from ..pipeline.live import LIVE, LivePicture
-from ..pipeline.preview import LARGE, PART, smaller
+from ..pipeline.preview import PART, can_be_smaller, smaller
 from ..pipeline.ranks import run_on_ranks
 from ..pipeline.result import Found, found_of, make_material, pictures_of, report_of, subject_of
 from ..pipeline.run import Run
@@ -31,7 +34,8 @@ from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
 from .options.values import shelf_of, silent
 
-PREVIEW = "preview"  # folder of a large recovery's preview, in the result's
+PREVIEW = "preview"  # folder of a long recovery's preview, in the result's, and the setting that its report has
+_LONG = 1200  # foreseen seconds from which on there is one by itself
 _PACE_SPREAD = 1.2  # the whole's seconds a texel over those of its preview, or the reverse
 
 
@@ -39,6 +43,8 @@ def run(options: Namespace) -> dict:
     """Recover and write everything; returns the report. An interrupt leaves a checkpoint in the output folder."""
     ranks = joined()
     if ranks is not None:
+        if options.preview:
+            raise InputError("--preview: over ranks there is none; leave it out")
         return _planned(options, run_on_ranks(
             ranks, options, lambda: _job_of_ranks(options), StepBars(silent(options)),
             lambda run: _recovered(options, run),
@@ -60,9 +66,11 @@ def _recover(options: Namespace, job: Job) -> dict:
         return _planned(options, {"plan": plan, "seconds": seconds})
     if not silent(options):
         sys.stderr.write(f"{plan.texels} texels, {plan.observations} photographs: {forecast_text(seconds)}\n")
-    wanted = plan.texels >= LARGE if options.preview is None else options.preview
-    if wanted and not options.resume and (few := smaller(job)) is not None:
-        _preview(options, few, plan.work)
+    if options.preview and not can_be_smaller(job):
+        raise InputError("--preview: a map given with --fixed has the texels of the whole; leave one of the two out")
+    wanted = options.preview or (options.preview is None and seconds[0] >= _LONG and can_be_smaller(job))
+    if wanted and not options.resume:  # which has had its preview
+        _preview(options, smaller(job), plan.work)
     return _recovered(options, run)
 
 
@@ -72,7 +80,7 @@ def _preview(options: Namespace, job: Job, work: float) -> None:
     run = Run(job, StepBars(silent(options)))
     own = run.first_plan().work
     try:
-        report, _, _ = _solved(options, run, folder, Saving(None))
+        report, _, _ = _solved(options, run, folder, Saving(None), {PREVIEW: PART})
     except InputError as error:  # of a quarter alone, perhaps
         sys.stderr.write(f"irpso: warning: no preview: {error}\n")
         return
@@ -143,8 +151,13 @@ def _recovered(options: Namespace, run: Run) -> dict:
     return {"output": str(folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 
 
-def _solved(options: Namespace, run: Run, folder: Path, saving: Saving) -> tuple[dict, Found, float]:
-    """Run to the end and write the maps into a folder; return the report, what was found, and when the search ended."""
+def _solved(
+    options: Namespace, run: Run, folder: Path, saving: Saving, noted: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[dict, Found, float]:
+    """Run to the end and write the maps into a folder; return the report, what was found, and when the search ended.
+
+    noted: in the report, in place of the options of these names.
+    """
     run_steps(run.open())
     with run.recovery as recovery:
         live = LivePicture(folder / LIVE, recovery)
@@ -154,7 +167,7 @@ def _solved(options: Namespace, run: Run, folder: Path, saving: Saving) -> tuple
         warnings = [*unsaved, *live.warnings, *run.device_warnings()]
     started = time.perf_counter()
     found = found_of(run, maps, derived_maps_of(options))
-    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")} | noted
     settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}

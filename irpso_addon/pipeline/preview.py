@@ -7,23 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from ..capture.framing import Framing, framed
+from ..capture.types import Capture
 from .job import Job
 
 PART = 4
-LARGE = 1 << 21  # texels that take an hour or more without a GPU
 
 
-def smaller(job: Job) -> Job | None:
-    """Return the job at a quarter of its size along both sides; None where one of its fixed maps has texels.
+def can_be_smaller(job: Job) -> bool:
+    """Whether none of its fixed maps has texels."""
+    return not any(np.ndim(value) > 1 for value in job.fixed.values())
 
-    It measures against no ground truth, and resumes nothing.
-    """
-    if any(np.ndim(value) > 1 for value in job.fixed.values()):
-        return None
+
+def smaller(job: Job) -> Job:
+    """Return the job at a quarter of its size along both sides; it measures against no truth, and resumes nothing."""
     few = replace(job, truth=None, resumed=None, source=None)
     if job.mesh is not None:
         width, height = (-(-side // PART) for side in job.size)
         return replace(few, size=(width, height))
-    capture = framed(job.capture, Framing(scale=1 / PART))
+    capture = smaller_capture(job.capture)
     height, width = capture.masks[0].shape
     return replace(few, capture=capture, size=(width, height))
+
+
+def smaller_capture(capture: Capture) -> Capture:
+    """Return the capture that the preview of a card is recovered from."""
+    return framed(capture, Framing(scale=1 / PART))

@@ -16,6 +16,7 @@ from ...exports.result import Result
 from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
 from ...geometry.build import card_bake, card_lights, domain_from_card
 from ...geometry.domain import with_lights
+from ...pipeline.preview import PART, smaller_capture
 from .job import file_capture
 
 UNNAMED = "its report does not say which part of which photographs its maps show"
@@ -50,6 +51,8 @@ def page_photographs(result: Result, options: Namespace) -> Photographs | None:
             " --photographs 0"
         )
     capture = file_capture(Namespace(**{**settings, "json": True, "quiet": True}))
+    if settings.get("preview") == PART:  # of a long recovery
+        capture = smaller_capture(capture)
     if card_bake(capture).coverage.shape != result.maps.covered.shape:
         raise InputError(
             f"{settings['capture']}: has other pictures than when {result.folder} was made; recover again, or give"

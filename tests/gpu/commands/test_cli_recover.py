@@ -319,6 +319,19 @@ def test_a_preview_has_a_quarter_of_the_size_and_changes_nothing(recovered, tmp_
     rows, columns = (((np.arange(n) + 0.5) * side / n).astype(int) for n, side in zip((4, 6), SHAPE, strict=True))
     assert np.median(angle(small, large[rows][:, columns])) < 5
     assert not list((tmp_path / "with" / "preview").glob("checkpoint*"))
+    page = ["export", tmp_path / "with" / "preview", "--format", "web", "--photographs", 2, "-o", tmp_path / "page"]
+    assert run_cli(*page)[0] == 0
+
+
+def test_a_preview_that_cannot_be_is_refused(recovered, tmp_path, monkeypatch):
+    _, out, _ = recovered("lambert")
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--preview", "-o", tmp_path / "out"]
+    code, _, err = run_cli(*options, "--fixed", f"base_color={out / 'base_color.exr'}")
+    assert code == 2 and "--preview: a map given with --fixed has the texels of the whole" in err
+    monkeypatch.setattr("irpso_addon.commands.recover.joined", object)  # as under mpirun
+    code, _, err = run_cli(*options)
+    assert code == 2 and "--preview: over ranks there is none" in err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):

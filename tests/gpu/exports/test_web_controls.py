@@ -201,10 +201,15 @@ def test_a_model_that_webgl_refuses_is_reported_on_the_page(browser, tmp_path):
     assert "does not compile in WebGL 2" in browser.run("document.getElementById('fault').textContent")
 
 
-def test_a_tile_that_is_missing_is_named_on_the_page(browser, tmp_path):
+@pytest.mark.parametrize("cut", [False, True], ids=["missing", "cut off"])
+def test_a_tile_that_is_missing_or_cut_off_is_named_on_the_page(cut, browser, tmp_path):
     maps = maps_of("lambert")
     write_page(Result("leaf", maps), tmp_path)
-    (tmp_path / "tiles" / "0-0-0-maps.js").unlink()
+    tile = tmp_path / "tiles" / "0-0-0-maps.js"
+    whole = tile.read_text()
+    tile.unlink()
+    if cut:
+        tile.write_text(whole[: len(whole) // 2])
     browser._call("Page.navigate", url=(tmp_path / "index.html").as_uri())
     browser.until("document.getElementById('fault')?.hidden === false")
     assert "tiles/0-0-0-maps.js" in browser.run("document.getElementById('fault').textContent")
