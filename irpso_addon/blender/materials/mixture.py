@@ -128,8 +128,8 @@ def _exposed(group: Any, given: Any, look: Any, name: str) -> None:
 def _scaled(group: Any, given: Any) -> None:
     """Make an input of the group that scales the UV map of its images, unless the user has mapped them."""
     item = group.interface.new_socket(
-        "Scale", description="How many times the maps repeat along the UV square", in_out="INPUT",
-        socket_type="NodeSocketFloat",
+        "Scale", in_out="INPUT", socket_type="NodeSocketFloat",
+        description="How many times the maps repeat along the UV square; their images must be set to Repeat",
     )  # fmt: skip
     item.min_value, item.max_value, item.default_value = 0.001, 1000.0, 1.0
     placed: dict[str, Any] = {}

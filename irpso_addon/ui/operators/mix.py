@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
-from ...blender.materials.material import TAG, apply_material
+from ...blender.materials.material import TAG, apply_material, check_object
 from ...blender.materials.mixture import mix_materials
 from ...core.errors import InputError
 from ..common import failures
@@ -80,12 +80,25 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
         try:
             if second is None:
                 raise InputError("Other: no material is chosen; choose one")
-            made = mix_materials(first, second, self._mask(), self.factor, self.scale)
+            check_object(obj)
+            made = self._made(first, second)
             apply_material(obj, made)
         except InputError as error:
             return failures.refused(self, error)
         self.report({"INFO"}, rpt("Material '{name}' on '{object}'", name=made.name, object=obj.name))
+        if displaced := [one.name for one in (first, second) if _displaces(one)]:
+            self.report({"WARNING"}, rpt("The mix has no displacement, unlike '{name}'", name=displaced[0]))
         return {"FINISHED"}
+
+    def _made(self, first, second):
+        """Return the mixed material; where it is refused, no new mask stays. Raises InputError."""
+        mask = self._mask()
+        try:
+            return mix_materials(first, second, mask, self.factor, self.scale)
+        except InputError:
+            if self.by == "NEW":
+                bpy.data.images.remove(mask)
+            raise
 
     def _mask(self):
         """Return the chosen image or a new one, None for a number. Raises InputError."""
@@ -96,6 +109,11 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
         if self.mask not in bpy.data.images:
             raise InputError("Mask: no image is chosen; choose one, or By: New Mask")
         return bpy.data.images[self.mask]
+
+
+def _displaces(material) -> bool:
+    output = material.node_tree.get_output_node("ALL")
+    return output is not None and output.inputs["Displacement"].is_linked
 
 
 def _menu(self, context) -> None:

@@ -22,7 +22,7 @@ def read_po(path: Path) -> dict[str, str]:
             continue
         text, translation = (_joined(part) for part in entry.groups())
         if text in found:
-            raise ValueError(f"{path.name}: {text!r} stands twice")
+            raise ValueError(f"{text!r} stands twice")
         if text and translation:
             found[text] = translation
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import bpy
@@ -15,8 +16,13 @@ _CONTEXTS = ("*", "Operator")  # of labels and properties; of operators' names, 
 
 
 def words() -> dict[str, dict[tuple[str, str], str]]:
-    """Return locale → (context, English text) → translation."""
-    read = {locale: read_po(FOLDER / f"{locale}.po") for locale in LOCALES}
+    """Return locale → (context, English text) → translation. A file that cannot be read is named, and left out."""
+    read: dict[str, dict[str, str]] = {}
+    for locale in LOCALES:
+        try:
+            read[locale] = read_po(FOLDER / f"{locale}.po")
+        except (OSError, ValueError, SyntaxError) as error:
+            sys.stderr.write(f"irpso: warning: {locale}.po: {error}; its texts are English\n")
     return {
         locale: {(context, text): word for text, word in found.items() for context in _CONTEXTS}
         for locale, found in read.items()

@@ -162,6 +162,29 @@ def test_the_operator_puts_the_mix_on_the_object_and_makes_a_mask_to_paint(regis
     assert not bpy.ops.irpso.mix_captures.poll()  # the mix itself is not a recovered material
 
 
+def test_a_refused_mix_leaves_no_mask(registered):
+    (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("cook_torrance_two_lobe", 2, "b")
+    obj = card_object("subject", SIZE, SIZE)
+    apply_material(obj, first)
+    bpy.context.view_layer.objects.active = obj
+    before = len(bpy.data.images)
+    with pytest.raises(RuntimeError, match="different shaders"):
+        bpy.ops.irpso.mix_captures(other=second.name)
+    assert len(bpy.data.images) == before
+
+
+def test_the_operator_says_that_a_displacement_is_left_out(registered, capfd):
+    (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
+    tree = second.node_tree
+    displacement = tree.nodes.new("ShaderNodeDisplacement")
+    tree.links.new(displacement.outputs[0], tree.get_output_node("ALL").inputs["Displacement"])
+    obj = card_object("subject", SIZE, SIZE)
+    apply_material(obj, first)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.irpso.mix_captures(other=second.name)
+    assert f"The mix has no displacement, unlike '{second.name}'" in capfd.readouterr().out
+
+
 def test_the_operator_refuses_a_mask_that_is_not_chosen(registered):
     (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
     obj = card_object("subject", SIZE, SIZE)

@@ -10,6 +10,7 @@ import pytest
 
 import irpso_addon
 from irpso_addon.ui.common.drawing import lines_of
+from irpso_addon.ui.translations import register
 from irpso_addon.ui.translations.po import read_po
 from irpso_addon.ui.translations.register import FOLDER, LOCALES
 from irpso_addon.ui.translations.register import words as registered_words
@@ -125,3 +126,12 @@ def test_japanese_is_wrapped_between_characters_and_no_line_begins_with_a_full_s
     assert all(line[0] not in "。、" for line in lines)
     assert max(sum(2 if ord(c) > 0x2E80 else 1 for c in line) for line in lines) <= 18
     assert lines_of("plain words in English", 12) == ["plain words", "in English"]
+
+
+def test_a_file_that_cannot_be_read_costs_its_own_language_alone(monkeypatch, tmp_path, capsys):
+    for locale in LOCALES:
+        entry = 'msgid "Recover"\nmsgstr "x"\n'
+        (tmp_path / f"{locale}.po").write_text(entry + ("\n" + entry if locale == "de" else ""), encoding="utf-8")
+    monkeypatch.setattr(register, "FOLDER", tmp_path)
+    assert sorted(registered_words()) == sorted(set(LOCALES) - {"de"})
+    assert "de.po: 'Recover' stands twice; its texts are English" in capsys.readouterr().err
