@@ -45,6 +45,7 @@ LOOKS = 10.0  # of a prior, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
 INDIRECT = 0.1  # share of the texels whose light is indirect
+BADLY = 0.5  # share of those that the first prefit fits badly
 _FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedIndirect | ResolvedSheen
 
@@ -184,7 +185,7 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
     Progress counts it: it is roughly proportional to time.
     """
     if isinstance(resolved, ResolvedPrefit):
-        own, share = resolved.model, INDIRECT if resolved.indirect else 1.0
+        own, share = resolved.model, INDIRECT if resolved.indirect else BADLY if resolved.sheen else 1.0
         prefit = (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
                 *_refinement_work(resolved.refinement, own, observations, 1.0))  # fmt: skip
         return tuple(share * work for work in prefit)
@@ -227,7 +228,7 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     swarm = phase_cost(resolved.stage, model, schedule.replaced(update="all"))
     refinement = phase_cost(resolved.refinement, model, schedule)
     own = FLOAT4 * -(-model.components // 4)
-    geometry = FLOAT4 * _GEOMETRY if resolved.indirect else 0  # with other states
+    geometry = FLOAT4 * _GEOMETRY if resolved.indirect or resolved.sheen else 0  # with other states
     return PhaseCost(
         max(swarm.atlas, refinement.atlas),
         max(swarm.textures, refinement.textures) + 2 * own + geometry,

@@ -56,11 +56,11 @@ class DomainTextures:
             arrays = domain_arrays(self.domain, self.packing, self.scale, shadow)
             self.textures["u_geometry"] = textures.upload_layers(arrays["u_geometry"])
 
-    def where_indirect(self) -> DomainTextures:
-        """Return the same domain with those texels solved alone whose shadow is raised."""
+    def where(self, chosen: np.ndarray) -> DomainTextures:
+        """Return the same domain with the chosen texels (h, w) bool solved alone."""
         result = copy(self)
         arrays = domain_arrays(self.domain, self.packing, self.scale, self.shadow)
-        arrays["u_geometry"][0, ..., 3][self.shadow == 0] = OUTSIDE
+        arrays["u_geometry"][0, ..., 3][~chosen] = OUTSIDE
         result.textures = ChainMap({"u_geometry": textures.upload_layers(arrays["u_geometry"])}, self.textures)
         return result
 

@@ -112,6 +112,17 @@ def whole():
         return bits_of(recovery.maps(confidence=False))
 
 
+def test_sheen_is_tried_where_the_first_prefit_fits_badly_and_nowhere_else(recover):
+    recovery = recover(velvet()[0], LAMBERT, SHORT)
+    recovery.step(iterations=14)
+    measured = recovery.state().arrays
+    first, second = measured["prefit_fitness"].ravel(), measured["prefit_sheen"].reshape(-1, 4)[:, 3]
+    badly = first >= 0.3
+    assert 0.2 < badly.mean() < 0.8
+    np.testing.assert_array_equal(second[~badly], first[~badly])
+    assert (second[badly] < first[badly]).mean() > 0.5
+
+
 @pytest.mark.parametrize("resident", [True, False])
 def test_tiles_find_the_same_maps(whole, resident):
     boxes = [(0, 0, 15, 18), (15, 0, 25, 9), (15, 9, 25, 9)]
