@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks import report
 from benchmarks.scenes.ball_tables import HEIGHT, SAMPLES, WIDTH, BallTable, photographed
 from irpso_addon.calibration.balls.ball import SMALL, Ball
-from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, tables_of
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
 from irpso_addon.core.encode import srgb_from_linear
@@ -96,7 +96,9 @@ def _compared(
             place, across = outline(ball)
             readers = [lambda image=image: image for image in images]
             lights = run_steps(
-                calibration_steps(readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius))
+                calibration_steps(
+                    readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius, tables=tables_of([match]))
+                )
             ).lights
             off = [
                 float(np.degrees(np.arccos(np.clip(np.dot(light.light.vector, truth), -1, 1))))

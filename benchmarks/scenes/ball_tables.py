@@ -13,13 +13,15 @@ import numpy as np
 from mathutils import Quaternion, Vector
 
 from irpso_addon.blender.scenes.cycles import only_lamp, place_lamp
-from irpso_addon.calibration.balls.ball import tangents
+from irpso_addon.calibration.balls.ball import Ball, tangents
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import read_exr
 
 from . import render
 
 WIDTH, HEIGHT, SAMPLES = 960, 720, 2
+# Of a ball's pixels, at most: with two, chance decides which pixels at a clipped highlight's border are clipped.
+BALL_SAMPLES = 64
 WITH = (("mirror",), ("matte",), (), ("mirror", "mirror"), ("matte", "matte"), (), ("mirror", "matte"), ())
 _DISTANCE = 10.0  # from the camera to the table
 _SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, of the picture's width
@@ -81,7 +83,10 @@ def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMP
     for number, (place, strength) in enumerate(zip(lamps, strengths, strict=True)):
         place_lamp(lamp, place, away)
         lamp.data.energy *= strength
-        images.append(_shot(scene, folder / f"{number}.exr"))
+        image = _shot(scene, folder / f"{number}.exr")
+        for ball, (_, centre, radius) in enumerate(balls):
+            _refine(image, scene, camera, centre, radius, folder / f"{number}-{ball}.exr")
+        images.append(image)
     text = (
         f"{' and '.join(kind for kind, _, _ in balls) or 'no ball'}, {words}, tilt {np.degrees(tilt):.0f}°,"
         f" lamps {f'{away / _width(fov):.1f} widths away' if near else 'distant'}"
@@ -92,6 +97,21 @@ def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMP
 def _width(fov: float) -> float:
     """Return the width of the picture at the table's middle. fov: degrees."""
     return 2 * _DISTANCE * math.tan(math.radians(fov) / 2)
+
+
+def _refine(image: np.ndarray, scene, camera: Camera, centre: np.ndarray, radius: float, path: Path) -> None:
+    """Replace the pixels of a ball by some of more samples: the work of the whole picture, at most 64 samples."""
+    outline = Ball("ball", camera, centre, radius, 1.0, (0.0, 0.0)).outline
+    size = np.array([camera.width, camera.height])
+    low, high = (np.clip(side, 0, size).astype(int) for side in (outline.min(axis=0) - 3, outline.max(axis=0) + 4))
+    made, samples = scene.render, scene.cycles.samples
+    made.use_border = made.use_crop_to_border = True
+    # A quarter of a pixel more: neither rounding nor its absence moves the border.
+    made.border_min_x, made.border_min_y = (low + 0.25) / size
+    made.border_max_x, made.border_max_y = (high + 0.25) / size
+    scene.cycles.samples = min(BALL_SAMPLES, int(samples * size.prod() / (high - low).prod()))
+    image[low[1] : high[1], low[0] : high[0]] = _shot(scene, path)
+    made.use_border, scene.cycles.samples = False, samples
 
 
 def _shot(scene, path: Path) -> np.ndarray:

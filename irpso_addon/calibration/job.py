@@ -19,7 +19,7 @@ from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from .balls.detect.found import FoundBall, as_ball, of_one_kind
+from .balls.detect.found import FoundBall, as_ball, of_one_kind, tables_of
 from .balls.detect.search import search_steps
 from .balls.lights import KINDS, Calibration, FoundLight, Request, calibration_steps
 from .balls.mirror import Sight
@@ -150,7 +150,7 @@ def calibrate_steps(
             raise _too_small(found[0], camera)
         balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
         inverse = float(np.mean([one.inverse[0] / ball.radius for one, ball in zip(used, balls, strict=True)]))
-        request = replace(request, kind=used[0].kind, inverse=inverse)
+        request = replace(request, kind=used[0].kind, inverse=inverse, tables=tables_of(used))
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     begun = _SEARCH if found else 0.0

@@ -12,6 +12,7 @@ from ...core.filters import block_means
 from .ball import Ball
 
 _MARGIN = 3  # pixels around the outline
+_REACH, _COARSE = 6.0, 6.0  # half the side of a ball's surroundings, in radii; values along a radius there
 
 
 @dataclass(frozen=True)
@@ -34,22 +35,39 @@ class BallView:
         return self.ball.surface(self.pixels)[3]
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What lies around a ball in K photographs. values: (K, h, w, 3) linear radiance, means of block × block pixels.
+
+    origin: (2,) the pixel where the first value begins.
+    """
+
+    values: np.ndarray
+    origin: np.ndarray
+    block: int
+
+
 def reading_steps(
     readers: Sequence[Callable[[], np.ndarray]], balls: Sequence[Ball], radius: float
-) -> Generator[int, None, list[BallView]]:
-    """Yield each image's number before it is read; return a BallView for each ball.
+) -> Generator[int, None, tuple[list[BallView], list[Surroundings]]]:
+    """Yield each image's number before it is read; return a BallView and the Surroundings of each ball.
 
     readers: each returns (H, W, 4) like ``Observation.read``. radius: largest radius in values; larger balls are
     averaged down to it. Raises InputError where a ball is outside the picture.
     """
     windows = [_window(ball) for ball in balls]
     blocks = [max(1, int(np.ceil(ball.radius_px / radius))) for ball in balls]
+    wide = [_window(ball, int(_REACH * ball.radius_px)) for ball in balls]
+    coarse = [max(1, int(ball.radius_px / _COARSE)) for ball in balls]
+    around: list[list[np.ndarray]] = [[] for _ in balls]
     cut: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in balls]
     for number, read in enumerate(readers):
         yield number
         image = read()
         for into, (x0, y0, x1, y1), block in zip(cut, windows, blocks, strict=True):
             into.append(_averaged(image[y0:y1, x0:x1], block))
+        for pictures, (x0, y0, x1, y1), block in zip(around, wide, coarse, strict=True):
+            pictures.append(block_means(image[y0:y1, x0:x1, :3].astype(np.float32, copy=False), block))
     views = []
     for ball, crops, (x0, y0, _, _), block in zip(balls, cut, windows, blocks, strict=True):
         height, width = crops[0][1].shape
@@ -57,15 +75,19 @@ def reading_steps(
         views.append(
             BallView(ball, np.stack(grid, -1), np.stack([v for v, _ in crops]), np.stack([u for _, u in crops]), block)
         )
-    return views
+    surroundings = [
+        Surroundings(np.stack(pictures), np.array(window[:2], float), block)
+        for pictures, window, block in zip(around, wide, coarse, strict=True)
+    ]
+    return views, surroundings
 
 
-def _window(ball: Ball) -> tuple[int, int, int, int]:
-    """Return x0, y0, x1, y1 of the ball's crop."""
+def _window(ball: Ball, margin: int = _MARGIN) -> tuple[int, int, int, int]:
+    """Return x0, y0, x1, y1 of the ball's crop with so many pixels around it."""
     size = (ball.camera.width, ball.camera.height)
     outline = ball.outline[np.isfinite(ball.outline).all(axis=-1)]
-    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - _MARGIN, 0)
-    high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + _MARGIN, size)
+    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - margin, 0)
+    high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + margin, size)
     if (high - low < 2 * _MARGIN).any():
         raise InputError(f"{ball.name}: lies outside the image of {size[0]} × {size[1]} pixels; check its numbers")
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])

@@ -11,11 +11,12 @@ from ...capture.types import Light, triple
 from ...core.errors import InputError
 from . import matte, mirror
 from .ball import Ball
-from .crops import BallView, reading_steps
+from .crops import BallView, Surroundings, reading_steps
 from .matte import Fit, fit_lights
 from .mirror import Sight, find_highlights
 from .near import SIGNIFICANT, Intersection, converge, meet
 from .shading import shading_of
+from .table import Table, gathered
 
 KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
@@ -45,7 +46,8 @@ class FoundLight:
 class Calibration:
     """Lights from balls. kind: one of KINDS. near: lights have positions. how: the reason, in words.
 
-    bounce: (3,) normal of the table below matte balls times its albedo, in camera axes.
+    bounce: (3,) normal of the table below matte balls times its albedo, in camera axes; or (1,) the balls' albedo,
+    where the table is known and its light is gathered.
     """
 
     kind: str
@@ -61,7 +63,8 @@ class Request:
     """Options. kind: one of KINDS. lights: one of DISTANCES. distance: from the balls' centre to all lights, or None.
 
     albedo: (3,) of matte balls, or None: intensities are relative to the first light's. inverse: 1 / distance of lamps
-    that count as distant: directions are those from the balls' centre.
+    that count as distant: directions are those from the balls' centre. tables: below each matte ball; none where they
+    are unknown.
     """
 
     kind: str
@@ -69,6 +72,7 @@ class Request:
     distance: float | None = None
     albedo: tuple[float, float, float] | None = None
     inverse: float = 0.0
+    tables: tuple[Table, ...] = ()
 
 
 def calibration_steps(
@@ -84,10 +88,9 @@ def calibration_steps(
     if request.distance is not None and request.lights == "distant":
         raise InputError("--distance: distant lights have none; omit it, or --lights distant")
     part = mirror if request.kind == "mirror" else matte
-    views = yield from reading_steps(readers, balls, part.LARGEST_RADIUS)
+    views, surroundings = yield from reading_steps(readers, balls, part.LARGEST_RADIUS)
     centre = np.mean([ball.centre for ball in balls], axis=0)
-    find = _by_mirror if request.kind == "mirror" else _by_shading
-    return find(views, centre, request)
+    return _by_mirror(views, centre, request) if part is mirror else _by_shading(views, surroundings, centre, request)
 
 
 def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
@@ -108,8 +111,11 @@ def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> C
     return Calibration("mirror", near, how, tuple(lights), tuple(views), np.zeros(3))
 
 
-def _by_shading(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
-    shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
+def _by_shading(
+    views: list[BallView], surroundings: list[Surroundings], centre: np.ndarray, request: Request
+) -> Calibration:
+    tables = [gathered(*one) for one in zip(views, surroundings, request.tables, strict=True)] if request.tables else []
+    shadings = [shading_of(views, photograph, tables) for photograph in range(len(views[0].values))]
     free = len(views) > 1 and request.lights != "distant" and request.distance is None
     fits, bounce = fit_lights(shadings, centre, free, 1 / request.distance if request.distance else request.inverse)
     intersections = [_of_fit(fit, views) for fit in fits if isinstance(fit, Fit)] if free else []

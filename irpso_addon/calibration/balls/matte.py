@@ -21,8 +21,11 @@ _LEAST_SCALE = 0.002  # of the light's radiance: best possible fit
 _GRID = 400  # start directions
 _GRID_VALUES = 600
 _BOUNCE_START = (0.0, 0.1, 0.15)  # a table below and behind the ball that reflects a fifth
+_ALBEDO_START = (0.6,)  # of balls, where the table's light is known
+_SCATTER = 0.15  # deviation of the values from the fit, over the light's radiance: the light does not reach the ball
 _LEAST_BOUNCE = 0.01  # below, there is no table
 _BOUNCE_PRIOR = 1e-4  # weight against the data: keeps an undetermined bounce near its start
+_HIDDEN = "the shading is not a ball's: the lamp does not reach it"
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class _State:
 def fit_lights(
     shadings: Sequence[Shading], centre: np.ndarray, near: bool, inverse: float = 0.0
 ) -> tuple[list[Fit | str], np.ndarray]:
-    """Return the light of each photograph, or in words why there is none, and the bounce (3,).
+    """Return the light of each photograph, or in words why there is none, and ``ground`` of ``shading.bounced``.
 
     Robust fit (Tukey 1960) of ambient + ``shading.direct`` + ``shading.bounced``: each photograph has its light and
     ambient radiance, all share one bounce, which in a single photograph looks like a turned light. Measured in Cycles
@@ -74,7 +77,20 @@ def fit_lights(
         for state in states:
             _refine(state, centre, ground, near, _ITERATIONS)
     radiances = iter(_radiances(states, centre, ground))
-    return [s if isinstance(s, str) else _fit(s, centre, ground, next(radiances), near) for s in fits], ground
+    found: list[Fit | str] = []
+    for state in fits:
+        if isinstance(state, str):
+            found.append(state)
+            continue
+        radiance = next(radiances)
+        hidden = _scatter(state, centre, ground) > _SCATTER
+        found.append(_HIDDEN if hidden else _fit(state, centre, ground, radiance, near))
+    return found, ground
+
+
+def _scatter(state: _State, centre: np.ndarray, ground: np.ndarray) -> float:
+    residual = state.grey - shade.radiance(state.shading, centre, state.parameters, ground)
+    return 1.4826 * float(np.median(np.abs(residual))) / float(np.linalg.norm(state.parameters[:3]))
 
 
 def _begun(shading: Shading, centre: np.ndarray, near: bool, inverse: float) -> _State | str:
@@ -129,13 +145,15 @@ def _refine(
 
 
 def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarray:
-    """Return the bounce (3,) after Gauss–Newton over all photographs, and improve the states.
+    """Return the bounce after Gauss–Newton over all photographs, and improve the states.
 
-    The Schur complement eliminates each photograph's parameters and leaves a system of three.
+    The Schur complement eliminates each photograph's parameters and leaves a system of three, or of one.
     """
-    ground = np.array(_BOUNCE_START)
+    known = states[0].shading.table is not None
+    ground = np.array(_ALBEDO_START if known else _BOUNCE_START)
+    count = len(ground)
     for _ in range(_JOINT_ITERATIONS):
-        left, right, solved = np.zeros((3, 3)), np.zeros(3), []
+        left, right, solved = np.zeros((count, count)), np.zeros(count), []
         for state in states:
             free = _free(state, near)
             residual = state.grey - shade.radiance(state.shading, centre, state.parameters, ground)
@@ -149,13 +167,15 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarr
             right += (projected * state.weights[:, None]).T @ residual
             solved.append((state, free, by_common, by_residual))
         if not np.trace(left) > 0:  # no light reaches the table
-            return np.zeros(3)
-        left += _BOUNCE_PRIOR * np.trace(left) * np.eye(3)
+            return np.zeros(count)
+        left += _BOUNCE_PRIOR * np.trace(left) * np.eye(count)
         step = np.linalg.solve(left, right)
         step *= min(1.0, 0.1 / max(float(np.linalg.norm(step)), 1e-300))
+        if known:
+            step = np.clip(ground + step, 0.0, 1.0) - ground
         ground = ground + step
-        if np.linalg.norm(ground) < _LEAST_BOUNCE:
-            return np.zeros(3)
+        if not known and np.linalg.norm(ground) < _LEAST_BOUNCE:
+            return np.zeros(count)
         for state, free, by_common, by_residual in solved:
             state.parameters[free] += by_residual - by_common @ step
         if np.linalg.norm(step) < 1e-4:
@@ -212,6 +232,9 @@ def _radiances(states: Sequence[_State], centre: np.ndarray, ground: np.ndarray)
     if not len(sums):
         return np.zeros((0, 3))
     ss, sb, bb, sy, by = np.moveaxis(sums, -1, 0)
+    if states[0].shading.table is not None:
+        albedo = (by - sb * sy / ss).sum(axis=0) / np.maximum((bb - sb**2 / ss).sum(axis=0), 1e-300)
+        return (sy - np.clip(albedo, 0, 1) * sb) / ss
     tint = np.ones(3)
     for _ in range(_CHANNEL_ITERATIONS if ground.any() else 1):
         k = (sy + tint * by) / np.maximum(ss + 2 * tint * sb + tint**2 * bb, 1e-300)
@@ -221,15 +244,13 @@ def _radiances(states: Sequence[_State], centre: np.ndarray, ground: np.ndarray)
 
 def _products(state: _State, centre: np.ndarray, ground: np.ndarray) -> np.ndarray:
     """Return (3, 5) products of direct shading s, bounced shading b and values y, with the ambient removed."""
-    size = np.linalg.norm(state.parameters[:3])
-    shapes = np.stack(
-        [
-            shade.direct(state.shading, centre, state.parameters) / size,
-            shade.bounced(state.shading, state.parameters, ground) / size,
-            *state.shading.values.T,
-        ],
-        axis=-1,
-    )
-    shapes -= state.shading.own @ _solved(state.shading.own, state.weights, shapes)
+    shading, size = state.shading, np.linalg.norm(state.parameters[:3])
+    direct = shade.direct(shading, centre, state.parameters) / size
+    bounced = shading.table
+    if bounced is None:
+        bounced = np.repeat((shade.bounced(shading, state.parameters, ground) / size)[:, None], 3, axis=1)
+    shapes = np.column_stack([direct, bounced, shading.values])
+    shapes -= shading.own @ _solved(shading.own, state.weights, shapes)
     square = (shapes * state.weights[:, None]).T @ shapes
-    return np.array([[square[0, 0], square[0, 1], square[1, 1], square[0, c], square[1, c]] for c in (2, 3, 4)])
+    pairs = [(1 + c, 4 + c) for c in range(3)]
+    return np.array([[square[0, 0], square[0, b], square[b, b], square[0, y], square[b, y]] for b, y in pairs])

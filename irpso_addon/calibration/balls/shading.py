@@ -19,7 +19,8 @@ _STEP = 1e-5  # of numeric derivatives, relative
 class Shading:
     """The values of matte balls in one photograph. points, normals: (N, 3). values: (N, 3) linear radiance.
 
-    own: (N, balls) 1 in the column of the value's ball. sector: (N,) 0…SECTORS − 1, part of the ball.
+    own: (N, balls) 1 in the column of the value's ball. sector: (N,) 0…SECTORS − 1, part of the ball. table: (N, 3) the
+    radiance that the table's light gives to a white ball, or None where it is unknown.
     """
 
     points: np.ndarray
@@ -27,6 +28,7 @@ class Shading:
     values: np.ndarray
     own: np.ndarray
     sector: np.ndarray
+    table: np.ndarray | None = None
 
     @property
     def balls(self) -> int:
@@ -34,9 +36,12 @@ class Shading:
         return self.own.shape[1]
 
 
-def shading_of(views: Sequence[BallView], photograph: int) -> Shading:
-    """Return the balls' usable values in one photograph: away from the rim, not clipped, not masked out."""
-    parts = []
+def shading_of(views: Sequence[BallView], photograph: int, tables: Sequence[np.ndarray] = ()) -> Shading:
+    """Return the balls' usable values in one photograph: away from the rim, not clipped, not masked out.
+
+    tables: the light of each ball's table (K, H, W, 3), see ``table.gathered``; none where it is unknown.
+    """
+    parts, light = [], []
     for number, view in enumerate(views):
         points, normals, toward, hit = view.ball.surface(view.pixels)
         margin = max(_RIM, np.sqrt(1 - (1 - min(_RIM_PIXELS / view.ball.radius_px, 1)) ** 2))
@@ -45,7 +50,9 @@ def shading_of(views: Sequence[BallView], photograph: int) -> Shading:
         sector = np.floor((around / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
         own = np.broadcast_to(np.eye(len(views))[number], (len(sector), len(views)))
         parts.append((points[keep], normals[keep], np.float64(view.values[photograph][keep]), own, sector))
-    return Shading(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        light += [tables[number][photograph][keep]] if len(tables) else []
+    points, normals, values, own, sector = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Shading(points, normals, values, own, sector, np.concatenate(light) if light else None)
 
 
 def direct(shading: Shading, centre: np.ndarray, parameters: np.ndarray) -> np.ndarray:
@@ -63,10 +70,13 @@ def direct(shading: Shading, centre: np.ndarray, parameters: np.ndarray) -> np.n
 
 
 def bounced(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N,) k max(l·g, 0) (1 − n·g/|g|) / 2: radiance from an infinite lit plane under the ball.
+    """Return (N,) radiance by the light of the table.
 
-    ground: (3,) g, the plane's normal times its albedo. k includes the balls' albedo.
+    Where the photographs show that light, ``ground`` (1,) is the balls' albedo. Else it is (3,) g, the normal of an
+    infinite lit plane times its albedo, which sends k max(l·g, 0) (1 − n·g/|g|) / 2. k includes the balls' albedo.
     """
+    if shading.table is not None:
+        return ground[0] * shading.table.mean(axis=-1)
     albedo = np.linalg.norm(ground)
     if albedo == 0:
         return np.zeros(len(shading.normals))
@@ -89,13 +99,13 @@ def jacobian(shading: Shading, centre: np.ndarray, parameters: np.ndarray, groun
         moved = parameters.copy()
         moved[index] += (step := _STEP * (size if index < 3 else 1.0))
         result[:, index] = (direct(shading, centre, moved) - value) / step
-    strength = parameters[:3] @ ground
+    strength = parameters[:3] @ ground if shading.table is None else 0.0
     if strength > 0:
         result[:, :3] += ground * (bounced(shading, parameters, ground) / strength)[:, None]
     return result
 
 
 def ground_jacobian(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N, 3) the derivatives of ``radiance`` by the bounce."""
-    value = bounced(shading, parameters, ground)
-    return np.stack([(bounced(shading, parameters, ground + d) - value) / _STEP for d in _STEP * np.eye(3)], axis=-1)
+    """Return (N, len(ground)) the derivatives of ``radiance`` by the bounce."""
+    value, moves = bounced(shading, parameters, ground), _STEP * np.eye(len(ground))
+    return np.stack([(bounced(shading, parameters, ground + d) - value) / _STEP for d in moves], axis=-1)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..ball import Ball, tukey
-from .shadow import Table, on_table, shadowed
+from ..table import Table
+from .shadow import on_table, shadowed
 
 _PIXELS = 3000  # compared, at most
 _BESIDE = 1.1  # radii from the ball's centre: nearer pixels show the ball

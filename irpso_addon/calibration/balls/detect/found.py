@@ -9,6 +9,7 @@ import numpy as np
 
 from ....capture.camera import Camera
 from ..ball import Ball, fit_ball
+from ..table import Table
 
 _CENTRE_ERROR, _RADIUS_ERROR = 0.004, 0.008  # of the radius: what shadows give, measured on tables rendered by Cycles
 _REACH = 1.5  # radii from the ball to its shadow: there the shadow of a near lamp is as much wider
@@ -23,7 +24,7 @@ class FoundBall:
     support: fraction of its outline where an edge shows. shadow: correlation of the darkness around the ball with the
     shadow that it would throw, or None where nothing around it is lit. exact: its outline was measured where its radius
     is 15 pixels or more; a smaller one's lights may be off by 20°. inverse: the ball's radius over the lamps' distance,
-    0 for distant ones, and its standard error.
+    0 for distant ones, and its standard error. table: below it, or None where its shadow does not show.
     """
 
     kind: str
@@ -33,6 +34,7 @@ class FoundBall:
     shadow: float | None
     exact: bool = True
     inverse: tuple[float, float] = (0.0, np.inf)
+    table: Table | None = None
 
     @property
     def centre(self) -> np.ndarray:
@@ -45,6 +47,12 @@ def of_one_kind(found: Sequence[FoundBall]) -> list[FoundBall]:
     kind = "mirror" if any(ball.exact and ball.kind == "mirror" for ball in found) else "matte"
     same = [ball for ball in found if ball.exact and ball.kind == kind]
     return [ball for ball in same if 1 / _SIZES < ball.radius / same[0].radius < _SIZES]
+
+
+def tables_of(found: Sequence[FoundBall]) -> tuple[Table, ...]:
+    """Return the table below each ball, or none where one is unknown."""
+    tables = tuple(ball.table for ball in found if ball.table is not None)
+    return tables if len(tables) == len(found) else ()
 
 
 def as_ball(found: FoundBall, camera: Camera, name: str, radius: float | None) -> Ball:

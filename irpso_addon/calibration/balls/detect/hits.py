@@ -10,11 +10,13 @@ import numpy as np
 from ....core.errors import InputError
 from ..ball import SMALL, Ball, fit_ball, outline_of_circle
 from ..mirror import reflected
+from ..table import Table
 from . import evidence
 from .falloff import inverse_distance
 from .outline import Outline, fitted, measured
 from .pictures import Pictures
-from .shadow import Table, agreement, table_light
+from .rim import on_rim
+from .shadow import agreement, table_light
 
 _LEAST_SUPPORT = 0.3
 _TESTED = 60
@@ -32,6 +34,7 @@ _STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizo
 _SHADOW_STEPS = (0.06, 0.03, 0.015, 0.01)  # of the radius
 _SCAN = (0.85, 1.08, 1.16, 1.25)  # of the radius
 _CLIMBED = 2  # circles of one ball
+_TABLES = 3  # steps of 2.5° to the table of a matte ball
 _MEASURABLE = 0.6  # of 15 pixels: a first circle may be as much too small
 _SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels
 
@@ -134,7 +137,28 @@ def improved_steps(
             near = _with_distance(hit, whole)
             hits.append((yield from _measured_by_shadow(near)) if _measurable(near) else near)
     kept = [hit for hit in hits if hit.shadow is None or hit.shadow >= _wanted(hit)]
-    return kept if kind == "mirror" else [_with_distance(hit, whole) for hit in kept]
+    if kind == "mirror":
+        return kept
+    placed = []
+    for hit in kept:
+        yield
+        placed.append(_with_distance(_measured_by_rim(hit), whole))
+    return placed
+
+
+def _measured_by_rim(hit: Hit) -> Hit:
+    """Return a matte ball's hit with the outline that its rim shows, and the table that its shadow then shows."""
+    rim = on_rim(hit.pictures, hit.ball)
+    if rim is not None:
+        ball, points = rim
+        seen = evidence.of_matte(hit.pictures.values, hit.pictures.clipped, ball)
+        x, y = points.mean(axis=0).tolist()
+        outline = Outline(x, y, ball.radius_px, hit.outline.support, points)
+        hit = replace(hit, outline=outline, ball=ball, seen=seen)
+    for _ in range(_TABLES if hit.table is not None else 0):
+        agrees = agreement(hit.pictures.values, hit.ball, hit.seen.lights, hit.table, noise=hit.pictures.noise)
+        hit = hit if agrees is None else replace(hit, table=agrees[1])
+    return hit
 
 
 def _measurable(hit: Hit) -> bool:

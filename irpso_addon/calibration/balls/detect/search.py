@@ -102,4 +102,4 @@ def _found(hit: Hit) -> FoundBall:
     outline = hit.outline
     points = hit.pictures.in_photograph(outline.points)
     exact = outline.radius >= SMALL
-    return FoundBall(hit.kind, points, float(hit.circle[2]), outline.support, hit.shadow, exact, hit.inverse)
+    return FoundBall(hit.kind, points, float(hit.circle[2]), outline.support, hit.shadow, exact, hit.inverse, hit.table)

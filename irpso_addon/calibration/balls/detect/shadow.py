@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ....core.filters import blurred
 from ..ball import Ball, pixel_rays, tangents
+from ..table import Table
 
 _NEAREST, _FARTHEST = 1.08, 4.0  # of the ball's radius: where its shadow is looked for
 _PIXELS, _MORE_PIXELS = 1500, 4000  # compared: among all tables, and near one
@@ -26,14 +26,6 @@ _BRIGHT = 4.0  # of the cloth's value: brighter things count no more in means
 _LIT_PART = 0.2  # of the pixels: so many show whether there is a shadow
 _ELSEWHERE = 0.25  # weight where the ball throws no shadow: other things may
 _SEEN = 0.05  # variation of darkness: below, nothing is in shadow
-
-
-@dataclass(frozen=True)
-class Table:
-    """The surface below a ball. up: (3,) its normal in camera axes. height: of the ball's centre above it, in radii."""
-
-    up: np.ndarray
-    height: float
 
 
 def agreement(
