@@ -78,13 +78,13 @@ def fit_lights(
             _refine(state, centre, ground, near, _ITERATIONS)
     radiances = iter(_radiances(states, centre, ground))
     found: list[Fit | str] = []
-    for state in fits:
-        if isinstance(state, str):
-            found.append(state)
+    for begun in fits:
+        if isinstance(begun, str):
+            found.append(begun)
             continue
         radiance = next(radiances)
-        hidden = _scatter(state, centre, ground) > _SCATTER
-        found.append(_HIDDEN if hidden else _fit(state, centre, ground, radiance, near))
+        hidden = _scatter(begun, centre, ground) > _SCATTER
+        found.append(_HIDDEN if hidden else _fit(begun, centre, ground, radiance, near))
     return found, ground
 
 
