@@ -63,8 +63,8 @@ class Request:
     """Options. kind: one of KINDS. lights: one of DISTANCES. distance: from the balls' centre to all lights, or None.
 
     albedo: (3,) of matte balls, or None: intensities are relative to the first light's. inverse: 1 / distance of lamps
-    that count as distant: directions are those from the balls' centre. tables: below each matte ball; none where they
-    are unknown.
+    that count as distant: directions are those from the balls' centre. tables: below each ball; none where they are
+    unknown.
     """
 
     kind: str
@@ -94,7 +94,8 @@ def calibration_steps(
 
 
 def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
-    highlights = list(zip(*(find_highlights(view) for view in views), strict=True))
+    ups: list[np.ndarray | None] = [table.up for table in request.tables]
+    highlights = list(zip(*map(find_highlights, views, ups or [None] * len(views)), strict=True))
     sights = [tuple(s if isinstance(s, Sight) else None for s in row) for row in highlights]
     several = [_intersected(row, centre, True) for row in sights if sum(s is not None for s in row) > 1]
     near, how = _decision(several, request, len(views))

@@ -67,11 +67,18 @@ class _Blob:
     region: np.ndarray
 
 
-def find_highlights(view: BallView) -> list[Sight | str]:
-    """Return the light that the ball shows in each photograph, or in words why there is none."""
+def find_highlights(view: BallView, up: np.ndarray | None = None, sure: bool = True) -> list[Sight | str]:
+    """Return the light that the ball shows in each photograph, or in words why there is none.
+
+    up: (3,) normal of the table in camera axes, where it is known: lamps are above it, a glossy table's highlight
+    below. sure: of two spots that are about as bright none counts; else the better one does.
+    """
     grey = view.values.mean(axis=-1)
-    _, normal, toward, inside = view.ball.surface(view.pixels)
-    shrunk = inside & ((normal * toward).sum(axis=-1) > np.sqrt(1 - _RIM**2))
+    _, direction, facing = reflected(view.ball, view.pixels)
+    inside = view.inside
+    shrunk = inside & (facing > np.sqrt(1 - _RIM**2))
+    if up is not None:
+        shrunk &= direction @ up > 0
     ambient = np.zeros_like(grey[0])
     if len(grey) >= _FEWEST_FOR_AMBIENT:
         at = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))
@@ -80,7 +87,7 @@ def find_highlights(view: BallView) -> list[Sight | str]:
     signals = np.where(shrunk, grey - ambient, 0)
     for number, (image, usable) in enumerate(zip(grey, view.usable, strict=True)):
         clipped = ~usable & (image > 0) & inside
-        sight, spot = _sight(view, signals, number, _saturated(image, signals[number], clipped), shrunk)
+        sight, spot = _sight(view, signals, number, _saturated(image, signals[number], clipped), shrunk, sure)
         found.append(sight)
         spots.append(spot)
     return _without_hidden(found, spots, view.ball.name)
@@ -124,7 +131,7 @@ def reflected(ball: Ball, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _sight(
-    view: BallView, signals: np.ndarray, number: int, clipped: np.ndarray, inside: np.ndarray
+    view: BallView, signals: np.ndarray, number: int, clipped: np.ndarray, inside: np.ndarray, sure: bool
 ) -> tuple[Sight | str, _Blob | None]:
     """Return a photograph's sight, or in words why there is none, and the spot that it is of."""
     ball, name, signal = view.ball, view.ball.name, signals[number]
@@ -152,7 +159,7 @@ def _sight(
             apart = max(apart, angle)
         elif rival.saturated > 0 and angle > _SAME:
             warnings.append(f"{name}: a smaller highlight is clipped, too; expose less if that is the lamp")
-    if apart > _SAME:
+    if apart > _SAME and sure:
         return (
             f"{name}: the highlight of the lamp is ambiguous: two highlights, {np.degrees(apart):.0f}° apart, are"
             " about as bright; cover other lamps and bright objects beside the ball, or expose less"
@@ -160,7 +167,7 @@ def _sight(
     rest = signal[inside & ~blob.region]
     if rest.size and np.percentile(rest, 99) * _CONTRAST > blob.peak:
         warnings.append(f"{name}: {_FAINT}")
-    error = float(np.hypot(_direction_error(ball, pixel, blob.error * view.block), apart))
+    error = float(np.hypot(_direction_error(ball, pixel, blob.error * view.block), apart if sure else 0.0))
     return Sight(pixel, point, direction, error, tuple(warnings)), blob
 
 

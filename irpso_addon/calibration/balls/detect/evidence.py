@@ -37,7 +37,7 @@ class Evidence:
 def of_mirror(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
     """Return the evidence that every photograph shows one highlight at a place of its own. stack: (K, H, W)."""
     view = cropped(stack, clipped, ball)
-    found = find_highlights(view)
+    found = find_highlights(view, sure=False)  # the shadow tells whether the better spots were lamps
     lights, pixels = np.full((len(stack), 3), np.nan), np.full((len(stack), 2), np.nan)
     for number, sight in enumerate(found):
         if isinstance(sight, Sight):
@@ -64,8 +64,8 @@ def of_matte(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
         if light is not None:
             lights[number] = light
     known = np.isfinite(lights).all(axis=-1)
-    # Two of three photographs count: the others may have a cast shadow on the ball.
-    fit = float(np.quantile(fits, 1 / 3))
+    # Three of five photographs count: the others may have a cast shadow on the ball.
+    fit = float(np.quantile(fits, 0.4))
     return Evidence("matte", lights, float(known.mean()), _spread(lights[known]), fit, np.full((len(stack), 2), np.nan))
 
 

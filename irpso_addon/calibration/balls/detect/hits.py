@@ -33,6 +33,7 @@ _SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # with
 _STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizon is a circle inside the outline
 _SHADOW_STEPS = (0.06, 0.03, 0.015, 0.01)  # of the radius
 _SCAN = (0.85, 1.08, 1.16, 1.25)  # of the radius
+_HORIZONS = np.radians((0, 20, 40, 60))  # of the table's normal from the viewer
 _CLIMBED = 2  # circles of one ball
 _TABLES = 3  # steps of 2.5° to the table of a matte ball
 _MEASURABLE = 0.6  # of 15 pixels: a first circle may be as much too small
@@ -173,10 +174,14 @@ def _wanted(hit: Hit) -> float:
     a bright table a shining thing that is nearly round reaches 0.87. The lights of a circle of few pixels fit many a
     shadow.
     """
-    bright = table_light(hit.pictures.values, hit.ball) > _CLOTH
-    least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or bright else "mirror on cloth"]
+    least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or _bright(hit) else "mirror on cloth"]
     doubtful = hit.seen.share < (_SURE_SHARE if hit.kind == "matte" else _MIRROR_SHARE)
     return least - clear * hit.clear + doubtful * _DOUBT + (hit.outline.radius < SMALL) * _SMALL_DOUBT
+
+
+def _bright(hit: Hit) -> bool:
+    """Return whether the table is brighter than black cloth."""
+    return table_light(hit.pictures.values, hit.ball) > _CLOTH
 
 
 def _with_distance(hit: Hit, whole: Pictures) -> Hit:
@@ -191,14 +196,36 @@ def _with_distance(hit: Hit, whole: Pictures) -> Hit:
 def _scanned(hit: Hit) -> Generator[None, None, Hit]:
     """Yield often; return a hit with the radius and the table, of a few and of all, at which its shadow agrees best."""
     found = [hit]
-    for factor in _SCAN:
+    x, y, radius = hit.outline.x, hit.outline.y, hit.outline.radius
+    circles = [(x, y, factor * radius) for factor in _SCAN]
+    if not _bright(hit):
+        circles += _around_horizon(hit)
+    for x, y, radius in circles:
         yield
-        x, y, radius = hit.outline.x, hit.outline.y, factor * hit.outline.radius
         ball, agrees = _agreeing(hit, x, y, radius)
         if agrees is not None:
             outline = measured(hit.pictures.steady, x, y, radius)
             found.append(replace(hit, outline=outline, ball=ball, shadow=agrees[0], table=agrees[1]))
     return max(found, key=lambda h: h.shadow or 0.0)
+
+
+def _around_horizon(hit: Hit) -> list[tuple[float, float, float]]:
+    """Return circles x, y, radius of mirror balls that show the horizon of a table at a hit's circle.
+
+    Seen along an axis that is t from the table's normal, it shows the horizon at sin(45° + t / 2) of its radius
+    toward the normal, and at sin(45° − t / 2) on the other side. On black cloth that is the clearest circle.
+    """
+    table = hit.table
+    across = np.zeros(2) if table is None else table.up[:2]
+    length = float(np.linalg.norm(across))
+    toward = across / length if length > 0 else across
+    circles = []
+    for tilt in _HORIZONS:
+        far, near = np.sin(np.pi / 4 + tilt / 2), np.sin(np.pi / 4 - tilt / 2)
+        radius = 2 * hit.outline.radius / (far + near)
+        x, y = np.array([hit.outline.x, hit.outline.y]) - radius * (far - near) / 2 * toward
+        circles.append((float(x), float(y), float(radius)))
+    return circles
 
 
 def _measured_by_shadow(hit: Hit) -> Generator[None, None, Hit]:
@@ -224,7 +251,7 @@ def _measured_by_shadow(hit: Hit) -> Generator[None, None, Hit]:
             table = max(heights, key=lambda h: h[0])[1]
     x, y, radius = circle.tolist()
     outline = Outline(x, y, radius, hit.outline.support, outline_of_circle(x, y, radius))
-    return replace(hit, outline=outline, shadow=max(height for height, _ in heights))
+    return replace(hit, outline=outline, shadow=max(height for height, _ in heights), table=table)
 
 
 def _agreeing(

@@ -12,6 +12,7 @@ _ANGLES = 72
 _CLEAR = 2.5  # of the median contrast across the profile: an edge shows
 _SHOWN = 0.5  # clarity of an edge that is seen
 _SHIFT = 0.12  # of the radius: how far the centre and the radius may move
+_LEAST_SHIFT = 2.0  # pixels
 _STEPS = 4  # each way
 _BAND, _LEAST_BAND = 0.35, 8.0  # half the profile, of the radius and in pixels
 _RIDGE = 2.0  # pixels: of neighbouring places with an edge only the clearest counts
@@ -31,7 +32,7 @@ class Outline:
 
 def fitted(edges: Edges, x: float, y: float, radius: float, rounds: int = 3) -> Outline:
     """Return the circle near a circle (pixel coordinates) that most directions agree upon, to a part of a pixel."""
-    shift = _SHIFT * radius
+    shift = max(_SHIFT * radius, _LEAST_SHIFT)
     for _ in range(rounds):
         x, y, radius = _agreed(edges, x, y, radius, shift)
         shift /= 3
