@@ -34,10 +34,13 @@ class Evidence:
     pixels: np.ndarray
 
 
-def of_mirror(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
-    """Return the evidence that every photograph shows one highlight at a place of its own. stack: (K, H, W)."""
+def of_mirror(stack: np.ndarray, clipped: np.ndarray, ball: Ball, up: np.ndarray | None = None) -> Evidence:
+    """Return the evidence that every photograph shows one highlight at a place of its own. stack: (K, H, W).
+
+    up: (3,) normal of the table. Without it a glossy table's highlight may be the lamp's rival: the better one counts.
+    """
     view = cropped(stack, clipped, ball)
-    found = find_highlights(view, sure=False)  # the shadow tells whether the better spots were lamps
+    found = find_highlights(view, up, sure=up is not None)
     lights, pixels = np.full((len(stack), 3), np.nan), np.full((len(stack), 2), np.nan)
     for number, sight in enumerate(found):
         if isinstance(sight, Sight):

@@ -37,7 +37,7 @@ _HORIZONS = np.radians((0, 20, 40, 60))  # of the table's normal from the viewer
 _CLIMBED = 2  # circles of one ball
 _TABLES = 3  # steps of 2.5° to the table of a matte ball
 _MEASURABLE = 0.6  # of 15 pixels: a first circle may be as much too small
-_SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels
+_SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels; less, up to 30
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,8 @@ def improved_steps(
             yield
             near = _with_distance(hit, whole)
             hits.append((yield from _measured_by_shadow(near)) if _measurable(near) else near)
-    kept = [hit for hit in hits if hit.shadow is None or hit.shadow >= _wanted(hit)]
+    shown = [hit for hit in hits if hit.seen.share >= _LEAST_SHARE]
+    kept = [hit for hit in shown if hit.shadow is None or hit.shadow >= _wanted(hit)]
     if kind == "mirror":
         return kept
     placed = []
@@ -174,9 +175,11 @@ def _wanted(hit: Hit) -> float:
     a bright table a shining thing that is nearly round reaches 0.87. The lights of a circle of few pixels fit many a
     shadow.
     """
-    least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or _bright(hit) else "mirror on cloth"]
+    bright = _bright(hit)
+    least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or bright else "mirror on cloth"]
     doubtful = hit.seen.share < (_SURE_SHARE if hit.kind == "matte" else _MIRROR_SHARE)
-    return least - clear * hit.clear + doubtful * _DOUBT + (hit.outline.radius < SMALL) * _SMALL_DOUBT
+    small = 2 - hit.outline.radius / SMALL if hit.kind == "mirror" and bright else float(hit.outline.radius < SMALL)
+    return least - clear * hit.clear + doubtful * _DOUBT + float(np.clip(small, 0, 1)) * _SMALL_DOUBT
 
 
 def _bright(hit: Hit) -> bool:
@@ -251,7 +254,9 @@ def _measured_by_shadow(hit: Hit) -> Generator[None, None, Hit]:
             table = max(heights, key=lambda h: h[0])[1]
     x, y, radius = circle.tolist()
     outline = Outline(x, y, radius, hit.outline.support, outline_of_circle(x, y, radius))
-    return replace(hit, outline=outline, shadow=max(height for height, _ in heights), table=table)
+    ball = fit_ball(outline.points, hit.pictures.camera, measured=False)
+    seen = evidence.of_mirror(hit.pictures.values, hit.pictures.clipped, ball, None if table is None else table.up)
+    return replace(hit, outline=outline, seen=seen, shadow=max(height for height, _ in heights), table=table)
 
 
 def _agreeing(

@@ -12,7 +12,6 @@ _ANGLES = 72
 _CLEAR = 2.5  # of the median contrast across the profile: an edge shows
 _SHOWN = 0.5  # clarity of an edge that is seen
 _SHIFT = 0.12  # of the radius: how far the centre and the radius may move
-_LEAST_SHIFT = 2.0  # pixels
 _STEPS = 4  # each way
 _BAND, _LEAST_BAND = 0.35, 8.0  # half the profile, of the radius and in pixels
 _RIDGE = 2.0  # pixels: of neighbouring places with an edge only the clearest counts
@@ -30,9 +29,12 @@ class Outline:
     points: np.ndarray
 
 
-def fitted(edges: Edges, x: float, y: float, radius: float, rounds: int = 3) -> Outline:
-    """Return the circle near a circle (pixel coordinates) that most directions agree upon, to a part of a pixel."""
-    shift = max(_SHIFT * radius, _LEAST_SHIFT)
+def fitted(edges: Edges, x: float, y: float, radius: float, rounds: int = 3, least_shift: float = 0.0) -> Outline:
+    """Return the circle near a circle (pixel coordinates) that most directions agree upon, to a part of a pixel.
+
+    It is at most 12 % of the radius away in each of x, y and radius, or ``least_shift`` pixels.
+    """
+    shift = max(_SHIFT * radius, least_shift)
     for _ in range(rounds):
         x, y, radius = _agreed(edges, x, y, radius, shift)
         shift /= 3

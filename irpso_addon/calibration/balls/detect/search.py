@@ -24,6 +24,7 @@ _MOST = 24  # photographs that the search reads
 _SMALLEST, _LARGEST = 0.012, 0.17  # radius over the images' width
 _LEAST_RADIUS = 5.0  # pixels
 _CANDIDATES = 150
+_SMALL, _CELLS = 15.0, 2.0  # pixels: so small a circle may be as much beside its votes
 
 
 def search_steps(
@@ -77,6 +78,8 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
         yield 0.5 * number / len(circles)
         x, y, radius = circle.tolist()
         outlines.append(fitted(pictures.steady, x, y, radius))
+        if radius < _SMALL:
+            outlines.append(fitted(pictures.steady, x, y, radius, least_shift=_CELLS))
     hits: list[Hit] = []
     kept = distinct(outlines)
     for number, outline in enumerate(kept):
