@@ -35,9 +35,10 @@ _SHADOW_STEPS = (0.06, 0.03, 0.015, 0.01)  # of the radius
 _SCAN = (0.85, 1.08, 1.16, 1.25)  # of the radius
 _HORIZONS = np.radians((0, 20, 40, 60))  # of the table's normal from the viewer
 _CLIMBED = 2  # circles of one ball
+_NEAR = 0.005  # radii over distance: the fall-off needs lights to a degree
 _TABLES = 3  # steps of 2.5° to the table of a matte ball
 _MEASURABLE = 0.6  # of 15 pixels: a first circle may be as much too small
-_SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels; less, up to 30
+_SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels; less, up to 20
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,12 @@ def improved_steps(
     placed = []
     for hit in kept:
         yield
-        placed.append(_with_distance(_measured_by_rim(hit), whole))
+        hit = _with_distance(_measured_by_rim(hit), whole)
+        if hit.table is not None and hit.inverse[0] > _NEAR:
+            yield
+            seen = evidence.on_table(hit.pictures.values, hit.pictures.clipped, hit.ball, hit.table, hit.inverse[0])
+            hit = _with_distance(replace(hit, seen=seen), whole)
+        placed.append(hit)
     return placed
 
 
@@ -178,7 +184,7 @@ def _wanted(hit: Hit) -> float:
     bright = _bright(hit)
     least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or bright else "mirror on cloth"]
     doubtful = hit.seen.share < (_SURE_SHARE if hit.kind == "matte" else _MIRROR_SHARE)
-    small = 2 - hit.outline.radius / SMALL if hit.kind == "mirror" and bright else float(hit.outline.radius < SMALL)
+    small = 4 - 3 * hit.outline.radius / SMALL if hit.kind == "mirror" and bright else float(hit.outline.radius < SMALL)
     return least - clear * hit.clear + doubtful * _DOUBT + float(np.clip(small, 0, 1)) * _SMALL_DOUBT
 
 
