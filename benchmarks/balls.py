@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import report
-from benchmarks.scenes.ball_tables import HEIGHT, SAMPLES, WIDTH, BallTable, photographed
+from benchmarks.scenes.ball_tables import BALL_SAMPLES, HEIGHT, SAMPLES, WIDTH, BallTable, photographed
 from irpso_addon.calibration.balls.ball import SMALL, Ball
 from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, tables_of
 from irpso_addon.calibration.balls.detect.search import search_steps
@@ -154,8 +154,8 @@ def write(data: dict[str, Any], folder) -> list[str]:
             [kind, f"below {SMALL:g} pixels", *_cells([b for b in some if b["radius"] < SMALL])],
         ]
     return [
-        f"{data['scenes']} scenes of {WIDTH} × {HEIGHT} pixels, {SAMPLES} samples, six to eight lamps each; seeds that"
-        " no threshold was set on. One or two balls of 3 to 30 % of the width, or none; bowls, coins, cans, rings,"
+        f"{data['scenes']} scenes of {WIDTH} × {HEIGHT} pixels, {SAMPLES} samples and on balls up to {BALL_SAMPLES},"
+        " six to eight lamps each; seeds that no threshold was set on. One or two balls of 3 to 30 % of the width, or none; bowls, coins, cans, rings,"
         " cones, eggs and boxes beside them; tables of albedo 0.05 to 0.8, plain, mottled or glossy, and in a fifth of"
         " the scenes black cloth of 0.003 to 0.02, up to 55° from the viewer; in half of the scenes suns, in half near"
         f" lamps 1.2 to 4 picture widths away. Blur of {_BLUR} pixels, noise of {_NOISE:.1%} of white, 8 bits, clipped"
