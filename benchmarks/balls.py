@@ -155,7 +155,8 @@ def write(data: dict[str, Any], folder) -> list[str]:
         ]
     return [
         f"{data['scenes']} scenes of {WIDTH} × {HEIGHT} pixels, {SAMPLES} samples and on balls up to {BALL_SAMPLES},"
-        " six to eight lamps each; seeds that no threshold was set on. One or two balls of 3 to 30 % of the width, or none; bowls, coins, cans, rings,"
+        " six to eight lamps each; seeds that no threshold was set on. One or two balls of 3 to 30 % of"
+        " the width, or none; bowls, coins, cans, rings,"
         " cones, eggs and boxes beside them; tables of albedo 0.05 to 0.8, plain, mottled or glossy, and in a fifth of"
         " the scenes black cloth of 0.003 to 0.02, up to 55° from the viewer; in half of the scenes suns, in half near"
         f" lamps 1.2 to 4 picture widths away. Blur of {_BLUR} pixels, noise of {_NOISE:.1%} of white, 8 bits, clipped"
