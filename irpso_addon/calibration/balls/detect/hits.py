@@ -70,11 +70,11 @@ class Hit:
         return np.append(middle, self.outline.radius * self.pictures.block)
 
 
-def distinct(outlines: Sequence[Outline]) -> list[Outline]:
-    """Return the best supported outlines, each circle once."""
+def distinct(outlines: Sequence[Outline], most: int = _TESTED) -> list[Outline]:
+    """Return the best supported outlines, each circle once, at most ``most``."""
     kept: list[Outline] = []
     for outline in sorted(outlines, key=lambda o: -o.support):
-        if outline.support < _LEAST_SUPPORT or len(kept) == _TESTED:
+        if outline.support < _LEAST_SUPPORT or len(kept) == most:
             break
         if not any(_same(outline, other) for other in kept):
             kept.append(outline)

@@ -25,6 +25,7 @@ _SMALLEST, _LARGEST = 0.012, 0.17  # radius over the images' width
 _LEAST_RADIUS = 5.0  # pixels
 _CANDIDATES = 150
 _SMALL, _CELLS = 15.0, 2.0  # pixels: so small a circle may be as much beside its votes
+_MOVED = 20  # of these that are tested
 
 
 def search_steps(
@@ -73,15 +74,15 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
     smallest = max(_SMALLEST * pictures.camera.width, _LEAST_RADIUS)
     largest = _LARGEST * pictures.camera.width
     circles = candidates(pictures.steady, smallest, largest, _CANDIDATES)
-    outlines = []
+    outlines, moved = [], []
     for number, circle in enumerate(circles):
         yield 0.5 * number / len(circles)
         x, y, radius = circle.tolist()
         outlines.append(fitted(pictures.steady, x, y, radius))
         if radius < _SMALL:
-            outlines.append(fitted(pictures.steady, x, y, radius, least_shift=_CELLS))
+            moved.append(fitted(pictures.steady, x, y, radius, least_shift=_CELLS))
     hits: list[Hit] = []
-    kept = distinct(outlines)
+    kept = distinct(outlines) + distinct(moved, _MOVED)
     for number, outline in enumerate(kept):
         yield 0.5 + 0.5 * number / len(kept)
         hits += tested(pictures, outline, kinds, PROMISING)
