@@ -88,6 +88,7 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
         hits += tested(pictures, outline, kinds, PROMISING)
     if "mirror" in kinds:
         for circle in circles_of_paths(pictures.values, smallest, largest):
+            yield 1.0
             hits += tested(pictures, measured(pictures.steady, *circle.tolist()), ["mirror"], PROMISING)
     return _separate(hits)
 
