@@ -115,10 +115,16 @@ def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> C
 def _by_shading(
     views: list[BallView], surroundings: list[Surroundings], centre: np.ndarray, request: Request
 ) -> Calibration:
-    tables = [gathered(*one) for one in zip(views, surroundings, request.tables, strict=True)] if request.tables else []
-    shadings = [shading_of(views, photograph, tables) for photograph in range(len(views[0].values))]
     free = len(views) > 1 and request.lights != "distant" and request.distance is None
-    fits, bounce = fit_lights(shadings, centre, free, 1 / request.distance if request.distance else request.inverse)
+    inverse = 1 / request.distance if request.distance else request.inverse
+    shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
+    fits, bounce = fit_lights(shadings, centre, free, inverse)
+    for tables in _tables(request.tables, bounce):
+        light = [gathered(*one) for one in zip(views, surroundings, tables, strict=True)]
+        shaded = [shading_of(views, photograph, light) for photograph in range(len(shadings))]
+        other, albedo = fit_lights(shaded, centre, free, inverse)
+        if _misfit(other) < _misfit(fits):
+            fits, bounce, shadings = other, albedo, shaded
     intersections = [_of_fit(fit, views) for fit in fits if isinstance(fit, Fit)] if free else []
     near, how = _decision(intersections, request, len(views))
     if free and not near:
@@ -137,6 +143,20 @@ def _by_shading(
         warnings = _doubts(fit)
         lights.append(_placed(intersection, sights, views[0].ball, centre, request, near, median, intensity, warnings))
     return Calibration("matte", near, how, _scaled(lights, request), tuple(views), bounce)
+
+
+def _tables(found: tuple[Table, ...], bounce: np.ndarray) -> list[tuple[Table, ...]]:
+    """Return tables below balls: as found, and as the bounce (3,) says; the shadow alone may err by 25°."""
+    if not found or not bounce.any():
+        return [found] if found else []
+    up = bounce / np.linalg.norm(bounce)
+    return [found, tuple(Table(up, table.height) for table in found)]
+
+
+def _misfit(fits: Sequence[Fit | str]) -> float:
+    """Return the median misfit of the lights, infinite without any."""
+    misfits = [fit.misfit for fit in fits if isinstance(fit, Fit)]
+    return float(np.median(misfits)) if misfits else np.inf
 
 
 def _median_inverse(intersections: Sequence[Intersection]) -> float | None:

@@ -13,6 +13,7 @@ LARGEST_RADIUS = 256.0  # pixels; larger balls are averaged down to it
 AMBIENT_PERCENTILE = 25.0  # of a pixel's values over all photographs: light that does not change
 _FEWEST_FOR_AMBIENT = 4
 _RIM = 0.985  # of the ball's radius: beyond, the error of the outline dominates
+_BELOW = -0.2  # cosine to the table's normal: so far below the horizon may a lamp be, as its table is uncertain
 _LEAST_SIGNAL = 8.0  # deviations of the noise
 _SKIRT = 0.2  # of the peak: border of a highlight's region
 _HALF = 0.5  # of the highest peak: least peak of another candidate
@@ -78,7 +79,7 @@ def find_highlights(view: BallView, up: np.ndarray | None = None, sure: bool = T
     inside = view.inside
     shrunk = inside & (facing > np.sqrt(1 - _RIM**2))
     if up is not None:
-        shrunk &= direction @ up > 0
+        shrunk &= direction @ up > _BELOW
     ambient = np.zeros_like(grey[0])
     if len(grey) >= _FEWEST_FOR_AMBIENT:
         at = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))

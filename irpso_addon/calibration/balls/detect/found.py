@@ -12,6 +12,7 @@ from ..ball import Ball, fit_ball
 from ..table import Table
 
 _CENTRE_ERROR, _RADIUS_ERROR = 0.004, 0.008  # of the radius: what shadows give, measured on tables rendered by Cycles
+_RIM_CENTRE, _RIM_RADIUS = 0.002, 0.004  # and what a matte ball's rim gives
 _REACH = 1.5  # radii from the ball to its shadow: there the shadow of a near lamp is as much wider
 _UNKNOWN = 0.02  # deviation of radius over distance, where the light's fall-off does not show it
 _SIZES = 1.15  # ratio of the radii of balls of one size
@@ -61,4 +62,7 @@ def as_ball(found: FoundBall, camera: Camera, name: str, radius: float | None) -
     if found.kind == "mirror" and found.shadow is not None:
         across = np.hypot(_RADIUS_ERROR, _REACH * min(found.inverse[1], _UNKNOWN))
         return replace(ball, error_px=(_CENTRE_ERROR * ball.radius_px, float(across) * ball.radius_px))
+    if found.kind == "matte":
+        centre, across = np.maximum(ball.error_px, np.array([_RIM_CENTRE, _RIM_RADIUS]) * ball.radius_px).tolist()
+        return replace(ball, error_px=(centre, across))
     return ball
