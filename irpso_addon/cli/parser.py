@@ -156,6 +156,11 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--object", metavar="NAME", help="mesh object of gltf and asset, if several have recovered materials"
     )
+    add.add_argument("--occlusion", action="store_true",
+                     help="occlusion in gltf and textures: of a card's relief, of a mesh by Cycles")  # fmt: skip
+    add.add_argument("--rays", type=int, metavar="N", help="rays of a texel of a mesh's occlusion (default 128)")
+    add.add_argument("--occluder", action="append", default=[], metavar="NAME",
+                     help="object in the result's .blend that hides a mesh's sky; may be repeated")  # fmt: skip
     add.add_argument("--width", type=float, default=100.0, metavar="W",
                      help="width of the card of a relief (default 100, as millimetres)")  # fmt: skip
     add.add_argument("--photographs", type=int, metavar="N",

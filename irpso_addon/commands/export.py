@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from functools import partial
 from typing import Any
 
 from ..blender.materials.gltf import result_object
@@ -15,12 +16,14 @@ from ..exports.names import ASSET, RELIEF, WEB
 from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
+from .options.occlusion import check_occlusion, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
 from .options.values import shelf_of, silent
 
 
 def run(options: Namespace) -> dict:
     """Read the result's folder and write it in the chosen format. Raises InputError."""
+    check_occlusion(options)
     result = read_result(options.result, options.model)
     if options.format == ASSET:
         return _asset(result, options)
@@ -32,10 +35,11 @@ def run(options: Namespace) -> dict:
     if options.format == "ptm":
         probe.probe()
         context.ensure()
+    subject = partial(_subject, result, options.object)
+    result = with_occlusion(result, options, subject)
     found = export(
-        result, options.format, options.output, options.convention, lambda: _subject(result, options.object),
-        lambda: page_photographs(result, options),
-    )  # fmt: skip
+        result, options.format, options.output, options.convention, subject, lambda: page_photographs(result, options)
+    )
     if options.format == WEB and options.photographs is None and not names_photographs(result):
         found["warnings"].append(f"no photographs: {UNNAMED}")
     if not silent(options):

@@ -1,8 +1,7 @@
 """glTF 2.0: the mesh in triangles, and the maps in the textures that the format has.
 
-Roughness and metallic go into green and blue of one picture, with the occlusion of a card's relief in red, 1 where
-there is none. The specular level is KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's
-index as well.
+Roughness and metallic go into green and blue of one picture, with the occlusion in red, 1 where it is unknown. The
+specular level is KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's index as well.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ..results.report import plain, quantiles
 from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem
-from .result import Result
+from .result import Result, open_sky_of
 from .surface import surface_of
 
 
@@ -30,9 +29,9 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
     """
     path, surfaces = Path(path), {}
     report: dict[str, Any] = {"output": str(path), "object": obj.name}
-    for number, maps in split_maps(result.maps):
+    for index, (number, maps) in enumerate(split_maps(result.maps)):
         stem = tile_stem(file_stem(result.name), number, result.maps.tiles)
-        surfaces[number], error = _surface(maps, stem, result.open_sky)
+        surfaces[number], error = _surface(maps, stem, open_sky_of(result, index))
         if error is not None:
             report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
     if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces):

@@ -9,5 +9,6 @@ FORMATS = {  # name: (title, what is written)
     "textures": ("Textures", "PNG files with the names that another program expects"),
 }
 ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
+OCCLUDED = ("gltf", "textures")  # they have occlusion
 ASSET = "asset"  # a material in an asset library: of the command line; the panel has a dialog for it
 RELIEF = "relief"  # a card's relief as a body: of the command line alone

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..capture.images.exr import read_exr
 from ..core.errors import InputError
-from ..core.udim import ONE_SQUARE, tile_stem
+from ..core.udim import ONE_SQUARE, tile_part, tile_stem
 from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
 from ..reflectance.model import load_model
@@ -27,7 +27,8 @@ class Result:
     """Name and maps of a result, normals in Blender's tangent space.
 
     height: the relief, None if not requested. folder: of the result, None if it is only in memory. report: its own, {}
-    in memory. card: whether the maps are a flat card's, not a mesh's.
+    in memory. card: whether the maps are a flat card's, not a mesh's. baked_sky: (H, W) ``mesh_open_sky`` of a mesh,
+    None if not requested.
     """
 
     name: str
@@ -36,11 +37,14 @@ class Result:
     folder: Path | None = None
     report: Mapping[str, Any] = field(default_factory=dict)
     card: bool = True
+    baked_sky: np.ndarray | None = None
 
     @cached_property
     def open_sky(self) -> np.ndarray | float:
-        """(H, W) the share of an even sky that a card's relief leaves open; 1 where there is no relief, or on a mesh,
-        whose relief is only its fine detail."""
+        """(H, W) the share of an even sky that a card's relief leaves open, or a mesh, where that was requested; 1 if
+        unknown: the relief of a mesh is only its fine detail."""
+        if self.baked_sky is not None:
+            return self.baked_sky
         if self.height is None or self.height.unit != TEXELS:
             return 1.0
         return open_sky(self.height, wraps="tile" in self.report)
@@ -75,6 +79,12 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     settings = settings if isinstance(settings, dict) else {}
     card = not (settings.get("blend") or settings.get("object"))
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
+
+
+def open_sky_of(result: Result, index: int) -> np.ndarray | float:
+    """Return ``Result.open_sky`` of the tile with this index."""
+    sky = result.open_sky
+    return sky if isinstance(sky, float) else tile_part(sky, index, len(result.maps.tiles))
 
 
 def measured_maps(result: Result) -> Maps:

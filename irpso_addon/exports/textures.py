@@ -19,7 +19,7 @@ from ..results.report import plain, quantiles
 from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem, filled_folder
-from .result import Result
+from .result import Result, open_sky_of
 from .surface import Surface, surface_of
 
 _SPECULAR_OF_F0 = 0.5 / 0.04  # Principled's, Unreal's and Substance's: 0.5 reflects 4 %
@@ -114,7 +114,7 @@ def write_textures(result: Result, folder: str | Path, convention: str = "blende
             try:
                 pictures, error = _pictures(result, maps, index, textures)
             except InputError:
-                pictures, error = _unchanged(maps), None
+                pictures, error = _unchanged(maps, open_sky_of(result, index)), None
             for suffix, (image, bits) in pictures.items():
                 names.append(f"{tile_stem(stem + suffix, number, result.maps.tiles)}.png")
                 encode_png(place / names[-1], image, bits=bits)
@@ -132,15 +132,16 @@ def _pictures(
     if result.height is not None:
         height = tile_part(height_map(result.height).encoded, index, len(result.maps.tiles))
     specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
-    single = _Set(maps, surface, np.sqrt(fit.alpha), specular, height, result.open_sky)
+    single = _Set(maps, surface, np.sqrt(fit.alpha), specular, height, open_sky_of(result, index))
     drawn = {texture.suffix: (texture.pixels(single), texture.bits) for texture in textures}
     pictures = {suffix: picture for suffix, picture in drawn.items() if picture[0] is not None}
     return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None
 
 
-def _unchanged(maps: Maps) -> dict[str, tuple[np.ndarray, int]]:
-    """Return the model's own maps under their names in CamelCase."""
-    return {
+def _unchanged(maps: Maps, open_sky: np.ndarray | float) -> dict[str, tuple[np.ndarray, int]]:
+    """Return the model's own maps under their names in CamelCase, and the occlusion where it is known."""
+    pictures = {
         "_" + table.name.title().replace("_", ""): (encoded_values(table, map_values(table, maps)), 16)
         for table in map_tables(maps.model)
     }
+    return pictures if isinstance(open_sky, float) else pictures | {"_AO": (pixels.packed(maps, open_sky), 8)}

@@ -124,6 +124,11 @@ def result_object(name: str | None) -> Any:
     return found[0]
 
 
+def recovered_slots(obj: Any) -> tuple[int, ...]:
+    """Return the slots of an object that have a recovered material."""
+    return tuple(index for index, slot in enumerate(obj.material_slots) if _recovered(slot))
+
+
 def _recovered(slot: Any) -> bool:
     return slot.material is not None and TAG in slot.material
 

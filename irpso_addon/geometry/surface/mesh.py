@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -60,6 +60,11 @@ class MeshData:
     def domain_size(self, width: int, height: int) -> tuple[int, int]:
         """Return (width, height) of the domain, from those of a UDIM tile. Raises InputError."""
         return layout_size(self.tiles, width, height)
+
+
+def alone(mesh: MeshData) -> MeshData:
+    """Return a mesh without the objects around it."""
+    return replace(mesh, occluders=mesh.occluders[:0])
 
 
 def check_uvs(name: str, uv_map: str, positions: np.ndarray, uvs: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
+from ...blender.occlusion import mesh_open_sky
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
 from ...exports.names import FORMATS, ONE_FILE, WEB
@@ -19,6 +21,7 @@ from ...exports.textures import CONVENTIONS
 from ...exports.tile import tiled
 from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
 from ...geometry.domain import subset
+from ...geometry.surface.mesh import alone
 from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
@@ -33,7 +36,11 @@ _FORMATS = {MAPS: ("Maps", "16-bit PNG, 32-bit EXR, a report and a preview, in a
 _ITEMS = [(name, title, what) for name, (title, what) in _FORMATS.items()]
 _CONVENTIONS = [(name, name.title(), f"Names and normals that {name.title()} expects") for name in CONVENTIONS]
 # Optional maps of a format, besides the model's own.
-_ALSO = {MAPS: (*(f"normal_{space}" for space in NORMAL_SPACES), "height"), "textures": ("height",)}
+_ALSO = {
+    MAPS: (*(f"normal_{space}" for space in NORMAL_SPACES), "height"),
+    "textures": ("height", "occlusion"),
+    "gltf": ("occlusion",),
+}
 
 
 class IRPSO_OT_export(bpy.types.Operator):
@@ -56,6 +63,10 @@ class IRPSO_OT_export(bpy.types.Operator):
         name="Normal (DirectX)", description="Also write the normal map with its green channel inverted"
     )
     height: BoolProperty(name="Height", description="Also write the relief, integrated from the normals")
+    occlusion: BoolProperty(
+        name="Occlusion",
+        description="Also write ambient occlusion: of a card by its relief, of a mesh by Cycles, which takes time",
+    )
     photographs: IntProperty(
         name="Photographs",
         description="How many photographs the page shows beside the render",
@@ -143,9 +154,12 @@ class IRPSO_OT_export(bpy.types.Operator):
         return rpt("{count} files of maps that repeat written to {folder}", count=len(files), folder=folder), []
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
-        wanted = DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ()))
-        found = found_in(running, self.format == WEB, wanted)
-        result = Result(file_stem(running.job.name), found.written, found.height, card=_is_card(running))
+        also = {name for name in _ALSO.get(self.format, ()) if getattr(self, name)}
+        card, occluded = _is_card(running), "occlusion" in also
+        found = found_in(running, self.format == WEB, DerivedMaps(height="height" in also or (card and occluded)))
+        result = Result(file_stem(running.job.name), found.written, found.height, card=card)
+        if occluded and not card:
+            result = replace(result, baked_sky=mesh_open_sky(alone(running.job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
         text = rpt("{found} written to {name}", found=FORMATS[self.format][0], name=report["output"])

@@ -11,6 +11,7 @@ import pytest
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.exports.result import read_result
 from irpso_addon.results import seamless
+from tests.builders.exports import read_glb
 from tests.gpu.ui.conftest import SHAPE
 from tests.gpu.ui.test_ui_panels import Drawn
 
@@ -104,6 +105,14 @@ def test_gltf_needs_a_kept_card_and_does_not_change_the_file(settings, tmp_path)
     assert bpy.context.view_layer.objects.active.name == "IRPSO leaf"
 
 
+def test_a_cards_occlusion_is_that_of_its_relief(settings, tmp_path):
+    bpy.ops.irpso.keep()
+    wanted = {"filepath": str(tmp_path / "leaf.glb"), "format": "gltf", "occlusion": True}
+    assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
+    (material,) = read_glb(tmp_path / "leaf.glb")[0]["materials"]
+    assert "occlusionTexture" in material
+
+
 def test_an_unwritable_path_is_reported_in_one_line(settings, tmp_path):
     (tmp_path / "file").write_text("in the way")
     for kind in ("maps", "textures"):
@@ -117,8 +126,8 @@ def test_an_unwritable_path_is_reported_in_one_line(settings, tmp_path):
     ("kind", "options"),
     [
         ("maps", ["normal_object", "normal_world", "normal_directx", "height", "seamless"]),
-        ("textures", ["convention", "height"]),
-        ("gltf", []), ("openlime", []), ("ptm", []), ("web", ["photographs"]),
+        ("textures", ["convention", "height", "occlusion"]),
+        ("gltf", ["occlusion"]), ("openlime", []), ("ptm", []), ("web", ["photographs"]),
     ],
 )  # fmt: skip
 def test_the_file_browser_has_the_options_of_the_chosen_format(kind, options):

@@ -16,6 +16,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
+from tests.builders.exports import picture
 
 SIDE, PIXELS = 8, 32
 LIGHTS = cli_maker.dome_lights(8, widest=50)
@@ -64,7 +65,7 @@ def make_job():
     return make_job(bpy.context)
 
 
-def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings):
+def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings, tmp_path):
     from irpso_addon.ui.session import session
 
     session.begin(make_job()).run()
@@ -83,6 +84,11 @@ def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings):
         inside = (slice(1, -1), slice(1, SIDE - 1)), (slice(1, -1), slice(SIDE + 1, -1))
         for part, grey in zip(inside, (0.6, 0.3), strict=True):
             np.testing.assert_allclose(found[part], grey, atol=0.01)
+        wanted = {"filepath": str(tmp_path / "set"), "format": "textures", "occlusion": True}
+        assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
+        for number in TILES:  # two squares in one plane hide nothing from each other
+            assert picture(tmp_path / "set" / f"Two_AO.{number}.png").min() > 0.98
+        assert len(bpy.data.scenes) == 1
     finally:
         session.end()
 

@@ -1,0 +1,60 @@
+"""The occlusion of a result: of a card by its relief, of a mesh baked on the object in its .blend."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from ...blender.materials.gltf import recovered_slots
+from ...blender.mesh import extract_mesh
+from ...blender.occluders import named_occluders, with_occluders
+from ...blender.occlusion import RAYS, mesh_open_sky
+from ...core.errors import InputError
+from ...exports.names import OCCLUDED
+from ...exports.result import Result
+from ...geometry.surface.slots import slot_names, slots_of_text
+
+_MOST_RAYS = 4096
+
+
+def check_occlusion(options: Namespace) -> None:
+    """Raise InputError where options of occlusion do not fit."""
+    for option, given in (("--rays", options.rays is not None), ("--occluder", options.occluder)):
+        if given and not options.occlusion:
+            raise InputError(f"{option}: is of a mesh's occlusion; give --occlusion as well")
+    if options.occlusion and options.format not in OCCLUDED:
+        raise InputError(f"--occlusion: --format {options.format} has none; choose one of {', '.join(OCCLUDED)}")
+    if options.rays is not None and not 1 <= options.rays <= _MOST_RAYS:
+        raise InputError(f"--rays {options.rays}: give a whole number from 1 to {_MOST_RAYS}")
+
+
+def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any]) -> Result:
+    """Return the result with --occlusion. subject: opens the result's .blend, and returns the object of its material.
+
+    Raises InputError.
+    """
+    if not options.occlusion:
+        return result
+    if result.card:
+        if result.height is None:
+            raise InputError(f"--occlusion: {result.folder} has no height to compute it from; recover with --height")
+        if options.occluder or options.rays is not None:
+            raise InputError("--occluder and --rays: are of a mesh; a card's occlusion is that of its relief")
+        return result
+    obj = subject()
+    mesh = extract_mesh(obj, _slots(result, obj))
+    mesh = with_occluders(mesh, named_occluders(options.occluder, obj, "--occluder"))
+    return replace(result, baked_sky=mesh_open_sky(mesh, result.maps, options.rays or RAYS))
+
+
+def _slots(result: Result, obj: Any) -> tuple[int, ...] | None:
+    """Return the slots of the object that the maps are of, None for all.
+
+    By number where the recovery was given numbers: a slot's name has become that of its recovered material.
+    """
+    asked = result.report["settings"].get("slots") or ""
+    if asked and all(part.strip().isdecimal() for part in asked.split(",")):
+        return slots_of_text(asked, slot_names(obj))
+    return recovered_slots(obj) or None
