@@ -123,7 +123,9 @@ def _fitted(patches: _Patches, cells: dict[int, tuple[int, int]]) -> tuple[Latti
         chosen, places = _at_places(patches, matrix, places[inside[:, 0] > 0])
         if len(chosen) < _LEAST:
             return None
-    return Lattice(matrix, np.unique(places.astype(int), axis=0)), chosen
+    # The median of the distances, not their squares: centres of patches that are found in part lie up to _OFF away.
+    finer, _ = cv.findHomography(places, patches.centres[chosen], cv.LMEDS)
+    return Lattice(matrix if finer is None else finer, np.unique(places.astype(int), axis=0)), chosen
 
 
 def _spans(places: np.ndarray) -> bool:
