@@ -19,11 +19,12 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..phases.begin import begin_phase, check_seed
-from ..phases.indirect import MEASURED, SHADOW, measured_by
+from ..phases.begin import MEASURED, begin_phase, check_seed, measured_by
+from ..phases.indirect import SHADOW
 from ..phases.neighbour_test import NeighbourTest
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import FITNESS, AcceptanceTest, PrefitPhase
+from ..phases.separation import SEPARATION, SeparationPhase
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
@@ -31,7 +32,8 @@ from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
-from ..state.prepare import Prepared
+from ..state.prepare import Prepared, texel_scale
+from ..state.separation import SeparatedStack
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
@@ -89,8 +91,7 @@ class Recovery(RecoveryEngine):
         self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
         self._packing = self._textures.packing
         self._solved = int((texel_states(domain) == SOLVED).sum())
-        model = self._believing(schedule)
-        self._diagnostics = Diagnostics(model, schedule.fitness, self._textures, self._estimates, self.fixed)
+        self._diagnostics = self._diagnosing()
         self._found: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
         self._trusted: tuple[int, int] | None = None  # … of the last deviations
         self._shown: tuple[int, int] | None = None  # … of a display's copy
@@ -316,7 +317,28 @@ class Recovery(RecoveryEngine):
     def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> None:
         """Hold what prefits that have ended measured, packed, by name."""
         self._prefit = measured
-        self._textures.raise_shadow(measured.get(SHADOW, 0.0))
+        separation, shadow = measured.get(SEPARATION), measured.get(SHADOW, 0.0)
+        if not np.array_equal(self._textures.separation, 0.0 if separation is None else separation):
+            self._separate(separation)
+        self._textures.raise_shadow(np.where(self._textures.separation[..., 0] > 0, 0.0, shadow))
+
+    def _separate(self, separation: np.ndarray | None) -> None:
+        """Go on with the direct light of the samples, by (h, w, 4) as state/separation.py finds it; None: with all."""
+        domain, packing = self.domain, self._packing
+        if separation is not None:
+            domain = replace(domain, stack=SeparatedStack(domain.stack, domain.intensities, packing.unpack(separation)))
+        scale = texel_scale(domain, self.schedule.fitness.percentile)
+        prepared = Prepared(scale, {}, self._textures.brightness).packed(domain, self.schedule)
+        numbers = packing.pack(scale), prepared.brightness, prepared.arrays
+        self._textures = DomainTextures(domain, packing, None, *numbers, separation=separation)
+        self._stack = prepared.stack
+        if hasattr(self, "_diagnostics"):
+            self._diagnostics.close()
+            self._diagnostics = self._diagnosing()
+
+    def _diagnosing(self) -> Diagnostics:
+        model = self._believing(self.schedule)
+        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.fixed)
 
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
@@ -354,7 +376,7 @@ class Recovery(RecoveryEngine):
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
-        if isinstance(phase, PrefitPhase | NeighbourTest):
+        if isinstance(phase, PrefitPhase | NeighbourTest | SeparationPhase):
             self._take_prefit((yield from phase.measuring(self._bands, seconds)))
         yield  # the last one: view() must not see a closed phase
         phase.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,15 +16,17 @@ from ..settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSeparation,
     ResolvedSheen,
     ResolvedSurface,
 )
 from ..settings.schedule import Schedule
 from ..state.textures import DomainTextures, Estimates
-from .indirect import IndirectPhase
+from .indirect import SHADOW, IndirectPhase
 from .phase import Phase
-from .prefit import AcceptanceTest, PrefitPhase
+from .prefit import EVIDENCE, FITNESS, SHEEN, AcceptanceTest, PrefitPhase
 from .refinement import RefinementPhase
+from .separation import SEPARATION, SeparationPhase
 from .sequential_swarm import SequentialSwarmPhase
 from .shared_materials import SharedMaterialsPhase
 from .sheen import SheenPhase
@@ -34,6 +36,11 @@ from .synchronous_swarm import SynchronousSwarmPhase
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
+# What prefits and the phases between them measure, by name, and the kind of stage that does.
+MEASURED = {
+    FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, SHADOW: ResolvedIndirect,
+    SEPARATION: ResolvedSeparation,
+}  # fmt: skip
 
 
 def check_seed(seed: int) -> None:
@@ -74,5 +81,13 @@ def begin_phase(
         return SheenPhase(stage, model, schedule, domain, estimates, entry, prefit)
     if isinstance(stage, ResolvedIndirect):
         return IndirectPhase(stage, model, schedule, domain, estimates, entry, prefit)
+    if isinstance(stage, ResolvedSeparation):
+        return SeparationPhase(stage, model, schedule, domain, estimates, prefit)
     kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
     return kind_of_swarm(stage, model, schedule, seed, domain, estimates, entry)
+
+
+def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return of what has been measured that of some first stages of the recovery."""
+    ended = {type(stage) for stage in stages}
+    return {name: array for name, array in measured.items() if MEASURED[name] in ended}

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping
 
 import numpy as np
 
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
-from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit
+from ..settings.resolve import ResolvedIndirect
 from ..settings.schedule import Schedule
 from ..state.phase_textures import indirect_table
 from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import EVIDENCE, FITNESS, SHEEN
+from .prefit import EVIDENCE
 
 SHADOW = "prefit_shadow"
-MEASURED = FITNESS, EVIDENCE, SHEEN, SHADOW
 # On rendered captures like DiLiGenT's both are exceeded at 38 % of the texels of a goblet and at 23 % of those of a
 # concave mix, whose normals are off by 55 and 27° there; at 3 % of convex metal, 2 % of velvet, and nowhere on a bunny
 # that only casts shadows.
@@ -62,10 +61,3 @@ def limits(schedule: Schedule) -> dict[str, float]:
     return {
         "RAISED_SHADOW": schedule.prefit.indirect_shadow, "LEAST_MISFIT": _LEAST_MISFIT, "LEAST_SURPLUS": _LEAST_SURPLUS
     }  # fmt: skip
-
-
-def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return of what prefits have measured that of some first stages of the recovery."""
-    ended = {type(stage) for stage in stages}
-    kinds = {FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, SHADOW: ResolvedIndirect}
-    return {name: array for name, array in measured.items() if kinds[name] in ended}

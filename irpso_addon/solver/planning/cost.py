@@ -11,7 +11,7 @@ from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
 from ..kernels.refinement import SPREAD_REACH, renders
-from ..phases import neighbour_test
+from ..phases import neighbour_test, separation
 from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
     Resolved,
@@ -19,6 +19,7 @@ from ..settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSeparation,
     ResolvedSheen,
     ResolvedSurface,
     ResolvedSwarm,
@@ -47,7 +48,8 @@ OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluatio
 INDIRECT = 0.1  # share of the texels whose light is indirect
 BADLY = 0.5  # share of those that the first prefit fits badly
 _FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
-_Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedIndirect | ResolvedSheen
+_Tests = ResolvedIndirect | ResolvedSheen
+_Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedSeparation | _Tests
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,8 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
         return sequential_swarm_table(particles, blocks)
     if isinstance(resolved, ResolvedIndirect):
         return indirect_table()
+    if isinstance(resolved, ResolvedSeparation):
+        return TextureTable({})
     if isinstance(resolved, ResolvedSurface):
         return surface_table()
     if isinstance(resolved, ResolvedSheen):
@@ -193,8 +197,10 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
         return _swarm_work(resolved, schedule, observations)
     if isinstance(resolved, ResolvedRefinement):
         return _refinement_work(resolved, model, observations, STEP)
-    if isinstance(resolved, ResolvedIndirect | ResolvedSheen):
+    if isinstance(resolved, _Tests):
         return (LOOKS * neighbour_test.TAPS,)
+    if isinstance(resolved, ResolvedSeparation):
+        return (float(observations),)
     if isinstance(resolved, ResolvedSurface):
         round_of, rounds = SWEEP * surface_kernels.SWEEPS, resolved.surface.rounds
     else:
@@ -244,8 +250,10 @@ def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]
     if isinstance(resolved, ResolvedSwarm):
         reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
         return max(reaches), sum(reach > 0 for reach in reaches)
-    if isinstance(resolved, ResolvedIndirect | ResolvedSheen):
+    if isinstance(resolved, _Tests):
         return neighbour_test.REACH, 1
+    if isinstance(resolved, ResolvedSeparation):
+        return separation.REACH, 1
     if isinstance(resolved, ResolvedPrior):
         return prior_kernels.reach_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
@@ -254,7 +262,7 @@ def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]
 
 
 def _evaluations(resolved: _Searched, model: ReflectanceModel, schedule: Schedule) -> int:
-    if isinstance(resolved, ResolvedIndirect | ResolvedSheen):
+    if isinstance(resolved, _Tests | ResolvedSeparation):
         return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))

@@ -114,6 +114,14 @@ class ResolvedIndirect:
 
 
 @dataclass(frozen=True)
+class ResolvedSeparation:
+    """Separates direct from indirect light by its colour, before the second of these prefits."""
+
+    title = "colour of indirect light"
+    iterations = 1
+
+
+@dataclass(frozen=True)
 class ResolvedPrior:
     """The spatial prior for one model.
 
@@ -152,6 +160,7 @@ Resolved = (
     ResolvedPrefit
     | ResolvedSheen
     | ResolvedIndirect
+    | ResolvedSeparation
     | ResolvedSwarm
     | ResolvedRefinement
     | ResolvedPrior
@@ -171,7 +180,8 @@ def _resolve_prefit(prefit: Prefit) -> list[Resolved]:
     if prefit.sheen_gain:
         resolved += [replace(_prefit_by(prefit_model(sheen=True), prefit), sheen=True), ResolvedSheen()]
     if prefit.indirect_shadow:
-        resolved += [ResolvedIndirect(), replace(first, indirect=True)]
+        separation = [ResolvedSeparation()] if prefit.indirect_share else []
+        resolved += [ResolvedIndirect(), *separation, replace(first, indirect=True)]
     return resolved
 
 

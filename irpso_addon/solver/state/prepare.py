@@ -118,7 +118,7 @@ def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, in
     sums, count = np.zeros(_EXPONENTS, np.int64), 0
     if not domain.lights[:, 3].any():
         return sums, int(np.count_nonzero(counted))
-    for _, texels in _chunks(domain):
+    for _, texels in chunks(domain):
         mean = _irradiance(domain, texels).mean(axis=-1)
         values = (_over_lights(mean) / len(mean)).astype(np.float32)[counted[texels]]
         mantissa, exponent = np.frexp(values)
@@ -143,7 +143,7 @@ def texel_scale(domain: Domain, percentile: float, report: Report = lambda part:
         samples = domain.stack.texels(*texels)
         grey = _mean(samples) / _irradiance(domain, texels).mean(axis=-1)
         with np.errstate(all="ignore"):
-            (found,) = _percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
+            (found,) = percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
             scale[texels] = np.where(found > 0, found, 1.0)
 
     _each_chunk(domain, work, report)
@@ -226,7 +226,7 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
         # Single precision sorts faster, and in the same order where all lights have as many channels.
         single = (channels == channels.flat[0]).all()
         values = np.where(lit, sums if single else grey, np.nan)
-        low, high = _percentiles(values, _LIT_PERCENTILES, channels.flat[0] if single else 1)
+        low, high = percentiles(values, _LIT_PERCENTILES, channels.flat[0] if single else 1)
         kept = (grey >= low) & (grey <= high) & lit
     count = kept.sum(axis=0)
     if (count < 3).any():
@@ -305,7 +305,7 @@ def _mean(samples: np.ndarray) -> np.ndarray:
     return ((samples[..., 0] + samples[..., 1]) + samples[..., 2]) / samples.dtype.type(3)
 
 
-def _percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float = 1) -> list[np.ndarray]:
+def percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float = 1) -> list[np.ndarray]:
     """Percentiles over axis 0 of what is not NaN, of the values over a divisor; NaN for empty columns."""
     ordered = np.ascontiguousarray(values.T)  # numbers that lie side by side sort faster
     ordered.sort(axis=1)  # NaN last
@@ -324,13 +324,13 @@ def _percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: floa
 def _each_chunk(domain: Domain, work: Callable[[int, Texels], None], report: Report) -> None:
     """Do work(start, texels) for all chunks, some at a time."""
     with ThreadPoolExecutor(_THREADS) as pool:
-        waiting = [pool.submit(work, *chunk) for chunk in _chunks(domain)]
+        waiting = [pool.submit(work, *chunk) for chunk in chunks(domain)]
         for number, done in enumerate(waiting, 1):
             done.result()
             report(number / len(waiting))
 
 
-def _chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:
+def chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:
     """Yield rows and columns of the solvable texels, row by row, as many at a time as hold _CHUNK samples.
 
     Before them the number of the first one among the solvable.

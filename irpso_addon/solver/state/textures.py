@@ -35,8 +35,10 @@ class DomainTextures:
         scale: np.ndarray,
         brightness: float | None = None,
         arrays: dict[str, np.ndarray] | None = None,
+        separation: np.ndarray | None = None,
     ):
         self.domain, self.packing = domain, packing
+        self.separation = np.zeros((*scale.shape, 4), np.float32) if separation is None else separation
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = kernel_defines(domain)
         self.scale, self.shadow = scale, np.zeros_like(scale)

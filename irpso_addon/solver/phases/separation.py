@@ -1,0 +1,128 @@
+"""The separation of direct from indirect light by its colour, where a subject of one colour throws light on itself."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ...gpu import textures
+from ...gpu.bands import Bands
+from ...reflectance.model import ReflectanceModel
+from ..settings.resolve import ResolvedSeparation
+from ..settings.schedule import Schedule
+from ..state.prepare import lambert_seed
+from ..state.separation import SeparatedStack, direct_chroma, evidence_of, separation_of
+from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
+from .indirect import SHADOW
+from .mixture import sampled
+from .phase import Phase
+from .prefit import adopt_pass, normals_of
+
+SEPARATION = "prefit_separation"
+REACH = 1  # an iteration that needs the whole domain's sample has a reach
+
+
+class SeparationPhase(Phase):
+    """A Phase of one iteration: the chroma of direct light from a sample of the domain, then each texel's own two.
+
+    Its result is the estimates with the normals of a Lambertian fit to the direct light where it is separated: those
+    that the light of other surfaces led astray are no begin for the prefit that follows. measured: by prefits before.
+    """
+
+    placed = False  # until it has ended: it shows nothing of its own
+    iteration = 0
+
+    def __init__(
+        self,
+        resolved: ResolvedSeparation,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        domain: DomainTextures,
+        estimates: Estimates,
+        measured: Mapping[str, np.ndarray],
+    ):
+        self.title, self.iterations = resolved.title, resolved.iterations
+        self._model, self._least, self._domain = model, schedule.prefit.indirect_share, domain
+        self._estimates, self._known = estimates, measured
+        self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
+        self._sample: np.ndarray | None = None
+        self._separation = np.zeros((*domain.domain.shape, 4), np.float32)
+        self._adopt = adopt_pass(model, domain.defines)
+
+    @property
+    def evaluations(self) -> int:
+        """Return 0: it renders nothing."""
+        return 0
+
+    @property
+    def reach(self) -> int:
+        """Return REACH while the next iteration needs the whole domain's sample."""
+        return REACH if not self.done and self._sample is None else 0
+
+    def sample(self) -> np.ndarray:
+        """Return this tile's part of the sample, as ``mixture.sampled`` does: chroma, whether it is indirect."""
+        domain = self._domain.domain
+        rows, columns = np.nonzero(texel_states(domain) == SOLVED)
+        chosen = sampled(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
+        rows, columns = (chosen[:, 1 + i].astype(int) - domain.origin[1 - i] for i in range(2))
+        values = evidence_of(domain, rows, columns)
+        return np.column_stack([chosen, values, self._indirect[rows, columns]])
+
+    def take_sample(self, sample: np.ndarray) -> None:
+        """Take the sample of the whole domain."""
+        self._sample = sample
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Separate the light of all texels of the tile."""
+        if self._sample is None:
+            self._sample = self.sample()
+            yield
+        direct = None
+        if (self._domain.domain.intensities > 0).all():
+            direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
+        if direct is not None:
+            yield
+            self._separation = separation_of(self._domain.domain, self._indirect, direct, self._least)
+        self.iteration += 1
+
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Write the normals of the direct light into the resolved estimates."""
+        if not self._separation.any():
+            yield
+            self._estimates.accept()  # what is accepted twice is as it was
+            return
+        domain, packing = self._domain.domain, self._domain.packing
+        chosen = domain.solvable & (self._separation[..., 0] > 0)
+        separated = SeparatedStack(domain.stack, domain.intensities, self._separation)
+        normal, _ = lambert_seed(replace(domain, stack=separated, solvable=chosen))
+        normals = np.where(
+            packing.pack(chosen)[..., None], packing.pack(normal), normals_of(self._estimates, self._model)
+        )
+        given = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
+        inputs = {**self._estimates.bindings(), **self._domain.textures, "u_prefit_0": given}
+        yield from self._adopt.at_once(bands, self._estimates.resolved, inputs)
+
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
+        """Return what is known by name, packed: with the chromas (h, w, 4) of direct and indirect light."""
+        yield
+        return {**self._known, SEPARATION: self._domain.packing.pack(self._separation)}
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, 1) zeros: neighbours read nothing of each other."""
+        return np.zeros((*self._domain.domain.shape, 1), np.float32)
+
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
+        """Take nothing."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return nothing: it begins anew."""
+        return {}
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Begin anew."""
+
+    def close(self) -> None:
+        """Free the shader."""
+        self._adopt.close()

@@ -1,0 +1,224 @@
+"""Direct and indirect light told apart by their colour.
+
+Light that one coloured surface throws on another of its kind is coloured twice: of brass whose direct light has the
+chroma u, it has about u², after more bounces u³ and so on. So a sample in a hollow is a · u + b · v with known u and v
+(Funt and Drew 1993, Color space analysis of mutual illumination; Liao et al. 2011, Interreflection removal for
+photometric stereo by using spectrum-dependent albedo). A chroma is radiance over irradiance, with a sum of 1. Here it
+is a power of the direct one, whose exponent is its saturation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...geometry.domain import Domain
+from ...geometry.samples import SampleStack
+from .prepare import chunks, percentiles
+
+# Saturation of indirect light. On a goblet of brass the normals' mean error, 19.7° without separation, is 6.1° with 2,
+# 5.3° with 2.25 and 6.4° with 2.5; with the true chromas of each texel it is 6.2°.
+_BOUNCES = 2.25
+_LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
+_DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
+
+# What a subject must show. A quarter of the chromas of brass differ from their middle by more than 0.08, of clay in two
+# colours by 0.11, of a cow of two metal paints by 0.20, of a concave mix by 1.2. Where its light is indirect, brass has
+# a saturation of 1.85 (5 to 95 %: 1.3 to 2.1), and lies aside of its own colours by 0.04; velvet's rim has 0.44.
+_LEAST_CHROMA = 0.3
+_MOST_SPREAD, _QUARTILE = 0.2, 75
+_LEAST_FOUND = 0.02  # of the texels
+_LEAST_SATURATION, _MOST_SATURATION, _MOST_ASIDE = 1.2, 4.0, 0.15
+
+
+def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return (T, 3) the chromas of T texels, each channel the median over its lit samples; NaN where there is none."""
+    chroma = _chromas(domain.stack.texels(rows, columns), domain.intensities)
+    with np.errstate(invalid="ignore"):
+        return _chroma(np.stack([percentiles(chroma[..., c], [50.0])[0] for c in range(3)], axis=-1))
+
+
+def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None:
+    """Return (3,) the chroma of the direct light of a subject of one colour; None where the photographs show no such.
+
+    chroma: (T, 3) from ``evidence_of``, of a sample of the subject's texels. indirect: (T,) bool, those whose shading
+    tells of indirect light.
+    """
+    known = np.isfinite(chroma).all(axis=-1)
+    direct, found = chroma[known & ~indirect], chroma[known & indirect]
+    if len(direct) == 0 or len(found) < _LEAST_FOUND * len(chroma):
+        return None
+    middle = _chroma(np.median(direct, axis=0))
+    if np.linalg.norm(_logarithm(middle)) < _LEAST_CHROMA:
+        return None
+    apart = np.linalg.norm(_logarithm(direct) - _logarithm(middle), axis=-1)
+    if np.percentile(apart, _QUARTILE) > _MOST_SPREAD:
+        return None
+    saturation, _ = _along(direct, middle)
+    unmixed = _chroma(np.median(direct[saturation <= np.median(saturation)], axis=0))
+    if np.mean(_doubly_coloured(found, unmixed)) < 0.5:
+        return None
+    return unmixed
+
+
+def separation_of(domain: Domain, indirect: np.ndarray, direct: np.ndarray, least: float) -> np.ndarray:
+    """Return (H, W, 4) float32: red and green of the chroma of a texel's direct light, and of its indirect light.
+
+    0 where nothing is to be separated: where both the shading and the colour tell of less than the part ``least`` of
+    indirect light. indirect: (H, W) bool by the shading. direct: (3,) from ``direct_chroma``.
+    """
+    result = np.zeros((*domain.shape, 4), np.float32)
+    for _, texels in chunks(domain):
+        samples = domain.stack.texels(*texels)
+        chroma = _chromas(samples, domain.intensities)
+        saturations, _ = _along(chroma, direct)
+        middle = evidence_of(domain, *texels)
+        hollow = indirect[texels] & _doubly_coloured(middle, direct)
+        with np.errstate(invalid="ignore"):
+            (own,) = percentiles(saturations, [_DIRECT])
+            own = np.where(hollow, 1.0, np.maximum(own, 1.0))
+        known = np.isfinite(own)
+        own = np.where(known, own, 1.0)[:, None]
+        pair = _chroma(direct**own), _chroma(direct ** (own + _BOUNCES - 1))
+        part = np.concatenate([each[:, :2] for each in pair], axis=-1).astype(np.float32)
+        light = _radiance(samples, domain.intensities)
+        taken = light - _without(light, part)
+        share = _over_lights(taken) / np.maximum(_over_lights(light), 1e-30)
+        chosen = known & (hollow | (share >= least))
+        result[texels] = np.where(chosen[:, None], part, 0)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class SeparatedStack:
+    """A ``SampleStack`` of the direct light in another. Bounds, and samples of no weight, stay.
+
+    separation: (H, W, 4) as from ``separation_of``. intensities: (K, 3) of the lights.
+    """
+
+    stack: SampleStack
+    intensities: np.ndarray
+    separation: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(K, H, W)."""
+        return self.stack.shape
+
+    def layer(self, observation: int) -> np.ndarray:
+        """Return (H, W, 4) the samples of one observation."""
+        rows, columns = np.nonzero(self.separation[..., 0])
+        layer = self.stack.layer(observation).copy()
+        part = self.separation[rows, columns]
+        layer[rows, columns] = _direct(layer[rows, columns][None], self.intensities[observation][None], part)[0]
+        return layer
+
+    def layers(self) -> Iterator[np.ndarray]:
+        """Yield the samples of every observation."""
+        return (self.layer(observation) for observation in range(self.shape[0]))
+
+    def another(self, scratch: Path | None = None) -> SampleStack:
+        """Return a stack of zeros of its shape, in a store of its kind."""
+        return self.stack.another(scratch)
+
+    def put(self, observation: int, layer: np.ndarray) -> None:
+        """Raise TypeError: it is a view."""
+        raise TypeError("the direct light of samples cannot be written to")
+
+    def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return (K, N, 4) the samples at N texels."""
+        return _direct(self.stack.texels(rows, columns), self.intensities, self.separation[rows, columns])
+
+    def subset(self, observations: np.ndarray) -> SeparatedStack:
+        """Return the stack of some observations."""
+        return SeparatedStack(self.stack.subset(observations), self.intensities[observations], self.separation)
+
+    def window(self, rows: slice, columns: slice) -> SeparatedStack:
+        """Return the texels of a window."""
+        return SeparatedStack(self.stack.window(rows, columns), self.intensities, self.separation[rows, columns])
+
+    def lit(self, coverage: np.ndarray) -> np.ndarray:
+        """Return (H, W) bool: covered texels that at least one observation sees lit, directly or not."""
+        return self.stack.lit(coverage)
+
+
+def _direct(samples: np.ndarray, intensities: np.ndarray, separation: np.ndarray) -> np.ndarray:
+    """Return samples (K, T, 4) without the indirect light. intensities: (K, 3); separation: (T, 4)."""
+    separated = (separation[:, 0] > 0) & (samples[..., 3] > 0)
+    direct = _without(_radiance(samples, intensities), separation) * intensities[:, None]
+    result = samples.copy()
+    result[..., :3] = np.where(separated[..., None], direct, samples[..., :3])
+    return result
+
+
+def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
+    """Return light (K, T, 3) less its part of the indirect chroma, by least squares in float64; no part is below 0."""
+    u, v = (_completed(separation[:, 2 * i : 2 * i + 2].astype(np.float64)) for i in range(2))
+    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
+    determinant = uu * vv - uv * uv
+    determinant = np.where(determinant > 0, determinant, 1.0)
+    along_u, along_v = _dot(light, u), _dot(light, v)
+    direct = (along_u * vv - along_v * uv) / determinant
+    indirect = np.where(direct > 0, (along_v * uu - along_u * uv) / determinant, along_v / np.maximum(vv, 1e-30))
+    return np.maximum(light - np.maximum(indirect, 0)[..., None] * v, 0)
+
+
+def _completed(chroma: np.ndarray) -> np.ndarray:
+    """Return (T, 3) chromas from their red and green."""
+    return np.concatenate([chroma, (1 - chroma[:, :1]) - chroma[:, 1:]], axis=-1)
+
+
+def _radiance(samples: np.ndarray, intensities: np.ndarray) -> np.ndarray:
+    """Return (K, T, 3) samples (K, T, 4) under lights of intensity 1, at least 0."""
+    return np.maximum(np.nan_to_num(samples[..., :3]) / intensities[:, None], 0).astype(np.float64)
+
+
+def _chromas(samples: np.ndarray, intensities: np.ndarray) -> np.ndarray:
+    """Return (K, T, 3) chromas of samples (K, T, 4); NaN of dark samples, bounds, and those of no weight."""
+    light = _radiance(samples, intensities)
+    total = (light[..., 0] + light[..., 1]) + light[..., 2]
+    counted = np.where(samples[..., 3] > 0, total, np.nan)
+    with np.errstate(invalid="ignore"):
+        (bright,) = percentiles(counted, [_BRIGHT])
+        counted = counted > np.maximum(_LEAST_LIGHT * bright, 1e-30)
+    return np.where(counted[..., None], _chroma(light), np.nan)
+
+
+def _chroma(light: np.ndarray) -> np.ndarray:
+    total = (light[..., 0] + light[..., 1]) + light[..., 2]
+    return light / np.where(total > 0, total, 1)[..., None]
+
+
+def _logarithm(chroma: np.ndarray) -> np.ndarray:
+    """Return logarithms of chromas, with a sum of 0."""
+    logarithm = np.log(np.maximum(chroma, 1e-4))
+    return logarithm - (((logarithm[..., 0] + logarithm[..., 1]) + logarithm[..., 2]) / 3)[..., None]
+
+
+def _along(chroma: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the saturations of chromas (…, 3), as exponents of the direct one, and how far they lie off its powers."""
+    axis, logarithm = _logarithm(direct), _logarithm(chroma)
+    saturation = _dot(logarithm, axis) / _dot(axis, axis)
+    aside = logarithm - saturation[..., None] * axis
+    return saturation, np.sqrt(_dot(aside, aside))
+
+
+def _doubly_coloured(chroma: np.ndarray, direct: np.ndarray) -> np.ndarray:
+    """Return bool: whether chromas (…, 3) are powers of the direct one that tell of one or more further bounces."""
+    saturation, aside = _along(chroma, direct)
+    return (saturation >= _LEAST_SATURATION) & (saturation <= _MOST_SATURATION) & (aside <= _MOST_ASIDE)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
+
+
+def _over_lights(light: np.ndarray) -> np.ndarray:
+    """Return (T,) sums of (K, T, 3) over lights and channels, one light after another."""
+    total = np.zeros(light.shape[1])
+    for each in light:
+        total += (each[:, 0] + each[:, 1]) + each[:, 2]
+    return total
