@@ -102,6 +102,7 @@ class RankedRecovery(RecoveryEngine):
             leader.deal(Worker.take_guess, guess)
         held = {name: value for name, value in fixed.items() if name not in leader.worker.fixed}
         samples = stack.observations.tolist(), stack.second
+        self._found: tuple[int, np.ndarray | None] | None = None  # the separation at a stage
         self._progress = leader.ask(Worker.begin, *samples, model, schedule, seed, held, self.entry)
 
     @property
@@ -125,6 +126,12 @@ class RankedRecovery(RecoveryEngine):
 
     def maps(self, confidence: bool = True) -> Maps:
         return self._leader.ask(Worker.maps, confidence)
+
+    @property
+    def separation(self) -> np.ndarray | None:
+        if self._found is None or self._found[0] != self._progress.stage:
+            self._found = self._progress.stage, self._leader.ask(Worker.separation)
+        return self._found[1]
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank, as RecoveryEngine.mean_error."""

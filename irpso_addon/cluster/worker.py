@@ -185,6 +185,12 @@ class Worker:
             deviations, alternatives = named(whole, "deviation "), named(whole, "alternative ")
         return Maps(self.model, values, self.domain.solvable, whole["residual"], deviations, alternatives=alternatives)
 
+    def separation(self) -> np.ndarray | None:
+        """Return the separation of indirect light by its colour, as RecoveryEngine.separation."""
+        found = None if self._pool is None else self._pool.active.separation
+        own = {} if self._pool is None or found is None else {"own": found[own_of(self._pool.tiles[0].domain)]}
+        return self._pasted(own if self._pool is not None else None).get("own")
+
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank."""
         own = None if self._pool is None else (self._pool.active.mean_error(), self._pool.tiles[0].solved)

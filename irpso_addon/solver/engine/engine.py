@@ -14,6 +14,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.optional import present
 from ...geometry.domain import Domain
 from ...gpu import probe
 from ...gpu.kernel import EntryChoice
@@ -27,6 +28,7 @@ from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
 from ..state.layout import digest_of_texels
+from ..state.separation import SeparatedStack, share_of
 from .halo import Box
 from .progress import Progress
 
@@ -71,6 +73,7 @@ class RecoveryEngine(ABC):
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self.fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
+        self._separated: tuple[np.ndarray, np.ndarray] | None = None  # a separation, and the share of it
 
     @property
     @abstractmethod
@@ -90,7 +93,10 @@ class RecoveryEngine(ABC):
     @property
     def findings(self) -> dict[str, Any]:
         """What it found besides the maps, for the report."""
-        return {}
+        if (separation := self.separation) is None:
+            return {}
+        share = present(self.indirect_share)[self.domain.solvable]
+        return {"separation": {"texels": int(np.count_nonzero(separation[..., 0])), "share": float(share.mean())}}
 
     @abstractmethod
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
@@ -114,18 +120,34 @@ class RecoveryEngine(ABC):
         The texels are drawn at random, once. It takes milliseconds, where maps() may take a second.
         """
 
+    @property
+    def separation(self) -> np.ndarray | None:
+        """(H, W, 4) float32 by which indirect light was told apart by its colour (state/separation.py); None: nowhere.
+
+        The same array as long as it is.
+        """
+        return None
+
     def indirect(self, observation: int) -> np.ndarray | float:
         """Return the light that was taken off a photograph before the maps were found, (H, W, 3) or 0."""
-        return 0.0
+        if (separation := self.separation) is None:
+            return 0.0
+        direct = SeparatedStack(self.domain.stack, self.domain.intensities, separation)
+        return self.domain.stack.layer(observation)[..., :3] - direct.layer(observation)[..., :3]
 
     @property
     def indirect_share(self) -> np.ndarray | None:
         """(H, W) float32, the part 0…1 of the light of the photographs that others of the subject sent to a texel.
 
-        Over all photographs that show it, as last found. None before that, and without rounds of interreflection. A
-        later round returns another array.
+        Over all photographs that show it, as last found. None before that, and where none was sought or found. A
+        later find is another array.
         """
-        return None
+        separation = self.separation
+        if separation is None:
+            return None
+        if self._separated is None or self._separated[0] is not separation:
+            self._separated = separation, share_of(self.domain, separation)
+        return self._separated[1]
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work for about a time on what ``maps`` returns; return whether it is ready, so that maps() is quick.

@@ -123,20 +123,22 @@ class InterreflectionRounds(Successive):
     @property
     def findings(self) -> dict[str, Any]:
         found = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
-        return {"interreflection": found | {"unknown_texels": int(np.count_nonzero(self._unknown))}}
+        unknown = {"unknown_texels": int(np.count_nonzero(self._unknown))}
+        return {**self._live.findings, "interreflection": found | unknown}
 
     @property
     def identity(self) -> dict[str, Any]:
         return super().identity | self._surroundings.identity
 
     def indirect(self, observation: int) -> np.ndarray | float:
+        own = self._live.indirect(observation)
         if self._at == 0 or self._samples is None:
-            return 0.0
-        return self.domain.stack.layer(observation)[..., :3] - self._samples.layer(observation)[..., :3]
+            return own
+        return own + self.domain.stack.layer(observation)[..., :3] - self._samples.layer(observation)[..., :3]
 
     @property
     def indirect_share(self) -> np.ndarray | None:
-        return self._share
+        return self._live.indirect_share if self._share is None else self._share
 
     def state(self, running: bool = True) -> Checkpoint:
         """Return the state of the current round, its number, and the maps that the rounds' light was found from."""

@@ -134,6 +134,10 @@ class Recovery(RecoveryEngine):
     def phase(self) -> Phase | None:
         return self._phase
 
+    @property
+    def separation(self) -> np.ndarray | None:
+        return self._separation
+
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         next(self.stepping(iterations, time_budget_s), None)
         return self.progress
@@ -318,6 +322,9 @@ class Recovery(RecoveryEngine):
         """Hold what prefits that have ended measured, packed, by name."""
         self._prefit = measured
         separation, shadow = measured.get(SEPARATION), measured.get(SHADOW, 0.0)
+        self._separation = None
+        if separation is not None and separation.any():
+            self._separation = self._packing.unpack(separation)
         if not np.array_equal(self._textures.separation, 0.0 if separation is None else separation):
             self._separate(separation)
         self._textures.raise_shadow(np.where(self._textures.separation[..., 0] > 0, 0.0, shadow))

@@ -125,6 +125,10 @@ class Successive(RecoveryEngine):
         return self._live.capabilities
 
     @property
+    def separation(self) -> np.ndarray | None:
+        return self._live.separation if self._live.domain.shape == self.domain.shape else None
+
+    @property
     def settled(self) -> bool:
         return self._live.settled
 

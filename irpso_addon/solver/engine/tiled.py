@@ -62,6 +62,7 @@ class TiledRecovery(RecoveryEngine):
             prepared = replace(prepared, guess=dict(guess))
         tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
         self._pool = TilePool(tiles, model, schedule, seed, self.entry, on_device, scratch)
+        self._found: tuple[int, np.ndarray | None] | None = None  # the separation at a stage
         self._driver = LockStep(self._pool, LocalTransport([part.place for part in tiles]), halo)
 
     @property
@@ -111,6 +112,17 @@ class TiledRecovery(RecoveryEngine):
                     whole[texels] = value[own]
         deviations, alternatives = doubts if confidence else (None, None)
         return Maps(self.model, values, self.domain.solvable, residual, deviations, alternatives=alternatives)
+
+    @property
+    def separation(self) -> np.ndarray | None:
+        stage = self.progress.stage
+        if self._found is None or self._found[0] != stage:
+            whole = np.zeros((*self.domain.shape, 4), np.float32)
+            for number, part in enumerate(self._pool.tiles):
+                if (found := self._pool.separation(number)) is not None:
+                    whole[part_of(part.box)] = found[own_of(part.domain)]
+            self._found = stage, whole if whole.any() else None
+        return self._found[1]
 
     def state(self, running: bool = True) -> Checkpoint:
         """Return the state of all tiles, in memory or in files as theirs."""

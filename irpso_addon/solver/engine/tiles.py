@@ -14,8 +14,10 @@ from ...gpu.kernel import Entry
 from ...gpu.program import KeptPrograms
 from ...reflectance.model import ReflectanceModel
 from ..phases.phase import BACKGROUND_BAND_SECONDS
+from ..phases.separation import SEPARATION
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
+from ..state.packing import Packing
 from ..state.prepare import Prepared
 from .halo import Box, Place, place_of
 from .progress import Progress
@@ -126,6 +128,14 @@ class TilePool:
     def active(self) -> TileRecovery:
         """The recovery of the last tile used."""
         return self.recovery(self._last)
+
+    def separation(self, number: int) -> np.ndarray | None:
+        """Return the separation of a tile, as RecoveryEngine.separation, without bringing it onto the device."""
+        tile = self.tiles[number]
+        if tile.recovery is not None:
+            return tile.recovery.separation
+        packed = None if tile.memory is None else tile.memory.arrays.get(SEPARATION)
+        return None if packed is None else Packing(tile.domain.solvable, tile.domain.seams).unpack(packed)
 
     def wait(self, number: int, memory: Checkpoint) -> None:
         """Take a tile off the device; it continues from ``memory`` when its turn comes."""

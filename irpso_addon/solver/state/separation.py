@@ -10,7 +10,7 @@ is a power of the direct one, whose exponent is its saturation.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +90,20 @@ def separation_of(domain: Domain, indirect: np.ndarray, direct: np.ndarray, leas
         chosen = known & (hollow | (share >= least))
         result[texels] = np.where(chosen[:, None], part, 0)
     return result
+
+
+def share_of(domain: Domain, separation: np.ndarray) -> np.ndarray:
+    """Return (H, W) float32: the part of the light of a texel's samples that is indirect by ``separation_of``."""
+    share = np.zeros(domain.shape, np.float32)
+    separated = replace(domain, solvable=domain.solvable & (separation[..., 0] > 0))
+    direct = SeparatedStack(domain.stack, domain.intensities, separation)
+    for _, texels in chunks(separated):
+        samples, left = domain.stack.texels(*texels), direct.texels(*texels)
+        seen = (samples[..., 3:] > 0) * 1.0
+        light = _over_lights(seen * _radiance(samples, domain.intensities))
+        kept = _over_lights(seen * _radiance(left, domain.intensities))
+        share[texels] = 1 - kept / np.maximum(light, 1e-30)
+    return share
 
 
 @dataclass(frozen=True, eq=False)
