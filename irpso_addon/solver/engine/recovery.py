@@ -136,7 +136,8 @@ class Recovery(RecoveryEngine):
 
     @property
     def separation(self) -> np.ndarray | None:
-        return self._separation
+        stack = self._textures.domain.stack
+        return stack.separation if isinstance(stack, SeparatedStack) else None
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         next(self.stepping(iterations, time_budget_s), None)
@@ -321,18 +322,16 @@ class Recovery(RecoveryEngine):
     def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> None:
         """Hold what prefits that have ended measured, packed, by name."""
         self._prefit = measured
-        separation, shadow = measured.get(SEPARATION), measured.get(SHADOW, 0.0)
-        self._separation = None
-        if separation is not None and separation.any():
-            self._separation = self._packing.unpack(separation)
-        if not np.array_equal(self._textures.separation, 0.0 if separation is None else separation):
+        nothing = np.zeros_like(self._textures.separation)
+        separation, shadow = measured.get(SEPARATION, nothing), measured.get(SHADOW, 0.0)
+        if not np.array_equal(self._textures.separation, separation):
             self._separate(separation)
-        self._textures.raise_shadow(np.where(self._textures.separation[..., 0] > 0, 0.0, shadow))
+        self._textures.raise_shadow(np.where(separation[..., 0] > 0, 0.0, shadow))
 
-    def _separate(self, separation: np.ndarray | None) -> None:
-        """Go on with the direct light of the samples, by (h, w, 4) as state/separation.py finds it; None: with all."""
+    def _separate(self, separation: np.ndarray) -> None:
+        """Go on with the direct light of the samples, by (h, w, 4) as state/separation.py finds it; 0: with all."""
         domain, packing = self.domain, self._packing
-        if separation is not None:
+        if separation.any():
             domain = replace(domain, stack=SeparatedStack(domain.stack, domain.intensities, packing.unpack(separation)))
         scale = texel_scale(domain, self.schedule.fitness.percentile)
         prepared = Prepared(scale, {}, self._textures.brightness).packed(domain, self.schedule)
@@ -385,6 +384,7 @@ class Recovery(RecoveryEngine):
         self._estimates.accept()
         if isinstance(phase, PrefitPhase | NeighbourTest | SeparationPhase):
             self._take_prefit((yield from phase.measuring(self._bands, seconds)))
+            self._give_stack()
         yield  # the last one: view() must not see a closed phase
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes have other costs

@@ -28,6 +28,7 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSeparation,
     ResolvedSheen,
     ResolvedSurface,
     resolve,
@@ -73,6 +74,8 @@ def make_passes(resolved, model, schedule):
         decision_pass("prefit/indirect.glsl", "shadow", indirect.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedSheen):
         decision_pass("prefit/sheen.glsl", "chosen", sheen.limits(schedule), DOMAIN)
+    elif isinstance(resolved, ResolvedSeparation):
+        prefit.adopt_pass(model, DOMAIN)
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
             make_passes(part, resolved.model, schedule)
