@@ -79,9 +79,7 @@ class SeparationPhase(Phase):
         if self._sample is None:
             self._sample = self.sample()
             yield
-        direct = None
-        if (self._domain.domain.intensities > 0).all():
-            direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
+        direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
         if direct is not None:
             yield
             self._separation = separation_of(self._domain.domain, self._indirect, direct, self._least)

@@ -35,7 +35,12 @@ _LEAST_SATURATION, _MOST_SATURATION, _MOST_ASIDE = 1.2, 4.0, 0.15
 
 
 def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return (T, 3) the chromas of T texels, each channel the median over its lit samples; NaN where there is none."""
+    """Return (T, 3) the chromas of T texels, each channel the median over its lit samples; NaN where there is none.
+
+    Nowhere is one where a light lacks a channel.
+    """
+    if not (domain.intensities > 0).all():
+        return np.full((len(rows), 3), np.nan)
     chroma = _chromas(domain.stack.texels(rows, columns), domain.intensities)
     with np.errstate(invalid="ignore"):
         return _chroma(np.stack([percentiles(chroma[..., c], [50.0])[0] for c in range(3)], axis=-1))

@@ -30,10 +30,11 @@ recover = pytest.fixture(recoveries)
 
 
 @cache
-def corner(shape=(20, 36)):
+def corner(shape=(20, 36), colour=None):
     """Return (domain, normals, (H, W) bool where): the left half of a matt card stands between two walls.
 
-    One hides it from every second lamp, the other is of metal and throws light on it.
+    One hides it from every second lamp, the other is of metal and throws light on it. The card has many colours, or one
+    (3,), which its walls have, too; they throw three times the light.
     """
     rng = np.random.default_rng(3)
     lights = unit(rng.normal(size=(OBSERVATIONS, 3)) * (1, 1, 0.4) + (0, 0, 1.3))
@@ -41,10 +42,14 @@ def corner(shape=(20, 36)):
     between = np.broadcast_to(np.arange(shape[1]) < shape[1] // 2, shape)
     direct = np.maximum(np.einsum("ki,hwi->khw", lights, normal), 0)
     direct[np.ix_(lights @ (1, 0, 0.2) > 0, *map(range, shape))] *= ~between
-    thrown = 0.5 * np.maximum(lights @ (0, -0.8, 0.6), 0)[:, None, None] ** 4
+    thrown = (0.5 if colour is None else 1.5) * np.maximum(lights @ (0, -0.8, 0.6), 0)[:, None, None] ** 4
     thrown = thrown * between * np.maximum(normal @ (0.9, 0, 0.44), 0)
     stack = np.ones((OBSERVATIONS, *shape, 4), np.float32)
-    stack[..., :3] = (direct + thrown)[..., None] * rng.uniform(0.3, 0.8, (*shape, 3))
+    if colour is None:
+        stack[..., :3] = (direct + thrown)[..., None] * rng.uniform(0.3, 0.8, (*shape, 3))
+    else:
+        once = np.array(colour)
+        stack[..., :3] = direct[..., None] * once + thrown[..., None] * once**2.25 * once.sum() / (once**2.25).sum()
     made = make_domain(*shape, observations=OBSERVATIONS, holes=False)
     made = replace(
         made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((OBSERVATIONS, 3), np.float32)

@@ -1,0 +1,127 @@
+"""Direct and indirect light told apart by their colour: against scipy's non-negative least squares in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from irpso_addon.geometry.domain import with_samples
+from irpso_addon.solver.state.separation import SeparatedStack, direct_chroma, evidence_of, separation_of, share_of
+from tests.builders.domains import make_domain
+
+BRASS = np.array([0.5, 0.33, 0.17])
+LIGHTS = 12
+
+
+def chroma_of(light):
+    return light / light.sum(axis=-1, keepdims=True)
+
+
+def seen(light, intensities=None):
+    """Return a domain whose samples are (K, H, W, 3) light under lights of intensity 1, and some of no weight."""
+    rng = np.random.default_rng(2)
+    intensities = rng.uniform(0.5, 3, (len(light), 3)) if intensities is None else intensities
+    domain = make_domain(*light.shape[1:3], observations=len(light), holes=False)
+    stack = np.ones((*light.shape[:3], 4))
+    stack[..., :3] = light * intensities[:, None, None]
+    return with_samples(replace(domain, intensities=np.float32(intensities)), np.float32(stack))
+
+
+def hollow(shape=(6, 8), least=0.2):
+    """Return (domain, direct light, indirect light, (H, W) bool where): the left half owes light to walls of brass."""
+    rng = np.random.default_rng(4)
+    direct = rng.uniform(0, 1, (LIGHTS, *shape, 1)) * BRASS
+    where = np.broadcast_to(np.arange(shape[1]) < shape[1] // 2, shape)
+    thrown = rng.uniform(least, 1, (LIGHTS, *shape, 1)) * where[..., None] * chroma_of(BRASS**2.25)
+    return seen(direct + thrown), direct, thrown, where
+
+
+def found(domain, indirect, least=0.1):
+    rows, columns = np.nonzero(domain.solvable)
+    direct = direct_chroma(evidence_of(domain, rows, columns), indirect[rows, columns])
+    assert direct is not None
+    return direct, separation_of(domain, indirect, direct, least)
+
+
+def test_a_hollow_of_brass_is_left_with_its_direct_light():
+    domain, direct, thrown, where = hollow()
+    chroma, separation = found(domain, where)
+    np.testing.assert_allclose(chroma, BRASS, atol=2e-3)
+    np.testing.assert_array_equal(separation[..., 0] > 0, where)
+    left = SeparatedStack(domain.stack, domain.intensities, separation)
+    for observation in range(LIGHTS):
+        light = left.layer(observation)[..., :3] / domain.intensities[observation]
+        np.testing.assert_allclose(light, direct[observation], atol=0.02)
+    np.testing.assert_allclose(
+        share_of(domain, separation)[where], (thrown.sum((0, -1)) / (direct + thrown).sum((0, -1)))[where], atol=0.02
+    )
+    assert not share_of(domain, separation)[~where].any()
+
+
+def test_samples_match_non_negative_least_squares():
+    rng = np.random.default_rng(7)
+    domain = seen(rng.uniform(0, 1, (LIGHTS, 3, 5, 3)) ** 2)
+    pairs = chroma_of(rng.uniform(0.1, 1, (3, 5, 2, 3)))
+    separation = np.float32(pairs[..., :2].reshape(3, 5, 4))
+    left = SeparatedStack(domain.stack, domain.intensities, separation)
+    light = domain.stack.values[..., :3] / domain.intensities[:, None, None].astype(np.float64)
+    for k, y, x in np.ndindex(LIGHTS, 3, 5):
+        (_, indirect), _ = nnls(pairs[y, x].T, light[k, y, x])
+        wanted = np.maximum(light[k, y, x] - indirect * pairs[y, x, 1], 0) * domain.intensities[k]
+        np.testing.assert_allclose(left.layer(k)[y, x, :3], wanted, atol=2e-6)
+        np.testing.assert_array_equal(left.texels(np.array([y]), np.array([x]))[k, 0], left.layer(k)[y, x])
+    np.testing.assert_array_equal(left.subset(np.array([3])).layer(0), left.layer(3))
+    np.testing.assert_array_equal(left.window(slice(1, 3), slice(2, 4)).layer(3), left.layer(3)[1:3, 2:4])
+
+
+def test_bounds_and_samples_of_no_weight_stay():
+    domain, _, _, where = hollow()
+    values = domain.stack.values.copy()
+    values[0, ..., 3], values[1, ..., 3], values[1, ..., :3] = -2.5, 0, np.nan
+    domain = with_samples(domain, values)
+    left = SeparatedStack(domain.stack, domain.intensities, found(domain, where)[1])
+    for observation in (0, 1):
+        np.testing.assert_array_equal(left.layer(observation), domain.stack.layer(observation))
+    assert (left.layer(2)[where] != domain.stack.layer(2)[where]).any()
+
+
+def test_a_texel_of_another_saturation_keeps_its_light_where_the_shading_is_direct():
+    domain, direct, thrown, where = hollow((6, 16))
+    red, light = np.argwhere(~where)[:4], direct + thrown
+    for y, x in red:
+        light[:, y, x] = light[:, y, x].sum(axis=-1, keepdims=True) * chroma_of(BRASS**1.6)
+    suspected = where & (np.arange(16) < 7)
+    _, separation = found(seen(light), suspected)
+    assert not separation[tuple(red.T)].any()
+    # The last column of the hollow is separated by its colour alone.
+    assert (separation[:, 7, 0] > 0).all()
+
+
+def refused(kind):
+    domain, direct, thrown, where = hollow()
+    light, indirect = direct + thrown, where
+    if kind == "no shading tells of it":
+        indirect = np.zeros_like(where)
+    elif kind == "grey":
+        light = seen_grey(light)
+    elif kind == "many colours":
+        rng = np.random.default_rng(3)
+        light = light * rng.uniform(0.3, 1, (*where.shape, 3))
+    elif kind == "velvet":  # its rim is paler, not more saturated
+        light = direct + thrown.sum(axis=-1, keepdims=True) / 3
+    elif kind == "another colour":
+        light = direct + thrown.sum(axis=-1, keepdims=True) * (0.1, 0.2, 0.7)
+    domain = seen(light)
+    rows, columns = np.nonzero(domain.solvable)
+    return direct_chroma(evidence_of(domain, rows, columns), indirect[rows, columns])
+
+
+def seen_grey(light):
+    return np.repeat(light.mean(axis=-1, keepdims=True), 3, axis=-1)
+
+
+@pytest.mark.parametrize("kind", ["no shading tells of it", "grey", "many colours", "velvet", "another colour"])
+def test_nothing_is_separated_where_colour_cannot_tell(kind):
+    assert refused(kind) is None
+    assert refused("nothing wrong") is not None
