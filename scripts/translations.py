@@ -27,8 +27,7 @@ from irpso_addon.ui.translations.po import read_po  # noqa: E402
 from irpso_addon.ui.translations.register import FOLDER, LOCALES  # noqa: E402
 
 UI = ROOT / "irpso_addon" / "ui"
-# Of solver/settings/resolve.py, ResolvedPrefit.title.
-_PREFITS = ("prefit of the normals", "prefit of the normals in indirect light", "prefit of the normals with sheen")
+_OBSERVATIONS = 96  # enough for all phases of a schedule
 _MARKED = {"iface", "rpt", "tip", "n_"}  # functions of ui/common/words.py
 _DRAWN = {"text", "heading"}  # arguments that Blender translates
 _PLACED = {"fact": (2, 3), "wrapped": (None, 2), "usable": (2, None), "report": (None, 1)}  # see _of_call
@@ -91,9 +90,9 @@ def _of_data() -> Iterator[str]:
         yield title_of(schedule)
         yield purpose_of(schedule)
         names = {parameter.name for parameter in load_model(DEFAULT_MODEL).parameters}
-        stages = resolve(schedule, load_model(DEFAULT_MODEL), set())
+        stages = resolve(schedule, load_model(DEFAULT_MODEL), set(), _OBSERVATIONS)
         titles = [stage.title for stage in stages if not names & set(stage.title.split(" + "))]
-        yield from (title[:1].upper() + title[1:] for title in titles + list(_PREFITS))
+        yield from (title[:1].upper() + title[1:] for title in titles)
 
 
 def in_source(source: str) -> Iterator[tuple[str, str]]:

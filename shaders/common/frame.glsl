@@ -26,6 +26,9 @@ float scale_at(ivec2 texel)
     return geometry_at(GEOMETRY_NORMAL, texel).w;
 }
 
+// The shadow of texels whose indirect light was taken off the samples.
+#define SEPARATED_SHADOW 0.02
+
 // The part of the texel's scale under which a sample counts as shadow because light is indirect there; 0 elsewhere.
 float shadow_at(ivec2 texel)
 {

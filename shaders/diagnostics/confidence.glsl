@@ -22,6 +22,10 @@
 // and 35° (a concave mix of materials) in the median; those of the others by 5.6 and 6.6° in the mean, not 19.6 and 9.3.
 #define LEAST_UNEXPLAINED 0.1
 
+// The same, where indirect light was taken off: what is left of it weighs more. The normals of such texels are off by 38° in
+// the median on a bowl of gilded fruits, by 9° in the goblet, those of the others by 4.3 and 4.9° in the mean.
+#define LEAST_UNEXPLAINED_SEPARATED 0.2
+
 // Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward. The stencil's own
 // error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
 vec2 steps_of(inout float c[12], int u)
@@ -179,7 +183,9 @@ bool texel_kernel(ivec2 texel)
         float variance = variance_of(texel, sums);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
-        if (shadow_at(texel) > 0.0 && unexplained > LEAST_UNEXPLAINED) {
+        float shadow = shadow_at(texel);
+        bool separated = shadow < 1.5 * SEPARATED_SHADOW;
+        if (shadow > 0.0 && unexplained > (separated ? LEAST_UNEXPLAINED_SEPARATED : LEAST_UNEXPLAINED)) {
             variance = -1.0;
         }
 #endif

@@ -33,7 +33,7 @@ from ..state import prepare
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prepare import Prepared, texel_scale
-from ..state.separation import SeparatedStack
+from ..state.separation import SEPARATED_SHADOW, SeparatedStack
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
@@ -326,7 +326,7 @@ class Recovery(RecoveryEngine):
         separation, shadow = measured.get(SEPARATION, nothing), measured.get(SHADOW, 0.0)
         if not np.array_equal(self._textures.separation, separation):
             self._separate(separation)
-        self._textures.raise_shadow(np.where(separation[..., 0] > 0, 0.0, shadow))
+        self._textures.raise_shadow(np.where(separation[..., 0] > 0, SEPARATED_SHADOW, shadow))
 
     def _separate(self, separation: np.ndarray) -> None:
         """Go on with the direct light of the samples, by (h, w, 4) as state/separation.py finds it; 0: with all."""

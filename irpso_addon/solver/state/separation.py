@@ -17,6 +17,7 @@ import numpy as np
 
 from ...geometry.domain import Domain
 from ...geometry.samples import SampleStack
+from ...gpu.library import defined
 from .prepare import chunks, percentiles
 
 # Saturation of indirect light. On a goblet of brass the normals' mean error, 19.7° without separation, is 6.1° with 2,
@@ -24,6 +25,9 @@ from .prepare import chunks, percentiles
 _BOUNCES = 2.25
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
+
+# Of a texel's scale: below it a sample whose indirect light was taken off counts as shadow.
+SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 
 # What a subject must show. A quarter of the chromas of brass differ from their middle by more than 0.08, of clay in two
 # colours by 0.11, of a cow of two metal paints by 0.20, of a concave mix by 1.2. Where its light is indirect, brass has
