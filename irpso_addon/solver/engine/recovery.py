@@ -90,6 +90,7 @@ class Recovery(RecoveryEngine):
         begin = begin or self._prepared(prepared, guess)
         self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
         self._packing = self._textures.packing
+        self._separation = _separation_in(self._textures)  # it outlives the textures
         self._solved = int((texel_states(domain) == SOLVED).sum())
         self._diagnostics = self._diagnosing()
         self._found: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
@@ -136,8 +137,7 @@ class Recovery(RecoveryEngine):
 
     @property
     def separation(self) -> np.ndarray | None:
-        stack = self._textures.domain.stack
-        return stack.separation if isinstance(stack, SeparatedStack) else None
+        return self._separation
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         next(self.stepping(iterations, time_budget_s), None)
@@ -337,7 +337,7 @@ class Recovery(RecoveryEngine):
         prepared = Prepared(scale, {}, self._textures.brightness).packed(domain, self.schedule)
         numbers = packing.pack(scale), prepared.brightness, prepared.arrays
         self._textures = DomainTextures(domain, packing, None, *numbers, separation=separation)
-        self._stack = prepared.stack
+        self._stack, self._separation = prepared.stack, _separation_in(self._textures)
         if hasattr(self, "_diagnostics"):
             self._diagnostics.close()
             self._diagnostics = self._diagnosing()
@@ -433,6 +433,11 @@ class Recovery(RecoveryEngine):
         if self._phase is None:
             raise InputError("the recovery is done: its swarms are gone, read maps() instead")
         return self._phase
+
+
+def _separation_in(held: DomainTextures) -> np.ndarray | None:
+    stack = held.domain.stack
+    return stack.separation if isinstance(stack, SeparatedStack) else None
 
 
 def _check(schedule: Schedule, seed: int) -> None:

@@ -46,6 +46,7 @@ def test_the_light_that_was_taken_off_is_told(recover):
     assert recovery.separation is None and recovery.indirect_share is None and recovery.findings == {}
     assert isinstance(recovery.indirect(3), float)
     recovery.step()
+    recovery.close()
     share = recovery.indirect_share
     taken = sum(recovery.indirect(k)[between].sum() for k in range(domain.observations))
     shown = domain.stack.values[:, between, :3].sum()
