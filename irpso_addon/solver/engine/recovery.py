@@ -326,7 +326,7 @@ class Recovery(RecoveryEngine):
         separation, shadow = measured.get(SEPARATION, nothing), measured.get(SHADOW, 0.0)
         if not np.array_equal(self._textures.separation, separation):
             self._separate(separation)
-        self._textures.raise_shadow(np.where(separation[..., 0] > 0, SEPARATED_SHADOW, shadow))
+        self._textures.raise_shadow(np.where(separation[..., 0] > 0, np.maximum(SEPARATED_SHADOW, shadow), shadow))
 
     def _separate(self, separation: np.ndarray) -> None:
         """Go on with the direct light of the samples, by (h, w, 4) as state/separation.py finds it; 0: with all."""

@@ -15,7 +15,7 @@ from tests.gpu.solver.test_indirect_shadow import corner as corner_of
 
 LAMBERT = load_model("lambert")
 BRASS = 0.9, 0.6, 0.3
-SHORT, SEPARATED = (schedule.replaced(prefit_indirect_share=0.1) for schedule in (RAISED_SHORT, RAISED))
+SHORT, SEPARATED = (schedule.replaced(prefit_indirect_share=0.05) for schedule in (RAISED_SHORT, RAISED))
 OFF = RAISED.replaced(prefit_indirect_share=0.0)
 recover = pytest.fixture(recoveries)
 

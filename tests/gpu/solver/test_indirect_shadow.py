@@ -49,7 +49,7 @@ def corner(shape=(20, 36), colour=None):
         stack[..., :3] = (direct + thrown)[..., None] * rng.uniform(0.3, 0.8, (*shape, 3))
     else:
         once = np.array(colour)
-        stack[..., :3] = direct[..., None] * once + thrown[..., None] * once**2.25 * once.sum() / (once**2.25).sum()
+        stack[..., :3] = direct[..., None] * once + thrown[..., None] * once**2 * once.sum() / (once**2).sum()
     made = make_domain(*shape, observations=OBSERVATIONS, holes=False)
     made = replace(
         made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((OBSERVATIONS, 3), np.float32)
