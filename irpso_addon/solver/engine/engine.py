@@ -14,7 +14,6 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.optional import present
 from ...geometry.domain import Domain
 from ...gpu import probe
 from ...gpu.kernel import EntryChoice
@@ -28,7 +27,7 @@ from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
 from ..state.layout import digest_of_texels
-from ..state.separation import SeparatedStack, share_of
+from ..state.separation import SeparatedStack
 from .halo import Box
 from .progress import Progress
 
@@ -73,7 +72,7 @@ class RecoveryEngine(ABC):
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self.fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
-        self._separated: tuple[np.ndarray, np.ndarray] | None = None  # a separation, and the share of it
+        self._told: tuple[np.ndarray, np.ndarray] | None = None  # a separation, and the share in it
 
     @property
     @abstractmethod
@@ -95,7 +94,7 @@ class RecoveryEngine(ABC):
         """What it found besides the maps, for the report."""
         if (separation := self.separation) is None:
             return {}
-        share = present(self.indirect_share)[self.domain.solvable]
+        share = separation[self.domain.solvable, 4]
         return {"separation": {"texels": int(np.count_nonzero(separation[..., 0])), "share": float(share.mean())}}
 
     @abstractmethod
@@ -122,7 +121,7 @@ class RecoveryEngine(ABC):
 
     @property
     def separation(self) -> np.ndarray | None:
-        """(H, W, 4) float32 by which indirect light was told apart by its colour (state/separation.py); None: nowhere.
+        """(H, W, 5) float32 by which indirect light was told apart by its colour (state/separation.py); None: nowhere.
 
         The same array as long as it is.
         """
@@ -145,9 +144,9 @@ class RecoveryEngine(ABC):
         separation = self.separation
         if separation is None:
             return None
-        if self._separated is None or self._separated[0] is not separation:
-            self._separated = separation, share_of(self.domain, separation)
-        return self._separated[1]
+        if self._told is None or self._told[0] is not separation:
+            self._told = separation, separation[..., 4]
+        return self._told[1]
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work for about a time on what ``maps`` returns; return whether it is ready, so that maps() is quick.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.optional import present
+from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
 from ...gpu import context, textures
 from ...gpu.bands import Bands
@@ -32,8 +33,8 @@ from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
-from ..state.prepare import Prepared, texel_scale
-from ..state.separation import SEPARATED_SHADOW, SeparatedStack
+from ..state.prepare import Prepared
+from ..state.separation import SEPARATED_SHADOW, separated_steps
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
@@ -90,7 +91,7 @@ class Recovery(RecoveryEngine):
         begin = begin or self._prepared(prepared, guess)
         self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
         self._packing = self._textures.packing
-        self._separation = _separation_in(self._textures)  # it outlives the textures
+        self._separation = self._unpacked_separation()  # it outlives the textures
         self._solved = int((texel_states(domain) == SOLVED).sum())
         self._diagnostics = self._diagnosing()
         self._found: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
@@ -103,7 +104,7 @@ class Recovery(RecoveryEngine):
         self._index, self._evaluations = begin.index, begin.evaluations
         self._begun = begin.evaluations  # at the begin of the stage
         self._repeats = True  # whether the stage, made again from the estimates, reaches the same result
-        self._take_prefit(begin.prefit)
+        run_steps(self._take_prefit(begin.prefit))
         self._phase: Phase | None = None
         if memory is not None:
             self.remember(memory)
@@ -257,7 +258,7 @@ class Recovery(RecoveryEngine):
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._begun, self._repeats = saved.begun, saved.begun != NEVER
-        self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED})
+        run_steps(self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED}))
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
@@ -319,28 +320,22 @@ class Recovery(RecoveryEngine):
         held = self._textures, self._estimates
         return begin_phase(*settings, *held, self.entry, self._acceptance, self._prefit)
 
-    def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> None:
-        """Hold what prefits that have ended measured, packed, by name."""
-        self._prefit = measured
-        nothing = np.zeros_like(self._textures.separation)
-        separation, shadow = measured.get(SEPARATION, nothing), measured.get(SHADOW, 0.0)
+    def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> Generator[None, None, None]:
+        """Hold what prefits that have ended measured, packed, by name. Yields where that takes long."""
+        separation = measured.get(SEPARATION, np.zeros_like(self._textures.separation))
         if not np.array_equal(self._textures.separation, separation):
-            self._separate(separation)
-        self._textures.raise_shadow(np.where(separation[..., 0] > 0, np.maximum(SEPARATED_SHADOW, shadow), shadow))
-
-    def _separate(self, separation: np.ndarray) -> None:
-        """Go on with the direct light of the samples, by (h, w, 4) as state/separation.py finds it; 0: with all."""
-        domain, packing = self.domain, self._packing
-        if separation.any():
-            domain = replace(domain, stack=SeparatedStack(domain.stack, domain.intensities, packing.unpack(separation)))
-        scale = texel_scale(domain, self.schedule.fitness.percentile)
-        prepared = Prepared(scale, {}, self._textures.brightness).packed(domain, self.schedule)
-        numbers = packing.pack(scale), prepared.brightness, prepared.arrays
-        self._textures = DomainTextures(domain, packing, None, *numbers, separation=separation)
-        self._stack, self._separation = prepared.stack, _separation_in(self._textures)
-        if hasattr(self, "_diagnostics"):
+            steps = separated_steps(self.domain, self._textures, separation, self.schedule)
+            self._textures, self._stack = yield from map_steps(steps, lambda part: None)
             self._diagnostics.close()
             self._diagnostics = self._diagnosing()
+            self._separation = self._unpacked_separation()
+        self._prefit = measured
+        shadow = np.broadcast_to(np.float32(measured.get(SHADOW, 0.0)), separation.shape[:2])
+        self._textures.raise_shadow(np.maximum(shadow, np.where(separation[..., 0] > 0, SEPARATED_SHADOW, 0)))
+
+    def _unpacked_separation(self) -> np.ndarray | None:
+        separation = self._textures.separation
+        return self._packing.unpack(separation) if separation.any() else None
 
     def _diagnosing(self) -> Diagnostics:
         model = self._believing(self.schedule)
@@ -383,7 +378,7 @@ class Recovery(RecoveryEngine):
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
         if isinstance(phase, PrefitPhase | NeighbourTest | SeparationPhase):
-            self._take_prefit((yield from phase.measuring(self._bands, seconds)))
+            yield from self._take_prefit((yield from phase.measuring(self._bands, seconds)))
             self._give_stack()
         yield  # the last one: view() must not see a closed phase
         phase.close()
@@ -433,11 +428,6 @@ class Recovery(RecoveryEngine):
         if self._phase is None:
             raise InputError("the recovery is done: its swarms are gone, read maps() instead")
         return self._phase
-
-
-def _separation_in(held: DomainTextures) -> np.ndarray | None:
-    stack = held.domain.stack
-    return stack.separation if isinstance(stack, SeparatedStack) else None
 
 
 def _check(schedule: Schedule, seed: int) -> None:

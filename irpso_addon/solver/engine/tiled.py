@@ -19,6 +19,7 @@ from ..settings.schedule import Schedule, refuse_levels
 from ..state import prepare
 from ..state.checkpoint import NEVER, Checkpoint
 from ..state.layout import TexelLayout, joined, numbered
+from ..state.separation import SEPARATED
 from .engine import Capabilities, RecoveryEngine
 from .halo import Box, held_rows, own_of, own_rows, part_of, rectangle
 from .lockstep import LocalTransport, LockStep
@@ -117,7 +118,7 @@ class TiledRecovery(RecoveryEngine):
     def separation(self) -> np.ndarray | None:
         stage = self.progress.stage
         if self._found is None or self._found[0] != stage:
-            whole = np.zeros((*self.domain.shape, 4), np.float32)
+            whole = np.zeros((*self.domain.shape, SEPARATED), np.float32)
             for number, part in enumerate(self._pool.tiles):
                 if (found := self._pool.separation(number)) is not None:
                     whole[part_of(part.box)] = found[own_of(part.domain)]

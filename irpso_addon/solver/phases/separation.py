@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.steps import map_steps
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
-from ..state.prepare import lambert_seed
-from ..state.separation import SeparatedStack, direct_chroma, evidence_of, separation_of
+from ..state.prepare import lambert_steps
+from ..state.separation import SEPARATED, SeparatedStack, direct_chroma, evidence_of, separation_steps
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
 from .indirect import SHADOW
 from .mixture import sampled
@@ -48,7 +49,7 @@ class SeparationPhase(Phase):
         self._estimates, self._known = estimates, measured
         self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
         self._sample: np.ndarray | None = None
-        self._separation = np.zeros((*domain.domain.shape, 4), np.float32)
+        self._separation = np.zeros((*domain.domain.shape, SEPARATED), np.float32)
         self._adopt = adopt_pass(model, domain.defines)
 
     @property
@@ -81,8 +82,8 @@ class SeparationPhase(Phase):
             yield
         direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
         if direct is not None:
-            yield
-            self._separation = separation_of(self._domain.domain, self._indirect, direct, self._least)
+            steps = separation_steps(self._domain.domain, self._indirect, direct, self._least)
+            self._separation = yield from map_steps(steps, lambda part: None)
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
@@ -94,7 +95,8 @@ class SeparationPhase(Phase):
         domain, packing = self._domain.domain, self._domain.packing
         chosen = domain.solvable & (self._separation[..., 0] > 0)
         separated = SeparatedStack(domain.stack, domain.intensities, self._separation)
-        normal, _ = lambert_seed(replace(domain, stack=separated, solvable=chosen))
+        steps = lambert_steps(replace(domain, stack=separated, solvable=chosen))
+        normal, _ = yield from map_steps(steps, lambda part: None)
         normals = np.where(
             packing.pack(chosen)[..., None], packing.pack(normal), normals_of(self._estimates, self._model)
         )
@@ -103,7 +105,7 @@ class SeparationPhase(Phase):
         yield from self._adopt.at_once(bands, self._estimates.resolved, inputs)
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what is known by name, packed: with the chromas (h, w, 4) of direct and indirect light."""
+        """Return what is known by name, packed: with (h, w, 5) of ``separation_of``."""
         yield
         return {**self._known, SEPARATION: self._domain.packing.pack(self._separation)}
 

@@ -6,13 +6,14 @@ by light, never by a library that groups them by the size of an array.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
 
+from ...core.steps import at_once, run_steps
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -56,6 +57,10 @@ class Prepared:
 
     def packed(self, domain: Domain, schedule: Schedule, report: Report = lambda part: None) -> Prepared:
         """Return it with what goes to the GPU. report: as for ``prepare``."""
+        return run_steps(self.packing_steps(domain, schedule), report)
+
+    def packing_steps(self, domain: Domain, schedule: Schedule) -> Generator[float, None, Prepared]:
+        """Return what ``packed`` does; yield the part that is done."""
         if self.stack is not None:
             return self
         packing = Packing(domain.solvable, domain.seams)
@@ -71,7 +76,7 @@ class Prepared:
             # As shaders/common/observation.glsl marks them.
             part[..., 3] -= np.where(part[..., 3] == 0, np.minimum(np.abs(weight), 1) / 2, 0)
 
-        _each_chunk(domain, work, report)
+        yield from chunk_steps(domain, work)
         stack = stack.reshape(-1, packing.height, packing.width, 4)
         arrays = domain_arrays(domain, packing, packing.pack(self.scale))
         return Prepared(self.scale, self.guess, self.brightness, packing, stack, arrays)
@@ -93,13 +98,13 @@ def prepare(
         for p in model.parameters
     }
     if seeded:
-        normal, albedo = lambert_seed(domain, next(sweeps))
+        normal, albedo = run_steps(lambert_steps(domain), next(sweeps))
         for p in model.parameters:
             if p.is_normal:
                 guess[p.name] = normal
             elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
-    scale = texel_scale(domain, schedule.fitness.percentile, next(sweeps))
+    scale = run_steps(scale_steps(domain, schedule.fitness.percentile), next(sweeps))
     prepared = Prepared(scale, guess, brightness(domain))
     return prepared.packed(domain, schedule, next(sweeps)) if pack else prepared
 
@@ -135,8 +140,11 @@ def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
     return float(Fraction(total, max(1, count)) * Fraction(2) ** (_LEAST_EXPONENT - 24))
 
 
-def texel_scale(domain: Domain, percentile: float, report: Report = lambda part: None) -> np.ndarray:
-    """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none."""
+def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.ndarray]:
+    """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none.
+
+    Yields the part that is done.
+    """
     scale = np.ones(domain.shape, np.float32)
 
     def work(start: int, texels: Texels) -> None:
@@ -146,8 +154,11 @@ def texel_scale(domain: Domain, percentile: float, report: Report = lambda part:
             (found,) = percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
             scale[texels] = np.where(found > 0, found, 1.0)
 
-    _each_chunk(domain, work, report)
+    yield from chunk_steps(domain, work)
     return scale
+
+
+texel_scale = at_once("texel_scale", scale_steps)
 
 
 def drop_shadow(
@@ -171,11 +182,13 @@ def drop_shadow(
     stack[..., 3] *= brightness >= fitness.shadow * scale
 
 
-def lambert_seed(domain: Domain, report: Report = lambda part: None) -> tuple[np.ndarray, np.ndarray]:
+def lambert_steps(domain: Domain) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
     """Return normals (H, W, 3), in the frames that are searched, and albedos (H, W, 3) of a trimmed Lambertian fit.
 
     Photometric stereo (Woodham 1980) by least squares over those of a texel's lit samples that lie between the 20th
     and the 75th percentile. Texels that leave fewer than three samples get the frame's own normal.
+
+    Yields the part that is done.
     """
     normal = np.zeros((*domain.shape, 3), np.float32)
     normal[..., 2] = 1
@@ -184,8 +197,11 @@ def lambert_seed(domain: Domain, report: Report = lambda part: None) -> tuple[np
     def work(start: int, texels: Texels) -> None:
         normal[texels], albedo[texels] = _lambert_fit(domain, texels, start)
 
-    _each_chunk(domain, work, report)
+    yield from chunk_steps(domain, work)
     return normal, albedo
+
+
+lambert_seed = at_once("lambert_seed", lambert_steps)
 
 
 def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarray]:
@@ -321,13 +337,13 @@ def percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float
     return found
 
 
-def _each_chunk(domain: Domain, work: Callable[[int, Texels], None], report: Report) -> None:
-    """Do work(start, texels) for all chunks, some at a time."""
+def chunk_steps(domain: Domain, work: Callable[[int, Texels], None]) -> Generator[float, None, None]:
+    """Do work(start, texels) for all chunks, some at a time beside the caller; yield the part that is done."""
     with ThreadPoolExecutor(_THREADS) as pool:
         waiting = [pool.submit(work, *chunk) for chunk in chunks(domain)]
         for number, done in enumerate(waiting, 1):
             done.result()
-            report(number / len(waiting))
+            yield number / len(waiting)
 
 
 def chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:

@@ -1,7 +1,7 @@
 """Direct and indirect light told apart by their colour.
 
 Light that one coloured surface throws on another of its kind is coloured twice: of brass whose direct light has the
-chroma u, it has about u², after more bounces u³ and so on. So a sample in a hollow is a · u + b · v with known u and v
+chroma u, it has about u², after more bounces u³ and so on. So a sample in a hollow is a mixture of u, u² and u⁴
 (Funt and Drew 1993, Color space analysis of mutual illumination; Liao et al. 2011, Interreflection removal for
 photometric stereo by using spectrum-dependent albedo). A chroma is radiance over irradiance, with a sum of 1. Here it
 is a power of the direct one, whose exponent is its saturation.
@@ -9,26 +9,31 @@ is a power of the direct one, whose exponent is its saturation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from ...core.optional import present
+from ...core.steps import at_once
 from ...geometry.domain import Domain
 from ...geometry.samples import SampleStack
 from ...gpu.library import defined
-from .prepare import chunks, percentiles
+from ..settings.schedule import Schedule
+from .prepare import Prepared, Texels, chunk_steps, percentiles, scale_steps
+from .textures import DomainTextures
 
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
 
+SEPARATED = 5  # numbers of a texel
 # Of a texel's scale: below it a sample whose indirect light was taken off counts as shadow.
 SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 
-# What a subject must show. The chromas of brass, gold, copper and terracotta differ from their middle by 0.04 to 0.06 in
-# the median, those of enamel with its highlights by 0.17, of patina by 0.27, of a concave mix by 0.48. Of the texels whose
-# shading tells of indirect light 74 to 97 % are doubly coloured on the first four, at most 42 % on others.
+# What a subject must show. The chromas of brass, gold, copper and terracotta differ from their middle by 0.04 to 0.06
+# in the median, those of enamel with its highlights by 0.17, of patina by 0.27, of a concave mix by 0.48. Of the texels
+# whose shading tells of indirect light 74 to 97 % are doubly coloured on the first four, at most 42 % on others.
 _LEAST_CHROMA = 0.3
 _MOST_SPREAD = 0.15
 _LEAST_FOUND = 0.02  # of the texels
@@ -42,9 +47,7 @@ def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.nda
     """
     if not (domain.intensities > 0).all():
         return np.full((len(rows), 3), np.nan)
-    chroma = _chromas(domain.stack.texels(rows, columns), domain.intensities)
-    with np.errstate(invalid="ignore"):
-        return _chroma(np.stack([percentiles(chroma[..., c], [50.0])[0] for c in range(3)], axis=-1))
+    return _median(_chromas(domain.stack.texels(rows, columns), domain.intensities))
 
 
 def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None:
@@ -70,53 +73,42 @@ def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None
     return unmixed
 
 
-def separation_of(domain: Domain, indirect: np.ndarray, direct: np.ndarray, least: float) -> np.ndarray:
-    """Return (H, W, 4) float32: red and green of the chroma of a texel's direct light, and of its indirect light.
+def separation_steps(
+    domain: Domain, indirect: np.ndarray, direct: np.ndarray, least: float
+) -> Generator[float, None, np.ndarray]:
+    """Return (H, W, 5) float32: red and green of the chroma of a texel's direct light, the same of its light after one
+    bounce more, and the part of the texel's light that is indirect by them.
 
-    0 where nothing is to be separated: where both the shading and the colour tell of less than the part ``least`` of
-    indirect light. indirect: (H, W) bool by the shading. direct: (3,) from ``direct_chroma``.
+    0 where neither the shading tells of indirect light nor the colour of the part ``least`` of it. indirect: (H, W)
+    bool by the shading. direct: (3,) from ``direct_chroma``. Yields the part that is done.
     """
-    result = np.zeros((*domain.shape, 4), np.float32)
-    for _, texels in chunks(domain):
+    result = np.zeros((*domain.shape, SEPARATED), np.float32)
+
+    def work(start: int, texels: Texels) -> None:
         samples = domain.stack.texels(*texels)
         chroma = _chromas(samples, domain.intensities)
-        saturations, _ = _along(chroma, direct)
-        middle = evidence_of(domain, *texels)
-        hollow = indirect[texels] & _doubly_coloured(middle, direct)
-        with np.errstate(invalid="ignore"):
-            (own,) = percentiles(saturations, [_DIRECT])
-            own = np.where(hollow, 1.0, np.maximum(own, 1.0))
+        hollow = indirect[texels] & _doubly_coloured(_median(chroma), direct)
+        (own,) = percentiles(_along(chroma, direct)[0], [_DIRECT])
         known = np.isfinite(own)
-        own = np.where(known, own, 1.0)[:, None]
-        pair = _chroma(direct**own), _chroma(direct ** (own + 1))
-        part = np.concatenate([each[:, :2] for each in pair], axis=-1).astype(np.float32)
-        light = _radiance(samples, domain.intensities)
-        taken = light - _without(light, part)
-        share = _over_lights(taken) / np.maximum(_over_lights(light), 1e-30)
-        chosen = known & (hollow | (share >= least))
-        result[texels] = np.where(chosen[:, None], part, 0)
+        own = np.where(hollow | ~known, 1.0, np.maximum(own, 1.0))[:, None]
+        pair = np.concatenate([_chroma(direct**power)[:, :2] for power in (own, own + 1)], axis=-1, dtype=np.float32)
+        light = _radiance(samples, domain.intensities) * (samples[..., 3:] > 0)
+        left = _over_lights(_without(light, pair)) / np.maximum(_over_lights(light), 1e-30)
+        chosen = known & (hollow | (1 - left >= least))
+        result[texels] = np.where(chosen[:, None], np.column_stack([pair, 1 - left]), 0)
+
+    yield from chunk_steps(domain, work)
     return result
 
 
-def share_of(domain: Domain, separation: np.ndarray) -> np.ndarray:
-    """Return (H, W) float32: the part of the light of a texel's samples that is indirect by ``separation_of``."""
-    share = np.zeros(domain.shape, np.float32)
-    separated = replace(domain, solvable=domain.solvable & (separation[..., 0] > 0))
-    direct = SeparatedStack(domain.stack, domain.intensities, separation)
-    for _, texels in chunks(separated):
-        samples, left = domain.stack.texels(*texels), direct.texels(*texels)
-        seen = (samples[..., 3:] > 0) * 1.0
-        light = _over_lights(seen * _radiance(samples, domain.intensities))
-        kept = _over_lights(seen * _radiance(left, domain.intensities))
-        share[texels] = 1 - kept / np.maximum(light, 1e-30)
-    return share
+separation_of = at_once("separation_of", separation_steps)
 
 
 @dataclass(frozen=True, eq=False)
 class SeparatedStack:
     """A ``SampleStack`` of the direct light in another. Bounds, and samples of no weight, stay.
 
-    separation: (H, W, 4) as from ``separation_of``. intensities: (K, 3) of the lights.
+    separation: (H, W, 5) as from ``separation_of``. intensities: (K, 3) of the lights.
     """
 
     stack: SampleStack
@@ -165,8 +157,24 @@ class SeparatedStack:
         return self.stack.lit(coverage)
 
 
+def separated_steps(
+    domain: Domain, held: DomainTextures, separation: np.ndarray, schedule: Schedule
+) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
+    """Return textures, and the stack to give to them, of a domain's direct light by (h, w, 5); of all light by 0.
+
+    held: textures of the domain, by another separation. Yields the part that is done of one sweep after another.
+    """
+    if separation.any():
+        unpacked = held.packing.unpack(separation)
+        domain = replace(domain, stack=SeparatedStack(domain.stack, domain.intensities, unpacked))
+    scale = yield from scale_steps(domain, schedule.fitness.percentile)
+    prepared = yield from Prepared(scale, {}, held.brightness).packing_steps(domain, schedule)
+    numbers = held.packing.pack(scale), held.brightness, prepared.arrays
+    return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)
+
+
 def _direct(samples: np.ndarray, intensities: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return samples (K, T, 4) without the indirect light. intensities: (K, 3); separation: (T, 4)."""
+    """Return samples (K, T, 4) without the indirect light. intensities: (K, 3); separation: (T, 4 or 5)."""
     separated = (separation[:, 0] > 0) & (samples[..., 3] > 0)
     direct = _without(_radiance(samples, intensities), separation) * intensities[:, None]
     result = samples.copy()
@@ -218,6 +226,11 @@ def _completed(chroma: np.ndarray) -> np.ndarray:
     """Return (T, 3) chromas from their red and green; thirds where both are 0, which separates nothing."""
     whole = np.concatenate([chroma, (1 - chroma[:, :1]) - chroma[:, 1:]], axis=-1)
     return np.where(chroma[:, :1] > 0, whole, 1 / 3)
+
+
+def _median(chroma: np.ndarray) -> np.ndarray:
+    """Return (T, 3) of chromas (K, T, 3): each channel's median over what is not NaN."""
+    return _chroma(np.stack([percentiles(chroma[..., c], [50.0])[0] for c in range(3)], axis=-1))
 
 
 def _radiance(samples: np.ndarray, intensities: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ class DomainTextures:
     stack: (K, h, w, 4) the packed sample stack to use, weights and all; None where ``give_stack`` brings it later: that
     alone takes 0.1 s for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default
     the lights' mean intensity. arrays: of ``domain_arrays``, where they have been found already.
+    separation: (h, w, 5) by which its samples are of direct light alone (separation.py); 0 where of all.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class DomainTextures:
         separation: np.ndarray | None = None,
     ):
         self.domain, self.packing = domain, packing
-        self.separation = np.zeros((*scale.shape, 4), np.float32) if separation is None else separation
+        self.separation = np.zeros((*scale.shape, 5), np.float32) if separation is None else separation
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = kernel_defines(domain)
         self.scale, self.shadow = scale, np.zeros_like(scale)
