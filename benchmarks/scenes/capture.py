@@ -27,9 +27,9 @@ CACHE = Path(__file__).resolve().parents[2] / ".cache" / "scenes"
 _INTENSITIES = (1.5, 6.0)
 
 
-def make(title: str, scene: Scene, size: tuple[int, int], cache: Path, out: Path) -> int:
+def make(title: str, scene: Scene, size: tuple[int, int], cache: Path, out: Path, bounces: int = 4) -> int:
     """Render what the cache lacks and write the capture into ``out``; return the number of texels of its mask."""
-    view = render.View(*size, samples=scene.samples, denoise=scene.denoise)
+    view = render.View(*size, samples=scene.samples, denoise=scene.denoise, bounces=bounces)
     directions = lights.grid_lights()
     intensities = lights.uneven_intensities(len(directions), *_INTENSITIES)
     render.empty_scene(view)

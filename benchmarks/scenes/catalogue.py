@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -47,6 +47,28 @@ def _made_scenes() -> dict[str, Scene]:
         "goblet_satin": Scene(subjects.goblet, brass_finish, saturated=0.02, samples=8, denoise=True),
         "cow_metalpaint": Scene(subjects.monkey, Finish(paint, (0.45, 0.45), 0.8), samples=8),
         "harvest_concave": Scene(subjects.harvest, parts, samples=8, denoise=True),
+    }
+
+
+def hollow_scenes() -> dict[str, Scene]:
+    """Return name → scene: hollows of one colour, and such as only look so."""
+    brass, mixed = (_made_scenes()[name] for name in ("goblet_satin", "harvest_concave"))
+    goblets = {
+        "copper": Finish(((0.95, 0.6, 0.5), (0.8, 0.45, 0.35)), (0.35, 0.35), 1.0),
+        "rose, matt": Finish(((0.8, 0.4, 0.4), (0.7, 0.3, 0.32)), (0.7, 0.7)),
+        "green enamel": Finish(((0.1, 0.45, 0.2), (0.15, 0.35, 0.15)), (0.15, 0.15)),
+        "patina": Finish(((0.6, 0.42, 0.22), (0.2, 0.35, 0.28)), (0.5, 0.5), 0.8),
+    }
+    fruits = {
+        "gold": Finish(((0.85, 0.6, 0.25), (0.7, 0.48, 0.2)), (0.4, 0.4), 1.0),
+        "bronze": Finish(((0.6, 0.38, 0.2), (0.5, 0.3, 0.15)), (0.3, 0.3), 0.9),
+        "terracotta": Finish(((0.7, 0.35, 0.22), (0.55, 0.25, 0.15)), (0.6, 0.6), specular=0.3),
+    }
+    return {
+        "goblet, brass": brass,
+        **{f"goblet, {name}": replace(brass, finish=finish) for name, finish in goblets.items()},
+        **{f"fruits, {name}": replace(brass, mesh=subjects.harvest, finish=finish) for name, finish in fruits.items()},
+        "fruits, seven materials": mixed,
     }
 
 
