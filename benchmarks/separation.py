@@ -65,9 +65,7 @@ def _errors(folder: Path, out: Path) -> dict[str, Any]:
         "known": float(error[seen & ~unknown].mean()),
         "unknown": float(unknown[seen].mean()),
         "chroma": float(colour[seen].mean()),
-        "separated": float((next(iter(read_exr(separated)[""].values()))[seen] > 0).mean())
-        if separated.exists()
-        else 0,
+        "separated": json.loads((out / "report.json").read_text()).get("separation", {"texels": 0})["texels"],
     }
 
 
