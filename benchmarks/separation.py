@@ -97,9 +97,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"Subjects rendered by Cycles ({width} × {height} pixels) under 96 lights with four bounces; their shape is not"
         " known. Cells: *standard* with `prefit_indirect_share=0` → *standard* (oracle: *standard*, from pictures"
-        " without bounces). *Separated*: texels with indirect light that its colour tells apart. *Unknown*: texels whose"
-        " normal the maps call unknown. Chroma: the sum of the differences of red, green and blue over their sum. †"
-        " looked at only here; with the others in view the limits were set. Where nothing is separated, the subject"
+        " without bounces). *Separated*: texels with indirect light that its colour tells apart. *Unknown*: texels"
+        " whose normal the maps call unknown. Chroma: the sum of the differences of red, green and blue over their sum."
+        " † looked at only here; with the others in view the limits were set. Where nothing is separated, the subject"
         " shows several colours, or what its shading calls indirect light is not coloured twice.",
         "",
         *report.table(heads, lines),

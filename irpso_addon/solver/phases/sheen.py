@@ -20,6 +20,9 @@ from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, normals_of
 # On a bunny whose base only darkens toward the terminator the prefit with sheen fits by a third better, and turns the
 # normals by 2.7°. There the mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
 _LEAST_FITNESS = 0.37
+# Of a texel's misfit. Where sheen lowers it so, the recovery's model, which has none, turns the normal for the worse.
+# On a rendered head of velvet their mean error falls from 14.9 to 14.6°; on metal paint it rises from 3.34 to 3.36°.
+_MUCH = 0.1
 
 
 class SheenPhase(NeighbourTest):
@@ -35,7 +38,7 @@ class SheenPhase(NeighbourTest):
         entry: Entry,
         measured: Mapping[str, np.ndarray],
     ):
-        self._prefits = dict(measured)
+        self._prefits, self._ratio = dict(measured), schedule.prefit.acceptance_ratio
         super().__init__(
             resolved, model, schedule, domain, estimates, entry, sheen_table(), "prefit/sheen.glsl", limits(schedule),
             fits_of(measured[FITNESS], measured[SHEEN][..., 3]),
@@ -50,11 +53,15 @@ class SheenPhase(NeighbourTest):
         yield from self._adopt.at_once(bands, self.estimates.resolved, inputs)
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what the prefits have measured, by name: of the chosen texels the fitness with sheen."""
+        """Return what the prefits have measured, by name: of the chosen texels the fitness with sheen.
+
+        Where sheen explains much it is divided by the acceptance ratio: a model without has to fit as well.
+        """
         yield
         chosen, known = self.read(self.decided)[..., 0] > 0, dict(self._prefits)
-        sheen = known.pop(SHEEN)
-        known[FITNESS] = np.where(chosen, sheen[..., 3], known[FITNESS])
+        fitness = known.pop(SHEEN)[..., 3]
+        strict = np.where(fitness < (1 - _MUCH) * known[FITNESS], fitness / np.float32(self._ratio), fitness)
+        known[FITNESS] = np.where(chosen, strict, known[FITNESS])
         return known
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
 from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
-_ROUNDS = 2  # of the neighbours' offers, with the normals held
+_ROUNDS = 2  # of the neighbours' offers, with the normals held, and of a prefit with sheen, which has two optima
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 
 
@@ -178,15 +178,15 @@ def _resolve_prefit(prefit: Prefit) -> list[Resolved]:
     first = _prefit_by(prefit_model(), prefit)
     resolved: list[Resolved] = [replace(first, seeks=prefit.indirect_shadow > 0)]
     if prefit.sheen_gain:
-        resolved += [replace(_prefit_by(prefit_model(sheen=True), prefit), sheen=True), ResolvedSheen()]
+        resolved += [replace(_prefit_by(prefit_model(sheen=True), prefit, _ROUNDS), sheen=True), ResolvedSheen()]
     if prefit.indirect_shadow:
         separation = [ResolvedSeparation()] if prefit.indirect_share else []
         resolved += [ResolvedIndirect(), *separation, replace(first, indirect=True)]
     return resolved
 
 
-def _prefit_by(model: ReflectanceModel, prefit: Prefit) -> ResolvedPrefit:
-    refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=0)
+def _prefit_by(model: ReflectanceModel, prefit: Prefit, rounds: int = 0) -> ResolvedPrefit:
+    refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=rounds)
     searched = tuple(p for p in model.parameters if p.kind == "search")
     solved = tuple(p for p in model.parameters if p.kind == "linear")
     stage = ResolvedSwarm(searched, prefit.iterations, solved=solved)

@@ -98,7 +98,9 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     assert 0.1 < chosen[domain.solvable].mean() < 0.9
     inside = domain.solvable
     np.testing.assert_allclose(found[inside], np.where(chosen[..., None], normals, up)[inside], atol=1e-6)
-    np.testing.assert_array_equal(known["prefit_fitness"][inside], np.where(chosen, second, first)[inside])
+    ratio = np.where(second < 0.9 * first, np.float32(SHEEN.prefit.acceptance_ratio), 1)
+    wanted = np.where(chosen, second / ratio, first)
+    np.testing.assert_allclose(known["prefit_fitness"][inside], wanted[inside], rtol=1e-6)
     assert set(known) == {"prefit_fitness"}
 
 
@@ -114,7 +116,7 @@ def whole():
 
 def test_sheen_is_tried_where_the_first_prefit_fits_badly_and_nowhere_else(recover):
     recovery = recover(velvet()[0], LAMBERT, SHORT)
-    recovery.step(iterations=14)
+    recovery.step(iterations=sum(stage.iterations for stage in recovery._stages[:2]))
     measured = recovery.state().arrays
     first, second = measured["prefit_fitness"].ravel(), measured["prefit_sheen"].reshape(-1, 4)[:, 3]
     badly = first >= 0.3
@@ -132,9 +134,10 @@ def test_tiles_find_the_same_maps(whole, resident):
         assert bits_of(recovery.maps(confidence=False)) == whole
 
 
-@pytest.mark.parametrize("iterations", [7, 10, 14, 15, 16])
+@pytest.mark.parametrize("iterations", [7, 10, 18, 30, 31, 32])
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
-    # After 7 the first prefit has ended, after 14 the one with sheen, after 15 the choice, after 16 the search.
+    # After 7 the first prefit has ended, after 18 the one with sheen is in a round of offers, after 30 it has ended, after
+    # 31 the choice, after 32 the search.
     first, second = (recover(velvet()[0], LAMBERT, SHORT) for _ in range(2))
     first.step(iterations=iterations)
     second.restore(first.state())
