@@ -136,8 +136,8 @@ def test_tiles_find_the_same_maps(whole, resident):
 
 @pytest.mark.parametrize("iterations", [7, 10, 18, 30, 31, 32])
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
-    # After 7 the first prefit has ended, after 18 the one with sheen is in a round of offers, after 30 it has ended, after
-    # 31 the choice, after 32 the search.
+    # After 7 the first prefit has ended, after 18 the one with sheen makes a round of offers, after 30 it has ended,
+    # after 31 the choice, after 32 the search.
     first, second = (recover(velvet()[0], LAMBERT, SHORT) for _ in range(2))
     first.step(iterations=iterations)
     second.restore(first.state())
