@@ -324,8 +324,9 @@ class Recovery(RecoveryEngine):
         """Hold what prefits that have ended measured, packed, by name. Yields where that takes long."""
         separation = measured.get(SEPARATION, np.zeros_like(self._textures.separation))
         if not np.array_equal(self._textures.separation, separation):
-            steps = separated_steps(self.domain, self._textures, separation, self.schedule)
+            steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
             self._textures, self._stack = yield from map_steps(steps, lambda part: None)
+            before.textures.pop("u_stack", None)  # a device need not hold two
             self._diagnostics.close()
             self._diagnostics = self._diagnosing()
             self._separation = self._unpacked_separation()
