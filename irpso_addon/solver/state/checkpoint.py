@@ -24,7 +24,7 @@ from ..kernels.kernels import model_includes
 from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
-_VERSION = 6
+_VERSION = 7
 _NOTE = "note_"  # prefix of the caller's own arrays in the file
 NEVER = -1  # in place of the evaluations at a begin from which the stage cannot be made again
 PHASE = "phase_"  # prefix of the arrays of the running phase
