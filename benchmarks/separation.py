@@ -1,4 +1,4 @@
-"""Hollows of one colour, recovered with and without their indirect light told apart by its colour.
+"""Hollows of one colour, recovered with and without separating their indirect light by its colour.
 
 Usage: python -m benchmarks.separation [--quick] [--again] [--output FOLDER]
 
@@ -97,7 +97,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"Subjects rendered by Cycles ({width} × {height} pixels) under 96 lights with four bounces; their shape is not"
         " known. Cells: *standard* with `prefit_indirect_share=0` → *standard* (oracle: *standard*, from pictures"
-        " without bounces). *Separated*: texels with indirect light that its colour tells apart. *Unknown*: texels"
+        " without bounces). *Separated*: texels whose indirect light was separated. *Unknown*: texels"
         " whose normal the maps call unknown. Chroma: the sum of the differences of red, green and blue over their sum."
         " † looked at only here; with the others in view the limits were set. Where nothing is separated, the subject"
         " shows several colours, or what its shading calls indirect light is not coloured twice.",
@@ -118,7 +118,7 @@ def headline(data: dict[str, Any]) -> str:
     return f"{first['subject']}: {', '.join(tilts)} (without, with, oracle)"
 
 
-PROGRAM = report.Program("separation", "Indirect light told apart by its colour", __file__, measure, write, headline)
+PROGRAM = report.Program("separation", "Indirect light separated by its colour", __file__, measure, write, headline)
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -125,6 +125,23 @@ def ended_prefit(recovery):
     return recovery.phase
 
 
+def resumed(recover, domain, model, schedule, iterations):
+    """Return the bits of two runs' maps: the second continues from the first one's checkpoint after some iterations."""
+    both = first, second = [recover(domain, model, schedule) for _ in range(2)]
+    first.step(iterations=iterations)
+    second.restore(first.state())
+    for recovery in both:
+        recovery.step()
+    return [bits_of(recovery.maps(confidence=False)) for recovery in both]
+
+
+def sliced(recovery):
+    """Return the bits of a run's maps that is made in short slices, and looked at after each."""
+    while not recovery.step(time_budget_s=0.002).done:
+        recovery.maps(confidence=False)
+    return bits_of(recovery.maps(confidence=False))
+
+
 def recoveries():
     """Yield a maker of recoveries and close them at the end, for a fixture."""
     from irpso_addon.solver.engine.recovery import Recovery  # needs Blender

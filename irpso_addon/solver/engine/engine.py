@@ -121,7 +121,7 @@ class RecoveryEngine(ABC):
 
     @property
     def separation(self) -> np.ndarray | None:
-        """(H, W, 5) float32 by which indirect light was told apart by its colour (state/separation.py); None: nowhere.
+        """(H, W, 5) float32 by which indirect light was separated by its colour (state/separation.py); None: nowhere.
 
         The same array as long as it is.
         """

@@ -22,10 +22,9 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.begin import MEASURED, begin_phase, check_seed, measured_by
 from ..phases.indirect import SHADOW
-from ..phases.neighbour_test import NeighbourTest
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
-from ..phases.prefit import FITNESS, AcceptanceTest, PrefitPhase
-from ..phases.separation import SEPARATION, SeparationPhase
+from ..phases.prefit import FITNESS, AcceptanceTest
+from ..phases.separation import SEPARATION
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
@@ -378,8 +377,8 @@ class Recovery(RecoveryEngine):
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
-        if isinstance(phase, PrefitPhase | NeighbourTest | SeparationPhase):
-            yield from self._take_prefit((yield from phase.measuring(self._bands, seconds)))
+        if (measured := (yield from phase.measuring(self._bands, seconds))) is not None:
+            yield from self._take_prefit(measured)
             self._give_stack()
         yield  # the last one: view() must not see a closed phase
         phase.close()

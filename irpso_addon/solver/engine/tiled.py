@@ -19,7 +19,7 @@ from ..settings.schedule import Schedule, refuse_levels
 from ..state import prepare
 from ..state.checkpoint import NEVER, Checkpoint
 from ..state.layout import TexelLayout, joined, numbered
-from ..state.separation import SEPARATED
+from ..state.textures import SEPARATED
 from .engine import Capabilities, RecoveryEngine
 from .halo import Box, held_rows, own_of, own_rows, part_of, rectangle
 from .lockstep import LocalTransport, LockStep

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -79,6 +79,11 @@ class Phase(Protocol):
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
         return False
+
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray] | None]:
+        """Return, after its end, what later phases need to know, packed, by name; None if it measures nothing."""
+        yield from ()
+        return None
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: what neighbours read of a texel; NaN where none is solved."""

@@ -269,6 +269,25 @@ def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
     return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, given))
 
 
+def adopt_where(
+    adopt: Pass,
+    bands: Bands,
+    domain: DomainTextures,
+    estimates: Estimates,
+    model: ReflectanceModel,
+    chosen: np.ndarray,
+    normals: np.ndarray,
+) -> Iterator[None]:
+    """Write normals (h, w, 3) into the resolved estimates where chosen (h, w) bool; elsewhere stay the current ones.
+
+    adopt: from ``adopt_pass``.
+    """
+    normals = np.where(chosen[..., None], normals, normals_of(estimates, model))
+    given = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
+    inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": given}
+    yield from adopt.at_once(bands, estimates.resolved, inputs)
+
+
 def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
     packed = kernels.packed(model)
     samplers: Samplers = {

@@ -8,18 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.steps import map_steps
-from ...gpu import textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.prepare import lambert_steps
-from ..state.separation import SEPARATED, SeparatedStack, direct_chroma, evidence_of, separation_steps
-from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
+from ..state.separation import SeparatedStack, direct_chroma, evidence_of, separation_steps
+from ..state.textures import SEPARATED, SOLVED, DomainTextures, Estimates, texel_states
 from .indirect import SHADOW
 from .mixture import sampled
 from .phase import Phase
-from .prefit import adopt_pass, normals_of
+from .prefit import adopt_pass, adopt_where
 
 SEPARATION = "prefit_separation"
 REACH = 1  # an iteration that needs the whole domain's sample has a reach
@@ -97,12 +96,8 @@ class SeparationPhase(Phase):
         separated = SeparatedStack(domain.stack, domain.intensities, self._separation)
         steps = lambert_steps(replace(domain, stack=separated, solvable=chosen))
         normal, _ = yield from map_steps(steps, lambda part: None)
-        normals = np.where(
-            packing.pack(chosen)[..., None], packing.pack(normal), normals_of(self._estimates, self._model)
-        )
-        given = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
-        inputs = {**self._estimates.bindings(), **self._domain.textures, "u_prefit_0": given}
-        yield from self._adopt.at_once(bands, self._estimates.resolved, inputs)
+        held = self._domain, self._estimates, self._model
+        yield from adopt_where(self._adopt, bands, *held, packing.pack(chosen), packing.pack(normal))
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
         """Return what is known by name, packed: with (h, w, 5) of ``separation_of``."""

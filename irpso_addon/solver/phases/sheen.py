@@ -6,7 +6,6 @@ from collections.abc import Generator, Iterator, Mapping
 
 import numpy as np
 
-from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
@@ -15,7 +14,7 @@ from ..settings.schedule import Schedule
 from ..state.phase_textures import sheen_table
 from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, normals_of
+from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, adopt_where
 
 # On a bunny whose base only darkens toward the terminator the prefit with sheen fits by a third better, and turns the
 # normals by 2.7°. There the mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
@@ -47,10 +46,8 @@ class SheenPhase(NeighbourTest):
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals that are chosen into the resolved estimates."""
-        chosen = self.read(self.decided) > 0
-        normals = np.where(chosen, self._prefits[SHEEN][..., :3], normals_of(self.estimates, self.model))
-        inputs = {**self.estimates.bindings(), **self.domain.textures, "u_prefit_0": textures.upload(_rgba(normals))}
-        yield from self._adopt.at_once(bands, self.estimates.resolved, inputs)
+        chosen, normals = self.read(self.decided)[..., 0] > 0, self._prefits[SHEEN][..., :3]
+        yield from adopt_where(self._adopt, bands, self.domain, self.estimates, self.model, chosen, normals)
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
         """Return what the prefits have measured, by name: of the chosen texels the fitness with sheen.
@@ -80,7 +77,3 @@ def fits_of(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def limits(schedule: Schedule) -> dict[str, float]:
     """Return the limits of the test."""
     return {"LEAST_FITNESS": _LEAST_FITNESS, "SHEEN_GAIN": schedule.prefit.sheen_gain}
-
-
-def _rgba(values: np.ndarray) -> np.ndarray:
-    return np.pad(values, ((0, 0), (0, 0), (0, 1))).astype(np.float32)

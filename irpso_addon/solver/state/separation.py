@@ -1,4 +1,4 @@
-"""Direct and indirect light told apart by their colour.
+"""Direct and indirect light, separated by their colour.
 
 Light that one coloured surface throws on another of its kind is coloured twice: of brass whose direct light has the
 chroma u, it has about u², after more bounces u³ and so on. So a sample in a hollow is a mixture of u, u² and u⁴
@@ -22,12 +22,11 @@ from ...geometry.samples import SampleStack
 from ...gpu.library import defined
 from ..settings.schedule import Schedule
 from .prepare import Prepared, Texels, chunk_steps, percentiles, scale_steps
-from .textures import DomainTextures
+from .textures import SEPARATED, DomainTextures
 
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
 
-SEPARATED = 5  # numbers of a texel
 # Of a texel's scale: below it a sample whose indirect light was taken off counts as shadow.
 SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 

@@ -17,6 +17,7 @@ from .packing import Packing
 
 UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # the fitness of what was never evaluated
 OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
+SEPARATED = 5  # numbers of a texel's separation (separation.py)
 
 
 class DomainTextures:
@@ -39,7 +40,7 @@ class DomainTextures:
         separation: np.ndarray | None = None,
     ):
         self.domain, self.packing = domain, packing
-        self.separation = np.zeros((*scale.shape, 5), np.float32) if separation is None else separation
+        self.separation = np.zeros((*scale.shape, SEPARATED), np.float32) if separation is None else separation
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = kernel_defines(domain)
         self.scale, self.shadow = scale, np.zeros_like(scale)

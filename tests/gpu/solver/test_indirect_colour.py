@@ -8,7 +8,7 @@ import pytest
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from tests.builders.domains import bits_of, degrees, recoveries
+from tests.builders.domains import bits_of, degrees, recoveries, resumed, sliced
 from tests.gpu.solver.test_indirect_shadow import RAISED
 from tests.gpu.solver.test_indirect_shadow import SHORT as RAISED_SHORT
 from tests.gpu.solver.test_indirect_shadow import corner as corner_of
@@ -77,20 +77,11 @@ def test_tiles_find_the_same_maps(whole, resident):
 @pytest.mark.parametrize("iterations", [8, 9, 10, 12, 17])
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
     # After 8 the shadow is there, after 9 the two chromas, then the second prefit and what follows it.
-    domain = corner()[0]
-    first, second = (recover(domain, LAMBERT, SHORT) for _ in range(2))
-    first.step(iterations=iterations)
-    second.restore(first.state())
-    for recovery in (first, second):
-        recovery.step()
-        assert bits_of(recovery.maps(confidence=False)) == whole[0]
+    assert resumed(recover, corner()[0], LAMBERT, SHORT, iterations) == [whole[0], whole[0]]
 
 
 def test_slices_of_time_change_nothing(whole, recover):
-    recovery = recover(corner()[0], LAMBERT, SHORT)
-    while not recovery.step(time_budget_s=0.002).done:
-        recovery.maps(confidence=False)
-    assert bits_of(recovery.maps(confidence=False)) == whole[0]
+    assert sliced(recover(corner()[0], LAMBERT, SHORT)) == whole[0]
 
 
 def test_a_run_that_goes_on_without_it_has_all_its_light_again(recover):

@@ -18,7 +18,18 @@ from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import around, bits_of, degrees, ended_prefit, make_domain, pack_layers, recoveries, unit
+from tests.builders.domains import (
+    around,
+    bits_of,
+    degrees,
+    ended_prefit,
+    make_domain,
+    pack_layers,
+    recoveries,
+    resumed,
+    sliced,
+    unit,
+)
 from tests.oracles import confidence as confidence_oracle
 
 LAMBERT = load_model("lambert")
@@ -146,20 +157,11 @@ def test_tiles_find_the_same_maps(whole, resident):
 @pytest.mark.parametrize("iterations", [6, 7, 8, 10, 16])
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
     # After 7 the evidence is there, after 8 the shadow, then the second prefit and what follows it.
-    domain = corner()[0]
-    first, second = (recover(domain, LAMBERT, SHORT) for _ in range(2))
-    first.step(iterations=iterations)
-    second.restore(first.state())
-    for recovery in (first, second):
-        recovery.step()
-        assert bits_of(recovery.maps(confidence=False)) == whole
+    assert resumed(recover, corner()[0], LAMBERT, SHORT, iterations) == [whole, whole]
 
 
 def test_slices_of_time_change_nothing(whole, recover):
-    recovery = recover(corner()[0], LAMBERT, SHORT)
-    while not recovery.step(time_budget_s=0.002).done:
-        recovery.maps(confidence=False)
-    assert bits_of(recovery.maps(confidence=False)) == whole
+    assert sliced(recover(corner()[0], LAMBERT, SHORT)) == whole
 
 
 def test_without_the_raised_shadow_a_run_that_goes_on_counts_all_samples_again(recover):

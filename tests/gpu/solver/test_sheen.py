@@ -18,7 +18,7 @@ from irpso_addon.solver.settings.resolve import ResolvedSheen
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import around, bits_of, degrees, make_domain, pack_layers, recoveries, unit
+from tests.builders.domains import around, bits_of, degrees, make_domain, pack_layers, recoveries, resumed, sliced, unit
 
 LAMBERT = load_model("lambert")
 SHEEN = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0, surface_rounds=0,
@@ -138,16 +138,8 @@ def test_tiles_find_the_same_maps(whole, resident):
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
     # After 7 the first prefit has ended, after 18 the one with sheen makes a round of offers, after 30 it has ended,
     # after 31 the choice, after 32 the search.
-    first, second = (recover(velvet()[0], LAMBERT, SHORT) for _ in range(2))
-    first.step(iterations=iterations)
-    second.restore(first.state())
-    for recovery in (first, second):
-        recovery.step()
-        assert bits_of(recovery.maps(confidence=False)) == whole
+    assert resumed(recover, velvet()[0], LAMBERT, SHORT, iterations) == [whole, whole]
 
 
 def test_slices_of_time_change_nothing(whole, recover):
-    recovery = recover(velvet()[0], LAMBERT, SHORT)
-    while not recovery.step(time_budget_s=0.002).done:
-        recovery.maps(confidence=False)
-    assert bits_of(recovery.maps(confidence=False)) == whole
+    assert sliced(recover(velvet()[0], LAMBERT, SHORT)) == whole

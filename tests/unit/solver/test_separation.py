@@ -1,4 +1,4 @@
-"""Direct and indirect light told apart by their colour: against scipy's non-negative least squares in float64."""
+"""Direct and indirect light, separated by their colour: against scipy's non-negative least squares in float64."""
 
 from dataclasses import replace
 
