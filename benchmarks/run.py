@@ -32,6 +32,7 @@ from benchmarks import (
     report,
     road,
     scenes_table,
+    seams,
     separation,
     swarm_quality,
     swarm_scaling,
@@ -41,6 +42,7 @@ from benchmarks import (
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
     swarm_scaling, recovery_scaling, killed, window, road, interreflection, separation, balls,
+    seams,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {

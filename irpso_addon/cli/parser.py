@@ -204,7 +204,7 @@ def _add_tile(commands: argparse._SubParsersAction) -> None:
         "--size", type=int, metavar="N", help="texels of a side (default: the power of two that is filled)"
     )
     add.add_argument("--overlap", type=float, metavar="SHARE",
-                     help="of the side, which the joint takes (default 0.25)")  # fmt: skip
+                     help="of the side, which the joint takes (default: 0.2 to 0.4, where the ends match)")  # fmt: skip
     add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)
 

@@ -11,7 +11,6 @@ from ..core.errors import InputError
 from ..exports.result import Result, read_result
 from ..exports.tile import Tile, tiled
 from ..results.maps import Maps
-from ..results.seamless import OVERLAP
 from ..results.write import BLEND, check_output_folder, write_maps
 from .options.values import silent
 
@@ -22,7 +21,7 @@ def run(options: Namespace) -> dict:
     """Cut all maps along one path, and write them as a result. Raises InputError; then nothing is written."""
     result = read_result(options.result, options.model)
     folder = _checked(options, result)
-    tile = tiled(result.maps, result.height is not None, options.size, options.overlap or OVERLAP)
+    tile = tiled(result.maps, result.height is not None, options.size, options.overlap)
     report = tile.report(result.report)
     write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
     _write_material(tile.maps, folder.resolve().name, folder)
@@ -53,9 +52,9 @@ def _write_material(maps: Maps, name: str, folder: Path) -> None:
 
 
 def _summary(name: str, tile: Tile, folder: Path) -> str:
-    rows, (_, _, side) = len(tile.maps.covered), tile.cut.crop
+    rows, (_, _, side), (across, up) = len(tile.maps.covered), tile.cut.crop, tile.cut.period
     return (
-        f"{rows} × {rows} texels of the {side} × {side} of {name}, written to {folder}\n"
+        f"{rows} × {rows} texels, written to {folder}; {across} × {up} of the {side} × {side} of {name} repeat\n"
         f"steps across the path are {tile.cut.seam:.2f} times those elsewhere (repeated as it is:"
         f" {tile.cut.plain:.2f})\n"
     )

@@ -14,7 +14,7 @@ from ..results.derived_map import DerivedMap, height_map
 from ..results.maps import Maps
 from ..results.preview import display_image, gallery
 from ..results.report import plain
-from ..results.seamless import OVERLAP, Seamless, seamless
+from ..results.seamless import Seamless, seamless
 
 _REPEATS = 3
 
@@ -35,12 +35,15 @@ class Tile:
     def report(self, former: Mapping[str, Any]) -> dict[str, Any]:
         """Return the report, which keeps the model and the settings of the maps' own."""
         x, y, side = self.cut.crop
-        seams = {"seam": round(self.cut.seam, 4), "seam_of_plain_repetition": round(self.cut.plain, 4)}
+        seams = {
+            "square": [x, y, side], "period": list(self.cut.period), "seam": round(self.cut.seam, 4),
+            "seam_of_plain_repetition": round(self.cut.plain, 4),
+        }  # fmt: skip
         kept = {name: former[name] for name in ("model", "settings", "seed", "versions") if name in former}
         rows, columns = self.maps.covered.shape
         more = {} if self.height is None else {"height": self.height.described()}
         shape = {"size": [columns, rows], "texels": rows * columns}
-        return plain({**kept, **shape, **more, "tile": {"square": [x, y, side], **seams}})
+        return plain({**kept, **shape, **more, "tile": seams})
 
     def picture(self) -> np.ndarray:
         """Return (H, W, 3) display values: the maps, three times in each direction, side by side."""
@@ -50,7 +53,7 @@ class Tile:
         return gallery(f"{_REPEATS} × {_REPEATS}", [np.tile(image, (_REPEATS, _REPEATS, 1)) for image in shown], names)
 
 
-def tiled(maps: Maps, relief: bool, size: int | None = None, overlap: float = OVERLAP) -> Tile:
+def tiled(maps: Maps, relief: bool, size: int | None = None, overlap: float | None = None) -> Tile:
     """Return a card's maps as ones that repeat; see ``seamless``. relief: also its heights. Raises InputError."""
     cut = seamless(maps.model, maps.values, maps.covered, size, overlap)
     side = len(next(iter(cut.values.values())))

@@ -15,7 +15,10 @@ from ..core.errors import InputError
 from ..core.filters import blurred
 from ..reflectance.model import ReflectanceModel
 
-OVERLAP = 0.25  # of the side
+_OVERLAPS = 0.2, 0.4  # of the side: between these the overlap is chosen
+_ALIKE = 1.2  # of the least cost of a path: among overlaps so good the smallest are taken
+_STRETCH = 0.03  # by which one direction may be stretched against the other
+_SEARCHED = 256  # texels of a side that is searched for the overlap
 _LEAST = 32  # texels of a side
 _FREE = 0.3  # of the overlap at each side, which the path keeps away from
 _FINEST, _WIDEST = 1.0, 1 / 20  # deviations of the blend's bands: texels, of the overlap; six are _FREE
@@ -25,41 +28,46 @@ _SMOOTH = 1.0  # texels: differences are compared in the mean of their surroundi
 @dataclass(frozen=True)
 class Seamless:
     """values: parameter name → (N, N, components), which continue at their opposite borders. crop: x, y and side of
-    the square of the card that is used, from the lower left. seam: differences between neighbours across the paths,
-    over those of all neighbours in this direction: 1 is no seam; plain: those of the square repeated as it is.
+    the square of the card that is used, from the lower left. period: its columns and rows that repeat. seam:
+    differences between neighbours across the paths, over those of all neighbours in this direction: 1 is no seam;
+    plain: those of the square repeated as it is.
     """
 
     values: dict[str, np.ndarray]
     crop: tuple[int, int, int]
+    period: tuple[int, int]
     seam: float
     plain: float
 
 
 def seamless(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], covered: np.ndarray, size: int | None = None,
-    overlap: float = OVERLAP,
+    overlap: float | None = None,
 ) -> Seamless:  # fmt: skip
     """Return maps that repeat. values: (H, W, components); covered: (H, W) bool.
 
     The largest square of covered texels is used. size: texels of a side, by default the power of two that the card's
-    texels fill. overlap: of the square's side, which is lost to the blend. Raises InputError where the square is too
-    small.
+    texels fill; 0: those of the period, which may be no square. overlap: of the square's side, which is lost to the
+    blend; by default the one whose ends match, so that a weave or a bond of bricks continues. Raises InputError where
+    the square is too small.
     """
     x, y, side = largest_square(covered)
-    over = 2 * round(overlap * side / 2)
-    if side < _LEAST or side - over < _LEAST // 2:
+    if side < _LEAST or side * (1 - (overlap or 0)) < _LEAST // 2:
         raise InputError(f"the card's largest square without holes has {side} texels a side; {_LEAST} are needed")
     names = [parameter.name for parameter in model.parameters]
     square = {name: np.asarray(values[name], np.float64)[y : y + side, x : x + side] for name in names}
     stack = np.concatenate([square[name] for name in names], axis=-1)
     scale = np.concatenate([_scale(model, name, square[name]) for name in names])
+    over, above = (round(overlap * side),) * 2 if overlap else _matching_overlaps(stack / scale)
     plain = _steps_over_wrap(stack / scale)
     across, first = _joined(stack, scale, over, wraps=False)
-    turned, second = _joined(across.swapaxes(0, 1), scale, over, wraps=True)
+    turned, second = _joined(across.swapaxes(0, 1), scale, above, wraps=True)
     whole = turned.swapaxes(0, 1)
+    period = (side - over, side - above)
     seam = float(np.mean([first, second]))
-    size = size or 2 ** int(np.log2(side - over))
-    whole = _resized(_resized(whole, size).swapaxes(0, 1), size).swapaxes(0, 1)
+    if size != 0:
+        size = size or 2 ** int(np.log2(min(period)))
+        whole = _resized(_resized(whole, size).swapaxes(0, 1), size).swapaxes(0, 1)
     found, at = {}, 0
     for parameter in model.parameters:
         part = whole[..., at : at + square[parameter.name].shape[-1]]
@@ -67,7 +75,7 @@ def seamless(
         if parameter.is_normal:
             part = part / np.maximum(np.linalg.norm(part, axis=-1, keepdims=True), 1e-9)
         found[parameter.name] = np.clip(part, *parameter.range).astype(np.float32)
-    return Seamless(found, (x, y, side), seam, plain)
+    return Seamless(found, (x, y, side), period, seam, plain)
 
 
 def largest_square(covered: np.ndarray) -> tuple[int, int, int]:
@@ -103,18 +111,59 @@ def _joined(stack: np.ndarray, scale: np.ndarray, over: int, wraps: bool) -> tup
 
     wraps: the rows continue already; then the path does, too.
     """
-    left, right = stack[:, :over], stack[:, -over:]
-    cost = (((left - right) / scale) ** 2).sum(axis=-1)
-    cost = blurred(np.pad(cost, ((over, over), (0, 0)), mode="wrap"), _SMOOTH)[over:-over] if wraps else blurred(
-        cost, _SMOOTH)  # fmt: skip
-    free = round(_FREE * over)
-    path = free + cheapest_path(cost[:, free : over - free], wraps)
+    cost = _path_costs(stack / scale, over, wraps)
+    path = (over - cost.shape[1]) // 2 + cheapest_path(cost, wraps)
     mask = (np.arange(over) < path[:, None]).astype(np.float64)  # 1 where the right end is seen
     blend = _blended(stack, over, mask, wraps)
     whole = np.concatenate([blend, stack[:, over:-over]], axis=1)
     rows = np.arange(len(whole))
     steps = np.abs(np.diff(whole / scale, axis=1)).sum(axis=-1)
     return whole, float(steps[rows, path - 1].mean() / steps.mean())
+
+
+def _path_costs(stack: np.ndarray, over: int, wraps: bool) -> np.ndarray:
+    """Return (H, W) how different both ends of maps in their scales are, where a path may run in their overlap."""
+    cost = ((stack[:, :over] - stack[:, -over:]) ** 2).sum(axis=-1)
+    cost = blurred(np.pad(cost, ((over, over), (0, 0)), mode="wrap"), _SMOOTH)[over:-over] if wraps else blurred(
+        cost, _SMOOTH)  # fmt: skip
+    free = round(_FREE * over)
+    return cost[:, free : over - free]
+
+
+def _matching_overlaps(stack: np.ndarray) -> tuple[int, int]:
+    """Return the overlaps along rows and along columns, in texels, at which the ends of maps (N, N, C), in their
+    scales, match; what is left of both directions differs by _STRETCH at most.
+
+    They are looked for in means of equal parts, and then texel by texel around the best.
+    """
+    side = len(stack)
+    step = -(-side // _SEARCHED)
+    cut = side // step * step
+    coarse = stack[:cut, :cut].reshape(cut // step, step, cut // step, step, -1).mean(axis=(1, 3))
+    low, high = (round(share * side / step) for share in _OVERLAPS)
+    tried = np.arange(low, high + 1)
+    rows, columns = (_least_costs(maps, tried) for maps in (coarse, coarse.swapaxes(0, 1)))
+    left = cut // step - tried
+    costs = rows[:, None] + columns
+    costs[np.abs(np.log(left[:, None] / left)) > np.log1p(_STRETCH)] = np.inf
+    good = costs <= _ALIKE * costs.min()
+    chosen = np.unravel_index(np.where(good, np.add.outer(left, left), 0).argmax(), costs.shape)
+    if step == 1:
+        return int(tried[chosen[0]]), int(tried[chosen[1]])
+    found = []
+    for at, maps in zip(chosen, (stack, stack.swapaxes(0, 1)), strict=True):
+        near = step * int(tried[at]) + np.arange(-step, step + 1)
+        found.append(int(near[_least_costs(maps, near).argmin()]))
+    return found[0], found[1]
+
+
+def _least_costs(stack: np.ndarray, overlaps: np.ndarray) -> np.ndarray:
+    """Return the mean cost of the cheapest path through each overlap along the rows."""
+    found = []
+    for over in overlaps:
+        cost = _path_costs(stack, int(over), wraps=False)
+        found.append(cost[np.arange(len(cost)), cheapest_path(cost)].mean())
+    return np.array(found)
 
 
 def cheapest_path(cost: np.ndarray, wraps: bool = False) -> np.ndarray:

@@ -71,6 +71,19 @@ def test_smooth_maps_have_no_jump_anywhere_not_even_where_the_paths_close():
             assert over_border.max() < np.quantile(steps, 0.999)
 
 
+def test_the_joint_is_as_wide_as_a_pattern_needs_to_continue():
+    """Waves of 34 columns and 29 rows with some grain; at a quarter of the side 8.8 and 10.3 of them would repeat."""
+    values, covered = maps((400, 400), seed=5), np.ones((400, 400), bool)
+    x, y = np.meshgrid(2 * np.pi * np.arange(400) / 34, 2 * np.pi * np.arange(400) / 29)
+    pattern = np.stack([0.5 + 0.2 * np.sin(x + c) * np.cos(y - c) for c in range(3)], axis=-1)
+    values["base_color"] = pattern + 0.02 * (values["base_color"] - 0.5)
+    found = seamless(MODEL, values, covered)
+    assert (found.period[0] + 2) % 34 <= 4 and (found.period[1] + 2) % 29 <= 4
+    assert found.period[0] / found.period[1] == pytest.approx(1, abs=0.035)
+    given = seamless(MODEL, values, covered, overlap=0.25)
+    assert given.period == (300, 300) and given.seam > 1.1 * found.seam
+
+
 def test_a_slow_change_of_colour_ends_nowhere():
     values = maps((160, 160), seed=3)
     values["base_color"] = np.clip(values["base_color"] + np.linspace(-0.2, 0.2, 160)[:, None], 0, 1)
