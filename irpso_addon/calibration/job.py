@@ -28,6 +28,7 @@ from .photographs import calibrated_table
 AUTO = "auto"
 _FEWEST = 0.5  # fraction of the photographs that must show a light
 _SEARCH = 0.7  # fraction of the work
+_PHONE, _MATTERS = 65.0, 2.0  # degrees: over a phone's picture, and by which lights may be off
 _FAR, _SIGNIFICANT = 5.0, 5.0  # picture widths to a distant lamp; standard errors
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
@@ -167,7 +168,10 @@ def calibrate_steps(
             f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - shown} of {len(shots)}"
             " photographs show no light; check --ball and --kind)"
         )
-    warnings = [*_doubts(found), *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings)]
+    warnings = [
+        *_unknown_lens(spec.views[number], camera, balls), *_doubts(found), *near_lamps(found, result, camera),
+        *(w for ball in balls for w in ball.warnings),
+    ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
@@ -197,6 +201,24 @@ def _too_small(ball: FoundBall, camera: Camera) -> InputError:
         f"the {ball.kind} ball at {x:.0f},{camera.height - y:.0f} has a radius of {ball.radius:.0f} pixels, too small"
         " for the search to measure it; paint a mask that is white on the ball, or give its place as X,Y,R (--ball)"
     )
+
+
+def _unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[str]:
+    """Return a warning where nothing states the lens and balls lie far enough off the axis for it to matter.
+
+    Rays of a lens that is taken as orthographic are off by their angle to the axis, and so are the lights.
+    """
+    if camera.perspective or view.lens:
+        return []
+    middles = np.array([ball.outline[:-1].mean(axis=0) for ball in balls])
+    away = np.linalg.norm(middles - (camera.width / 2, camera.height / 2), axis=-1).max() / (camera.width / 2)
+    degrees = np.degrees(np.arctan(away * np.tan(np.radians(_PHONE / 2))))
+    if degrees < _MATTERS:
+        return []
+    return [
+        f"nothing states the lens, so it is taken as very long; if it is a phone's ({_PHONE:.0f}° over the width), the"
+        f" lights are off by about {degrees:.0f}°: give --fov"
+    ]
 
 
 def _doubts(found: Sequence[FoundBall]) -> list[str]:
@@ -231,6 +253,11 @@ def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: fl
     """Raise InputError where a distance has no unit."""
     if request.distance is None:
         return
+    if radius is not None and request.distance <= radius:
+        raise InputError(
+            f"--distance {request.distance:g}: puts the lamps into the ball, whose --radius is {radius:g}; give both in"
+            " one unit"
+        )
     if camera.perspective and radius is None:
         raise InputError("--distance: needs --radius, which sets its unit (--radius 1: the distance is in radii)")
     if not camera.perspective and not view.lens:

@@ -53,7 +53,7 @@ def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:
         if path.is_dir():
             return _spec_of_folder(path, colour_space)
         if not path.exists():
-            raise CaptureError(f"{path}: is not there; give the path of a capture ({_REMEDY})", "missing")
+            raise CaptureError(f"{path}: is not there; give the path of a capture ({_REMEDY})", "capture")
     except PermissionError as error:
         raise CaptureError(f"{path}: cannot be opened; check its permissions", "missing") from error
     if path.suffix.lower() == ".toml":

@@ -30,7 +30,7 @@ from ..pipeline.known_shape import KnownShape, known_shape_steps
 from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
 from .options.job import subject_of
-from .options.values import numbers_of_text, positive, silent
+from .options.values import numbers_of_text, positive, silent, warn_quietly
 from .options.videos import frames_of_videos
 
 NONE = "none"  # in place of a ball
@@ -68,6 +68,7 @@ def _calibrated(options: Namespace) -> dict:
     report = report_of(found)
     if not silent(options):
         sys.stdout.write(_summary(found, out, options.radius))
+    warn_quietly(options, found.warnings)
     errors = [light.error for light in found.result.lights if light.light is not None]
     return {
         "output": str(out),
@@ -174,6 +175,7 @@ def _written_without_ball(
     if not silent(options):
         lines = [line, *(f"warning: {warning}" for warning in found.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")
+    warn_quietly(options, found.warnings)
     return {"output": str(out), **report, "photographs": len(found.lights), "lights": len(found.lights)}
 
 
@@ -229,7 +231,7 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
     for ball in (view.ball for view in result.views):
         lines.append(f"{ball.name}: radius {ball.radius_px:.1f} pixels, error of the outline {ball.error_px[0]:.2f}")
     if not camera.perspective:
-        lines.append("camera: orthographic; if the lens is not very long, give --fov or --camera")
+        lines.append("camera: orthographic")
     elif result.near and radius is None:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
     if result.near and found.spec.card_distance is None and len(found.spec.views) == 1:

@@ -32,7 +32,7 @@ from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
-from .options.values import shelf_of, silent
+from .options.values import shelf_of, silent, warn_quietly
 
 PREVIEW = "preview"  # folder of a long recovery's preview, in the result's, and the setting that its report has
 _LONG = 1200  # foreseen seconds from which on there is one by itself
@@ -146,8 +146,7 @@ def _recovered(options: Namespace, run: Run) -> dict:
         (folder / name).unlink(missing_ok=True)
     if not silent(options):
         sys.stdout.write(_summary(report, folder, time.perf_counter() - started))
-    elif options.quiet and not options.json:
-        sys.stderr.write("".join(f"irpso: warning: {text}\n" for text in report["warnings"]))
+    warn_quietly(options, report["warnings"])
     return {"output": str(folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 
 

@@ -112,6 +112,8 @@ def _report(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder / REPORT}: cannot be read ({error}); recover again") from error
     if not isinstance(report, dict):
         raise InputError(f"{folder / REPORT}: is no report of a result; recover again")
+    if "model" not in report and "slots" not in report:
+        raise InputError(f"{folder}: holds no result of recover; give the folder that recover wrote with -o")
     if isinstance(report.get("slots"), dict):
         names = ", ".join(f"'{folder / name}'" for name in report["slots"])
         raise InputError(f"{folder}: holds a result for each material slot; give one of their folders: {names}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
+from ..capture.inspect.room_light import message as room_light_message
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.optional import present
@@ -23,6 +24,7 @@ from ..results.derived_maps import DerivedMaps, derived_maps
 from ..results.maps import Maps
 from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
 from ..solver.lights.refine import contradiction
+from ..solver.lights.room_light import room_light
 from ..solver.views.held_out import preview_names
 from ..solver.views.pictures import confidence_preview, error_preview
 from .job import Job
@@ -97,14 +99,16 @@ def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
 
 
 def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
-    """Return doubts about estimated lights, or about intensities that the capture does not state."""
+    """Return doubts: room light, estimated lights, or intensities that the capture does not state."""
     job, lights = run.job, run.lights
+    fitted = subset(domain, job.fitted)
+    found = [text] if (text := room_light_message(room_light(fitted, job.seed))) else []
     if lights is not None and (lights.factors != 1).any():
-        return lights.warnings(job.lights.intensities == "estimate")
+        return found + lights.warnings(job.lights.intensities == "estimate")
     if any(tuple(observation.light.intensity) != _GIVEN_AS_ONE for observation in job.capture.observations):
-        return []
-    text = contradiction(subset(domain, job.fitted), maps.model, maps.values, frozenset(job.fixed), job.seed)
-    return [text] if text else []
+        return found
+    text = contradiction(fitted, maps.model, maps.values, frozenset(job.fixed), job.seed)
+    return [*found, text] if text else found
 
 
 def pictures_of(run: Run, found: Found) -> dict[str, np.ndarray]:

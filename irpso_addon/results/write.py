@@ -19,6 +19,7 @@ from ..core.errors import InputError
 from ..core.files import synced
 from ..core.png import encode_png
 from ..core.udim import tile_part, tile_stem
+from ..reflectance.model import ReflectanceModel
 from .derived_map import DerivedMap
 from .map_tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
 from .maps import Maps, split_maps
@@ -28,6 +29,9 @@ REPORT = "report.json"
 BLEND = "material.blend"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
 _PARTIAL = ".irpso-result-"  # prefix of a folder with a result being written
+# Files that results have beside the maps of their model.
+_BESIDE = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect", "normal_object",
+           "normal_world", "normal_directx")  # fmt: skip
 
 
 def check_output_folder(folder: str | Path) -> Path:
@@ -48,6 +52,22 @@ def check_output_folder(folder: str | Path) -> Path:
             return folder
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+
+
+def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
+    """Raise InputError where a result of ``model`` in ``folder`` would replace a file that no former result wrote."""
+    stems = {table.name for table in map_tables(model)} | set(_BESIDE)
+    names = [path.name for path in sorted(folder.iterdir())] if folder.is_dir() else []
+    ours = [n for n in names if n in (REPORT, BLEND) or (_OWN_FILE.match(n) and n.partition(".")[0] in stems)]
+    if foreign := _first_foreign(folder, ours, _former_files(folder)):
+        raise InputError(
+            f"{folder / foreign}: would be replaced, and is not of a former result; choose another folder, or move it"
+        )
+
+
+def _first_foreign(folder: Path, names: Sequence[str], former: set[str]) -> str | None:
+    """Return the first of these names that ``folder`` has, and a former result of these files has not."""
+    return next((name for name in names if name not in former and (folder / name).exists()), None)
 
 
 def write_maps(
@@ -73,13 +93,15 @@ def write_maps(
     created = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        former = _former_files(folder)
         for left in folder.glob(f"{_PARTIAL}*"):  # of a process that was killed
             shutil.rmtree(left, ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
             names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
             names += _write_derived(derived, maps.tiles, Path(temporary))
             _write_report(Path(temporary), report, tables, derived, names)
-            former = _former_files(folder)
+            if foreign := _first_foreign(folder, [*names, REPORT], former):
+                raise InputError(f"{foreign} is not of a former result")
             # The report is last: every file that a report lists exists.
             for name in (*names, REPORT):
                 synced(Path(temporary) / name)
@@ -90,7 +112,7 @@ def write_maps(
         _remove_empty(created)
         why = error.strerror or error if isinstance(error, OSError) else error
         raise InputError(f"{folder}: the result cannot be written ({why}); choose another folder") from error
-    for name in former - set(names):
+    for name in former - {*names, REPORT, BLEND}:
         (folder / name).unlink(missing_ok=True)
     return [folder / name for name in (*names, REPORT)]
 
@@ -177,12 +199,16 @@ def _write_report(
 
 
 def _former_files(folder: Path) -> set[str]:
-    """Return the files listed in the report of a former result in this folder."""
-    try:
-        listed = json.loads((folder / REPORT).read_text(encoding="utf-8"))["files"]
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
-        return set()
-    return {n for n in listed if isinstance(n, str) and _OWN_FILE.match(n)} if isinstance(listed, list) else set()
+    """Return the files of the result in this folder, and of one whose process was killed while it moved them here."""
+    found = set()
+    for report in (folder / REPORT, *folder.glob(f"{_PARTIAL}*/{REPORT}")):
+        try:
+            listed = json.loads(report.read_text(encoding="utf-8"))["files"]
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            continue
+        if isinstance(listed, list):
+            found |= {REPORT, BLEND, *(name for name in listed if isinstance(name, str) and _OWN_FILE.match(name))}
+    return found
 
 
 def _remove_empty(folders: list[Path]) -> None:

@@ -256,7 +256,10 @@ def _decision(intersections: Sequence[Intersection], request: Request, balls: in
 def _contradiction(row: Sequence[Sight | None], intersection: Intersection) -> list[str]:
     expected = np.sqrt(np.mean([s.error**2 for s in row if s is not None]))
     if intersection.misfit > max(_APART * expected, np.radians(_APART_DEGREES)):
-        return [f"the balls disagree by {np.degrees(intersection.misfit):.1f}°: one may be in shadow"]
+        off = f"{np.degrees(intersection.misfit):.1f}°"
+        if sum(s is not None for s in row) > 1:
+            return [f"the balls disagree by {off}: one may be in shadow"]
+        return [f"the lamp at --distance is {off} off the ball's ray: check --distance and --radius"]
     return []
 
 

@@ -15,6 +15,7 @@ _FEWEST_FOR_AMBIENT = 4
 _RIM = 0.985  # of the ball's radius: beyond, the error of the outline dominates
 _BELOW = -0.2  # cosine to the table's normal: so far below the horizon may a lamp be, as its table is uncertain
 _LEAST_SIGNAL = 8.0  # deviations of the noise
+_TINY = float(np.finfo(np.float32).tiny)
 _SKIRT = 0.2  # of the peak: border of a highlight's region
 _HALF = 0.5  # of the highest peak: least peak of another candidate
 _CANDIDATES = 4
@@ -192,8 +193,8 @@ def _weighed(view: BallView, signals: np.ndarray, number: int, blob: _Blob) -> _
     again = 0.0
     if len(signals) >= _FEWEST_FOR_AMBIENT:
         own = np.maximum(signals[:, blob.region], 0)
-        shared = np.minimum(own, own[number]).sum(axis=1) / max(float(own[number].sum()), 1e-300)
-        again = float((shared.sum() - 1) / (len(shared) - 1))
+        shared = np.minimum(own, own[number]).sum(axis=1) / max(float(own[number].sum()), _TINY)
+        again = max(float((shared.sum() - 1) / (len(shared) - 1)), 0.0)
     facing = float(reflected(view.ball, view.pixels[0, 0] + blob.centre * view.block)[2])
     filled = min(blob.saturated / _FILLED, 1.0) if blob.saturated > 0 else 1.0
     return replace(blob, score=blob.score * filled * (1 - again) ** 2 * facing**_FACING)

@@ -23,7 +23,7 @@ from ..noise import images_read, noise_of
 from ..read import read_spec
 from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
 from ..types import Capture
-from . import checks, sufficiency
+from . import checks, room_light, sufficiency
 from .damage import sound_steps
 from .frames import Finding, Frames, brightest, brightness, counted, frame_steps, frames_of, keep_frame, shrunk
 
@@ -151,7 +151,21 @@ def _image_steps(
             facts.append((f"brightness{f', camera {camera + 1}' * (len(groups) > 1)}", brightness(frames)))
             findings += yield from _numbered("Comparing images", 0, frame_steps(frames))
             findings += _geometry_findings(spec, capture, camera, frames)
+            findings += _room_light_findings(capture, frames)
     findings += _place_findings(spec, capture, groups[0])
+
+
+def _room_light_findings(capture: Capture, frames: Frames) -> Iterator[Finding]:
+    """Yield a finding where distant lights leave light unexplained; near ones would need the pixels' places."""
+    lights = [capture.observations[index].light for index in frames.indices]
+    if len(lights) < sufficiency.FEWEST or not all(light.distant for light in lights):
+        return
+    values = np.stack(frames.thumbnails)[:, shrunk(frames.mask.astype(float), frames.factors) > 0.99]
+    chosen = np.random.default_rng(0).permutation(values.shape[1])[: room_light.PIXELS]
+    lamps = np.array([np.multiply(light.vector, np.mean(light.intensity)) for light in lights])
+    part = room_light.room_light(values[:, chosen], values[:, chosen] > 0, lamps[:, None])
+    if text := room_light.message(part):
+        yield Finding("room_light", text)
 
 
 def _numbered(what: str, total: int, steps: Generator[None, None, _T]) -> Generator[str, None, _T]:

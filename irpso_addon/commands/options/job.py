@@ -28,7 +28,7 @@ from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.derived_maps import DerivedMaps, normals_of_text
 from ...results.read import read_maps
-from ...results.write import check_output_folder
+from ...results.write import check_output_folder, check_replaces_nothing
 from ...solver.lights import refine
 from ...solver.planning.memory import parse_memory
 from ...solver.planning.planning import scratch_folder
@@ -58,6 +58,7 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     options.blend = blend_of(options)
     resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)
+    check_replaces_nothing(folder, model)
     schedule = schedule_from_options(options)
     refine.check(True, options.refine_directions)
     check_every(options.checkpoint_every)
@@ -71,7 +72,7 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     fixed = fixed_from_options(options.fixed, model, tiles)
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     with naming_remedy(options.skip_damaged):
-        capture = _capture(options)
+        capture = _capture(options, folder)
     held_out = capture.numbers(held_out_list(options.hold_out, capture.listed))
     capture, _ = held_out_last(capture, held_out)
     size = capture.masks[0].shape[::-1] if mesh is None else mesh.domain_size(*resolution)
@@ -141,11 +142,17 @@ def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, s
         options.entry = found["entry"]
 
 
-def _capture(options: Namespace) -> Capture:
-    """Return the capture; a scene's cameras and lights are read from the open file."""
+def _capture(options: Namespace, folder: Path) -> Capture:
+    """Return the capture; a scene's cameras and lights are read from the open file.
+
+    Raises InputError where its photographs lie in the output folder.
+    """
     if _is_scene(options.capture):
         capture = capture_of_open_file(options.colour_space, options.skip_damaged)
         return _framed(capture, Framing(**framing_from_options(options)), options)
+    spec = read_spec(options.capture, options.colour_space)
+    if folder.resolve() in {shot.image.path.parent.resolve() for shot in spec.observations}:
+        raise InputError(f"{folder}: holds the photographs, and would mix them with the maps; choose another with -o")
     return file_capture(options)
 
 
@@ -195,7 +202,8 @@ def _check_fitted(options: Namespace, job: Job) -> None:
     if not fitted:
         raise InputError(f"{options.capture}: no observation is left to fit; hold out fewer")
     if any(parameter.is_normal and parameter.name not in job.fixed for parameter in job.model.parameters):
-        check_normal(options.capture, fitted)
+        rest = " without the photographs of --hold-out" if job.held_out else ""
+        check_normal(f"{options.capture}{rest}", fitted)
 
 
 def _check_sizes(options: Namespace, job: Job) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,12 @@ LARGEST_SIDE = 16384
 def silent(options: Namespace) -> bool:
     """Return whether a command prints no progress: --quiet or --json."""
     return options.quiet or options.json
+
+
+def warn_quietly(options: Namespace, warnings: Iterable[str]) -> None:
+    """Print warnings where --quiet keeps back the lines that hold them; --json has its own."""
+    if options.quiet and not options.json:
+        sys.stderr.write("".join(f"irpso: warning: {text}\n" for text in warnings))
 
 
 def shelf_of(options: Namespace, library: str) -> Shelf:

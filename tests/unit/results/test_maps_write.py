@@ -14,7 +14,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 from irpso_addon.results import write
 from irpso_addon.results.maps import Maps
-from irpso_addon.results.write import check_output_folder, write_maps
+from irpso_addon.results.write import check_output_folder, check_replaces_nothing, write_maps
 
 MODEL = ReflectanceModel(
     "mine", "Mine", Path("mine.glsl"),
@@ -142,6 +142,49 @@ def test_a_second_result_replaces_the_first_and_keeps_other_files(maps, tmp_path
         "photo.png", "tint.png", "tint.exr", "bumps.png", "bumps.exr", "maps.exr", "report.json",
     }  # fmt: skip
     assert (tmp_path / "photo.png").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("name", ["bumps.png", "report.json", "maps.exr"])
+def test_a_file_that_no_result_wrote_is_never_replaced(name, maps, tmp_path):
+    (tmp_path / name).write_bytes(b"a photograph")
+    with pytest.raises(InputError, match=f"{name}: would be replaced"):
+        check_replaces_nothing(tmp_path, MODEL)
+    with pytest.raises(InputError, match=f"{name} is not of a former result"):
+        write_maps(maps, tmp_path, {})
+    assert os.listdir(tmp_path) == [name] and (tmp_path / name).read_bytes() == b"a photograph"
+
+
+def test_a_result_whose_process_was_killed_while_it_moved_files_is_replaced(maps, tmp_path, monkeypatch):
+    real, moved = os.replace, []
+
+    def killed(source, place):
+        if len(moved) == 3:
+            raise KeyboardInterrupt
+        moved.append(place)
+        real(source, place)
+
+    monkeypatch.setattr(write.tempfile, "TemporaryDirectory", KeptFolder)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(write.os, "replace", killed)
+        write_maps(maps, tmp_path, {})
+    assert not (tmp_path / "report.json").exists()
+    check_replaces_nothing(tmp_path, MODEL)
+    write_maps(maps, tmp_path, {})
+    assert (tmp_path / "report.json").exists()
+
+
+class KeptFolder:
+    """A temporary folder that nobody removes, as after signal 9."""
+
+    def __init__(self, prefix, dir):  # noqa: A002
+        self.path = Path(dir) / f"{prefix}kept"
+
+    def __enter__(self):
+        self.path.mkdir()
+        return str(self.path)
+
+    def __exit__(self, *error):
+        pass
 
 
 def test_a_failed_write_keeps_the_old_result(maps, tmp_path, monkeypatch):
