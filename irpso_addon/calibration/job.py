@@ -169,7 +169,7 @@ def calibrate_steps(
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
-        *_unknown_lens(spec.views[number], camera, balls), *_doubts(found), *near_lamps(found, result, camera),
+        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *near_lamps(found, result, camera),
         *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
@@ -203,7 +203,7 @@ def _too_small(ball: FoundBall, camera: Camera) -> InputError:
     )
 
 
-def _unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[str]:
+def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[str]:
     """Return a warning where nothing states the lens and balls lie far enough off the axis for it to matter.
 
     Rays of a lens that is taken as orthographic are off by their angle to the axis, and so are the lights.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Generator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -35,6 +36,10 @@ from .options.videos import frames_of_videos
 
 NONE = "none"  # in place of a ball
 _SHOWN_WARNINGS = 12
+_ALL_CARD = (
+    "all of each photograph counts as the flat card; if it shows more, name the card's part by crop or corners in"
+    " capture.toml and calibrate that"
+)
 
 Found = TypeVar("Found")
 
@@ -116,6 +121,8 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
     found = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
+    if spec.framing.crop is None and not spec.framing.corners and whole.masks[0].all():
+        found = replace(found, warnings=(*found.warnings, _ALL_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     stated = spec.card_distance is not None or spec.framing.card_width is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ _TILE, _GAP, _MARGIN, _HEAD = 96, 6, 20, 52
 _COLUMNS, _MOST = 8, 64
 _DOME = 180  # radius, pixels
 _LABEL = 8.0
+_LETTERS = 13  # of a label over a tile
 _FOUND, _OUTLINE, _BAD = (1.0, 0.35, 0.30), (0.45, 0.70, 1.0), (0.98, 0.80, 0.30)
 
 
@@ -56,6 +58,12 @@ def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequ
     return canvas.result()
 
 
+def _short(label: str) -> str:
+    """Return a number and the end of a photograph's name, which differs from one to the next."""
+    number, _, name = label.partition(" ")
+    return label if len(label) <= _LETTERS else f"{number} …{Path(name).stem[len(number) + 2 - _LETTERS :]}"
+
+
 def _draw_tile(canvas: Canvas, x: int, y: int, tile: BallTile) -> None:
     height, width = tile.image.shape[:2]
     scale = _TILE / max(height, width)
@@ -82,7 +90,7 @@ def _draw_tile(canvas: Canvas, x: int, y: int, tile: BallTile) -> None:
         px, py = placed(tile.mark[None])[0]
         canvas.lines([[(px - 6, py), (px - 2, py)], [(px + 2, py), (px + 6, py)],
                       [(px, py - 6), (px, py - 2)], [(px, py + 2), (px, py + 6)]], 1.4, _FOUND)  # fmt: skip
-    canvas.text(x, y + _TILE + 10, tile.label[:16], _LABEL, _BAD if tile.doubtful or tile.mark is None else FAINT)
+    canvas.text(x, y + _TILE + 10, _short(tile.label), _LABEL, _BAD if tile.doubtful or tile.mark is None else FAINT)
 
 
 def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubtful: Sequence[bool]) -> None:

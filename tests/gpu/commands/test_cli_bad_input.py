@@ -165,6 +165,19 @@ def fill_out(folder):
     (folder / OUT / "mine.txt").write_text("of the user")
 
 
+def photographs_in_out(folder):
+    """Move the photographs of the capture into the output folder."""
+    (folder / OUT).mkdir()
+    for path in sorted((folder / "card").glob("*.exr")):
+        path.rename(folder / OUT / path.name)
+        edit(folder / "card" / "capture.toml", f'"{path.name}"', f'"../{OUT}/{path.name}"')
+
+
+def picture_in_out(folder):
+    (folder / OUT).mkdir()
+    (folder / OUT / "normal.png").write_bytes(b"of the user")
+
+
 def nothing_to_see(card):
     for path in card.glob("*.exr"):
         black = np.full(SHAPE, np.nan, np.float32)
@@ -211,6 +224,12 @@ CAPTURES = {
     "an unknown camera": (
         broken("card", lambda c: edit(c / "capture.toml", 'camera = "camera 1"', 'camera = "up"')), r"toml.*'up'"),
     "two lights": (broken("card", too_few), r"has 2 lights; a normal needs at least three"),
+    "photographs in the output folder": (prepared(photographs_in_out, recover()), r"out: holds the photographs"),
+    "a picture that a map would replace": (
+        prepared(picture_in_out, recover()), r"normal.png: would be replaced, and is not of a former result"),
+    "lamps inside of the ball": (
+        lambda f: ["calibrate", f / "card", "-o", f / OUT, "--fov", 40, "--radius", 32, "--distance", 9, "--quiet"],
+        r"--distance 9: puts the lamps into the ball, whose --radius is 32"),
     "two cameras and no mesh": (broken("card", second_camera), r"2 cameras"),
     "images without a number in them": (broken("card", nothing_to_see), r"no image of capture"),
 }  # fmt: skip
@@ -275,7 +294,7 @@ OPTIONS = {
     "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
     "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
-    "too many held out": (recover("--hold-out", "0,1,2,3"), r"has 2 lights; a normal needs at least three"),
+    "too many held out": (recover("--hold-out", "0,1,2,3"), r"without the photographs of --hold-out: has 2 lights"),
     "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: no such file"),
     "ground truth of no known map": (
         lambda f: recover("--ground-truth", f / "card" / "000.exr")(f), r"000.exr: holds no map of model metallic"),

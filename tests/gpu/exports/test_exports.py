@@ -232,6 +232,8 @@ def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folde
         return err
 
     assert "holds no report.json" in refused(tmp_path, "--format", "ptm")
+    (tmp_path / "report.json").write_text('{"kind": "mirror", "lights": []}')
+    assert "holds no result of recover" in refused(tmp_path, "--format", "ptm")
     (tmp_path / "report.json").write_text('{"texels": 3, "slots": {"Skin": {}, "Eyes": {}}}')
     assert f"give one of their folders: '{tmp_path / 'Skin'}'" in refused(tmp_path, "--format", "ptm")
     assert "no such mesh; it has 'sheet'" in refused(folder, "--format", "gltf", "--object", "cube")

@@ -12,7 +12,8 @@ from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, of_on
 from irpso_addon.calibration.balls.detect.outline import fitted
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import Request, calibration_steps
-from irpso_addon.calibration.job import near_lamps
+from irpso_addon.calibration.job import near_lamps, unknown_lens
+from irpso_addon.capture.camera import Camera
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.filters import blurred, sampled
 from irpso_addon.core.steps import run_steps
@@ -126,6 +127,17 @@ def test_a_warning_says_that_lamps_are_near_where_they_count_as_distant(inverse,
     ball = FoundBall("mirror", np.zeros((3, 2)), 30.0, 1.0, 0.9, inverse=(inverse, error))
     warnings = near_lamps([ball], SimpleNamespace(near=near), EMPTY.camera)
     assert bool(warnings) == warned and all("about 33 ball radii" in warning for warning in warnings)
+
+
+def test_a_warning_says_by_how_much_an_unknown_lens_may_turn_lights():
+    flat, lens = (Camera(400, 300, (100.0, 100.0), (200.0, 150.0), perspective=p) for p in (False, True))
+    unstated, stated = (SimpleNamespace(lens=known) for known in (False, True))
+    aside, middle = (Ball("b", flat, np.array([x, 0.0, 0.0]), 0.2, 20.0, (0.0, 0.0)) for x in (1.5, 0.02))
+    (warning,) = unknown_lens(unstated, flat, [middle, aside])
+    # A phone's 65°: at 150 of 200 pixels off the axis rays are slanted by atan(0.75 tan 32.5°).
+    assert f"about {np.degrees(np.arctan(0.75 * np.tan(np.radians(32.5)))):.0f}°: give --fov" in warning
+    assert not unknown_lens(unstated, flat, [middle]) and not unknown_lens(stated, flat, [aside])
+    assert not unknown_lens(unstated, lens, [aside])
 
 
 @pytest.mark.parametrize("kind", KINDS)
