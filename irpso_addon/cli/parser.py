@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 from ..core.errors import InputError
 from ..core.paths import DEFAULT_MODEL
-from ..exports.names import ASSET, FORMATS, RELIEF
+from ..exports.names import ASSET, FORMATS, RELIEF, TURNTABLE
 from . import photographs
 from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance, add_mesh, add_shelf, seed
 
@@ -143,18 +143,18 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("export", help="write a result for other programs", epilog=EPILOG)
     add.add_argument("result", help="folder that recover wrote")
     add.add_argument(
-        "-o", "--output", required=True, metavar="OUT", help="folder, or a .glb, .ptm, .stl, .ply or .obj file"
+        "-o", "--output", required=True, metavar="OUT", help="folder, or a .glb, .ptm, .stl, .ply, .obj or .png file"
     )
     add.add_argument(
         "--format",
         required=True,
-        choices=[*FORMATS, RELIEF, ASSET],
+        choices=[*FORMATS, RELIEF, TURNTABLE, ASSET],
         help="format to write; OUT of asset is a Blender asset library",
     )
     add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
                      help="names and normals of textures (default blender)")  # fmt: skip
     add.add_argument(
-        "--object", metavar="NAME", help="mesh object of gltf and asset, if several have recovered materials"
+        "--object", metavar="NAME", help="mesh object of gltf, turntable and asset, if several have recovered materials"
     )
     add.add_argument("--occlusion", action="store_true",
                      help="occlusion in gltf and textures: of a card's relief, of a mesh by Cycles")  # fmt: skip

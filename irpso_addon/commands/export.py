@@ -12,9 +12,10 @@ from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
 from ..exports.asset import write_to_shelf
 from ..exports.formats import export
-from ..exports.names import ASSET, RELIEF, WEB
+from ..exports.names import ASSET, RELIEF, TURNTABLE, WEB
 from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
+from ..exports.turntable import write_turntable
 from ..gpu import context, probe
 from .options.occlusion import check_occlusion, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
@@ -31,6 +32,11 @@ def run(options: Namespace) -> dict:
         found = write_relief(result, options.output, options.width)
         if not silent(options):
             sys.stdout.write(f"written to {found['output']}: {found['width']:g} wide, {found['depth']:.3g} deep\n")
+        return found
+    if options.format == TURNTABLE:
+        found = write_turntable(result, options.output, lambda: _subject(result, options.object))
+        if not silent(options):
+            sys.stdout.write(f"written to {found['output']}\n")
         return found
     if options.format == "ptm":
         probe.probe()

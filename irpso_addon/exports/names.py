@@ -11,4 +11,5 @@ FORMATS = {  # name: (title, what is written)
 ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
 OCCLUDED = ("gltf", "textures")  # they have occlusion
 ASSET = "asset"  # a material in an asset library: of the command line; the panel has a dialog for it
+TURNTABLE = "turntable"  # a strip of pictures: of the command line alone
 RELIEF = "relief"  # a card's relief as a body: of the command line alone

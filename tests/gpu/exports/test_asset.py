@@ -1,5 +1,7 @@
 """A material in an asset library, as Blender's own loader and the catalog file's format find it."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -8,8 +10,10 @@ from irpso_addon.blender.materials.material import apply_material, build_materia
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports.asset import Shelf, write_to_shelf
 from irpso_addon.exports.catalog import CATALOGS, catalog_id
+from irpso_addon.exports.turntable import write_turntable
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from tests.builders.captures import read_png
 from tests.builders.command_line import run_cli, write_card
 
 RED = (0.6, 0.05, 0.05)
@@ -118,3 +122,23 @@ def test_recover_and_export_write_assets(tmp_path):
     assert code == 0, err
     ids = {loaded(tmp_path / "library" / name).asset_data.catalog_id for name in ("leaf.blend", "Another.blend")}
     assert len(ids) == 1
+
+
+def test_a_turntable_shows_the_card_from_all_sides_and_leaves_it_as_it_was(card, tmp_path):
+    result = SimpleNamespace(name="red leaf")
+    before, place = counts(), card.matrix_world.copy()
+    found = write_turntable(result, tmp_path / "new", lambda: card)
+    assert found["output"] == str(tmp_path / "new" / "red_leaf_turntable.png")
+    assert {**counts(), "images": 0} == {**before, "images": 0} and card.matrix_world == place
+    picture = read_png(found["output"])[0].astype(float) / 255
+    stills = np.split(picture, 8, axis=1)
+    shown = [(np.abs(still - picture[0, 0]) > 0.1).any(axis=-1) for still in stills]
+    # The card is 20 wide and 12 high, and lies slanted by 45°: cos 45° of its depth shows.
+    for number, mask in enumerate(shown):
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        turn = np.radians(45 * number)
+        wide = 20 * abs(np.cos(turn)) + 12 * abs(np.sin(turn))
+        deep = (20 * abs(np.sin(turn)) + 12 * abs(np.cos(turn))) * np.cos(np.pi / 4)
+        assert np.ptp(rows) / np.ptp(columns) == pytest.approx(deep / wide, rel=0.05)
+    colour = stills[0][shown[0]].mean(axis=0)
+    assert colour[0] > 2 * colour[1:].max()
