@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
-from ..results.write import check_output_folder
 from .gltf import write_gltf
 from .names import FORMATS, ONE_FILE, WEB
 from .openlime import write_openlime
-from .place import file_stem
+from .place import file_place, file_stem
 from .ptm import write_ptm
 from .result import Result
 from .textures import write_textures
@@ -40,9 +39,5 @@ def export(
         return write_page(result, out, photographs() if result.card else None)
     if kind == "textures":
         return write_textures(result, out, convention)
-    path, suffix = Path(out), ONE_FILE[kind]
-    if path.suffix.lower() == suffix:
-        check_output_folder(path.parent)
-    else:
-        path = check_output_folder(out) / f"{file_stem(result.name)}{suffix}"
+    path = file_place(out, file_stem(result.name), [ONE_FILE[kind]])
     return write_ptm(result, path) if kind == "ptm" else write_gltf(result, path, subject())

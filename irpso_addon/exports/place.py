@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from ..core.errors import InputError
 from ..results.write import check_output_folder
+
+_FILES = {".glb", ".gltf", ".fbx", ".obj", ".stl", ".ply", ".ptm", ".png", ".jpg", ".exr", ".html", ".blend", ".zip"}
 
 
 @contextmanager
@@ -19,6 +21,7 @@ def filled_folder(folder: str | Path) -> Iterator[Path]:
 
     An exception moves nothing. Raises InputError if the folder cannot be written.
     """
+    _refuse_file(Path(folder), "name a folder")
     folder = check_output_folder(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -30,6 +33,24 @@ def filled_folder(folder: str | Path) -> Iterator[Path]:
                 os.replace(file, place)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
+
+
+def file_place(out: str | Path, stem: str, suffixes: Sequence[str]) -> Path:
+    """Return the file that ``out`` names by one of these suffixes, or the file of this stem in the folder ``out``, with
+    the first suffix. Raises InputError where it cannot be written, or has the suffix of another kind of file.
+    """
+    path = Path(out)
+    if path.suffix.lower() in suffixes:
+        check_output_folder(path.parent)
+        return path
+    _refuse_file(path, f"name a {' or '.join(suffixes)} file, or a folder")
+    return check_output_folder(path) / f"{stem}{suffixes[0]}"
+
+
+def _refuse_file(path: Path, remedy: str) -> None:
+    """Raise InputError where a new folder would have the name of a file of some kind: it was meant to be one."""
+    if path.suffix.lower() in _FILES and not path.is_dir():
+        raise InputError(f"{path}: this format writes no {path.suffix} file; {remedy}")
 
 
 def file_stem(name: str) -> str:

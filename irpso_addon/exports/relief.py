@@ -9,8 +9,7 @@ from ..blender.mesh_file import SUFFIXES, write_mesh
 from ..core.errors import InputError
 from ..geometry.relief.height import TEXELS
 from ..geometry.relief.solid import relief_solid
-from ..results.write import check_output_folder
-from .place import file_stem
+from .place import file_place, file_stem
 from .result import Result
 
 WIDTH, BASE = 100.0, 0.02  # of the card: millimetres, as printing programs read STL; of the width
@@ -28,11 +27,7 @@ def write_relief(result: Result, out: str | Path, width: float = WIDTH) -> dict[
         raise InputError(f"{result.folder}: its height is the fine detail of a mesh; export the mesh as gltf")
     if not width > 0:
         raise InputError(f"--width {width:g}: give a length above 0")
-    path = Path(out)
-    if path.suffix.lower() in SUFFIXES:
-        check_output_folder(path.parent)
-    else:
-        path = check_output_folder(out) / f"{file_stem(result.name)}.stl"
+    path = file_place(out, file_stem(result.name), SUFFIXES)
     path.parent.mkdir(parents=True, exist_ok=True)
     vertices, quads = relief_solid(result.height, width, BASE * width)
     rows, columns = result.height.covered.shape

@@ -11,8 +11,7 @@ import numpy as np
 from ..blender.materials.pictures import turntable
 from ..core.canvas import BACKGROUND
 from ..core.png import encode_png
-from ..results.write import check_output_folder
-from .place import file_stem
+from .place import file_place, file_stem
 from .result import Result
 
 _PICTURES, _SIDE, _RIM = 8, 224, 8  # pictures; pixels of a side of each, and of the rim above and below
@@ -24,11 +23,7 @@ def write_turntable(result: Result, out: str | Path, subject: Callable[[], Any])
     out: the file, or a folder for NAME_turntable.png. subject: returns the object of the result's open file. Raises
     InputError where nothing can be written there, or the result has no material.
     """
-    path = Path(out)
-    if path.suffix.lower() == ".png":
-        check_output_folder(path.parent)
-    else:
-        path = check_output_folder(out) / f"{file_stem(result.name)}_turntable.png"
+    path = file_place(out, f"{file_stem(result.name)}_turntable", [".png"])
     strip = np.concatenate(turntable(subject(), _SIDE, _PICTURES), axis=1)
     rows = np.flatnonzero(strip[..., 3].any(axis=1))
     strip = strip[max(rows[0] - _RIM, 0) : rows[-1] + 1 + _RIM]

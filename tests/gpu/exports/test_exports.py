@@ -226,11 +226,18 @@ def test_a_file_can_be_named(folder, tmp_path):
 def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folder, tmp_path):
     out = tmp_path / "out"
 
-    def refused(*options):
+    def refused(*options, out=out):
         code, _, err = run_cli("export", *options, "-o", out)
         assert code == 2 and err.count("\n") == 1 and not out.exists()
         return err
 
+    for kind, name, remedy in (
+        ("gltf", "a.gltf", "name a .glb file, or a folder"),
+        ("web", "a.html", "name a folder"),
+        ("turntable", "a.jpg", "name a .png file, or a folder"),
+    ):
+        assert f"{name}: this format writes no" in (said := refused(folder, "--format", kind, out=tmp_path / name))
+        assert said.endswith(f"; {remedy}\n")
     assert "holds no report.json" in refused(tmp_path, "--format", "ptm")
     (tmp_path / "report.json").write_text('{"kind": "mirror", "lights": []}')
     assert "holds no result of recover" in refused(tmp_path, "--format", "ptm")
