@@ -64,9 +64,9 @@ class Encoding:
             for one in lit:
                 yield
                 with suppress(CaptureError):  # the recovery or inspect reports it
-                    rgba = store.samples(replace(one.image, colour_space="linear")).rgba
-                    if rgba.shape[:2] == self.mask.shape:
-                        samples.append((one, rgba.reshape(-1, 4)[places]))
+                    codes = store.codes_at(replace(one.image, colour_space="linear"), places, self.mask.shape)
+                    if codes is not None:
+                        samples.append((one, codes))
             self._test = _test(samples)
         return self._test
 

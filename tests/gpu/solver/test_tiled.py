@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.gpu import textures
+from irpso_addon.pipeline.drive import Saving, drive
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine import engine
 from irpso_addon.solver.engine.recovery import Recovery
@@ -17,6 +18,7 @@ from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.views.history import History
 from tests.builders.domains import SHORT, masked, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -151,6 +153,16 @@ def test_time_slices_and_reads_change_nothing(resident, name, monkeypatch):
         assert len(set(placing)) > len(FEW)  # it rises before the first iteration, and inside a tile
         assert recovery.progress == progress
         assert everything(recovery.maps()) == wanted
+
+
+@pytest.mark.parametrize(("resident", "least", "most"), [(True, 20, 41), (False, 2, 5)])
+def test_a_history_seldom_brings_tiles_that_take_turns_onto_the_device(resident, least, most, monkeypatch):
+    domain, schedule = with_hole(model="lambert", observations=8), load_schedule("swarm").replaced(iterations=40)
+    with tiled(domain, schedule, FEW, resident=resident, model=load_model("lambert")) as recovery:
+        looks, maps = [], recovery.maps
+        monkeypatch.setattr(recovery, "maps", lambda confidence: looks.append(None) or maps(confidence))
+        drive(recovery, History(recovery, None), Saving(None), quiet=True)
+    assert least <= len(looks) <= most
 
 
 def test_a_tiled_step_makes_the_requested_iterations():
