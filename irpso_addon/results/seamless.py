@@ -134,27 +134,35 @@ def _matching_overlaps(stack: np.ndarray) -> tuple[int, int]:
     """Return the overlaps along rows and along columns, in texels, at which the ends of maps (N, N, C), in their
     scales, match; what is left of both directions differs by _STRETCH at most.
 
-    They are looked for in means of equal parts, and then texel by texel around the best.
+    All are tried in means of equal parts; then those beside the best, in ever smaller parts.
     """
-    side = len(stack)
-    step = -(-side // _SEARCHED)
-    cut = side // step * step
-    coarse = stack[:cut, :cut].reshape(cut // step, step, cut // step, step, -1).mean(axis=(1, 3))
-    low, high = (round(share * side / step) for share in _OVERLAPS)
+    step = 2 ** max(0, int(np.ceil(np.log2(len(stack) / _SEARCHED))))
+    coarse = _means(stack, step)
+    low, high = (round(share * len(coarse)) for share in _OVERLAPS)
     tried = np.arange(low, high + 1)
     rows, columns = (_least_costs(maps, tried) for maps in (coarse, coarse.swapaxes(0, 1)))
-    left = cut // step - tried
+    left = len(coarse) - tried
     costs = rows[:, None] + columns
     costs[np.abs(np.log(left[:, None] / left)) > np.log1p(_STRETCH)] = np.inf
     good = costs <= _ALIKE * costs.min()
     chosen = np.unravel_index(np.where(good, np.add.outer(left, left), 0).argmax(), costs.shape)
-    if step == 1:
-        return int(tried[chosen[0]]), int(tried[chosen[1]])
-    found = []
-    for at, maps in zip(chosen, (stack, stack.swapaxes(0, 1)), strict=True):
-        near = step * int(tried[at]) + np.arange(-step, step + 1)
-        found.append(int(near[_least_costs(maps, near).argmin()]))
-    return found[0], found[1]
+    over, above = int(tried[chosen[0]]), int(tried[chosen[1]])
+    while step > 1:
+        step //= 2
+        finer = _means(stack, step)
+        over, above = _best_beside(finer, 2 * over), _best_beside(finer.swapaxes(0, 1), 2 * above)
+    return over, above
+
+
+def _means(stack: np.ndarray, step: int) -> np.ndarray:
+    """Return the means of squares of step × step texels; what is left over at the ends does not count."""
+    count = len(stack) // step
+    return stack[: count * step, : count * step].reshape(count, step, count, step, -1).mean(axis=(1, 3))
+
+
+def _best_beside(stack: np.ndarray, over: int) -> int:
+    near = over + np.arange(-2, 3)
+    return int(near[_least_costs(stack, near).argmin()])
 
 
 def _least_costs(stack: np.ndarray, overlaps: np.ndarray) -> np.ndarray:
