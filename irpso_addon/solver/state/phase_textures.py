@@ -232,11 +232,11 @@ class PhaseTextures:
         return {k: v for name, group in groups for k, v in zip(group.arrays, self.current[name], strict=False)}
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Upload the contents that ``remembered`` had."""
-        self.ensure()
+        """Upload the contents that ``remembered`` had, and allocate the others."""
         for name, group in self.table.groups.items():
             if group.arrays:
                 self.upload(name, (arrays[array] for array in group.arrays))
+        self.ensure()
 
     def upload(self, name: str, arrays: Iterable[np.ndarray]) -> None:
         """Replace the current textures of a group."""
@@ -247,6 +247,8 @@ class PhaseTextures:
         for name, group in self.table.groups.items():
             across, down = (self.atlas.across, self.atlas.down) if group.in_atlas else (1, 1)
             for held in (self.current, self.spare)[: 1 + group.double]:
+                if name in held:  # restored before
+                    continue
                 held[name] = [
                     textures.empty(across * width, down * height, group.format, group.value) for _ in group.samplers
                 ]
