@@ -203,8 +203,9 @@ def _former_files(folder: Path) -> set[str]:
     found = set()
     for report in (folder / REPORT, *folder.glob(f"{_PARTIAL}*/{REPORT}")):
         try:
-            listed = json.loads(report.read_text(encoding="utf-8"))["files"]
-        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            known = json.loads(report.read_text(encoding="utf-8"))
+            listed = known.get("files", [] if "slots" in known else None)  # that of slots lists their folders
+        except (OSError, ValueError, AttributeError):
             continue
         if isinstance(listed, list):
             found |= {REPORT, BLEND, *(name for name in listed if isinstance(name, str) and _OWN_FILE.match(name))}

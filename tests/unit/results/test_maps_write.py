@@ -154,6 +154,12 @@ def test_a_file_that_no_result_wrote_is_never_replaced(name, maps, tmp_path):
     assert os.listdir(tmp_path) == [name] and (tmp_path / name).read_bytes() == b"a photograph"
 
 
+def test_the_report_of_slots_is_a_former_result(maps, tmp_path):
+    (tmp_path / "report.json").write_text('{"texels": 3, "slots": {"Skin": {}}}')
+    check_replaces_nothing(tmp_path, MODEL)
+    write_maps(maps, tmp_path, {})
+
+
 def test_a_result_whose_process_was_killed_while_it_moved_files_is_replaced(maps, tmp_path, monkeypatch):
     real, moved = os.replace, []
 
