@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-PIXELS = 400  # that are looked at
+PIXELS, _FEWEST_PIXELS = 400, 100  # that are looked at
 _OFFSETS = np.linspace(-0.2, 0.6, 17)  # tried, as parts of a pixel's bright sample
 _BRIGHT = 90.0  # percentile of a pixel's samples
 _SUBJECT = 0.1  # of the brightest pixels' bright sample: background
@@ -25,11 +25,13 @@ def room_light(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) -> flo
     room (gloss, metal, velvet, hollows) is accused; a tenth of room light is found on matt and glazed subjects, a fifth
     on metals, to 0.05.
     """
+    if values.shape[1] < _FEWEST_PIXELS:
+        return 0.0
     values = np.where(usable, values, 0).astype(np.float64)
     bright = np.percentile(values, _BRIGHT, axis=0)
     used = usable & (values > _DARKEST * bright)
     lit = (used.sum(axis=0) >= _FEWEST) & (bright > _SUBJECT * np.percentile(bright, 95))
-    if lit.sum() < PIXELS // 4:
+    if lit.sum() < _FEWEST_PIXELS:
         return 0.0
     relative, used = values[:, lit] / bright[lit], used[:, lit]
     lamps = np.broadcast_to(lamps, (*values.shape, 3))[:, lit]

@@ -49,6 +49,9 @@ def test_the_light_of_a_room_is_measured(surface, part):
 def test_photographs_too_few_to_tell_are_not_accused():
     values = photographs("white", LIGHTS["wide"][:5], 0.3)[0].mean(axis=-1)
     assert room_light(values, values > 0, LIGHTS["wide"][:5, None]) == 0
+    values = photographs("white", LIGHTS["wide"], 0.3)[0].mean(axis=-1)
+    for few in (values[:, :90], values[:, :0]):
+        assert room_light(few, few > 0, LIGHTS["wide"][:, None]) == 0
 
 
 @pytest.mark.parametrize(("part", "expected"), [(0.0, 0), (0.25, 1)])
