@@ -76,6 +76,8 @@ def read_photographs(
     path = Path(path)
     if frames and path.is_file():
         path, frames = frames[0].parent, ()
+    if path.is_file() and is_photograph(path):
+        raise CaptureError(f"{path}: is one photograph; give the folder of all of them", "kind")
     names = path / diligent.FILENAMES
     if not path.is_dir() or _is_listed(path):
         return read.read_spec(path, colour_space)

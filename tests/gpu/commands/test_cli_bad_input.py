@@ -227,6 +227,8 @@ CAPTURES = {
     "photographs in the output folder": (prepared(photographs_in_out, recover()), r"out: holds the photographs"),
     "a picture that a map would replace": (
         prepared(picture_in_out, recover()), r"normal.png: would be replaced, and is not of a former result"),
+    "one photograph to calibrate": (
+        lambda f: ["calibrate", f / "card" / "000.exr", "-o", f / OUT, "--quiet"], r"000.exr: is one photograph; give"),
     "lamps inside of the ball": (
         lambda f: ["calibrate", f / "card", "-o", f / OUT, "--fov", 40, "--radius", 32, "--distance", 9, "--quiet"],
         r"--distance 9: puts the lamps into the ball, whose --radius is 32"),
