@@ -133,6 +133,7 @@ class LockStep:
         count, budget = most, BAND_SECONDS if paced else None
         for turn, number in enumerate(order):
             tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+            tile.seen = None
             self._receive(number)
             if most == 0:
                 yield from self._stepping(number, 0, budget)
@@ -145,6 +146,8 @@ class LockStep:
                 if turn == 0 and (recovery.reach or self._reached(recovery)):
                     break
             count = made
+            if made and made == most and not self._pool.resident:  # the caller will look; the tile is here now
+                tile.seen = recovery.maps(confidence=False)
             self._publish(number)
         self._made = count or 0
         self._exchange()
@@ -169,7 +172,7 @@ class LockStep:
         for number in self._pool.order():
             tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
             recovery.finish_stage()
-            tile.progress, tile.reached = recovery.progress, False
+            tile.progress, tile.reached, tile.seen = recovery.progress, False, None
             self._publish(number)
             yield
         self._exchange()

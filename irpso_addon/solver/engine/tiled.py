@@ -93,7 +93,10 @@ class TiledRecovery(RecoveryEngine):
         return replace(slowest, fraction=fraction, stage_end=end, evaluations=evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return the maps so far, as RecoveryEngine.maps; tiles that take turns take one each."""
+        """Return the maps so far, as RecoveryEngine.maps; tiles that take turns take one each.
+
+        Not where a step has just made all the iterations that it was asked for, and no confidence is wanted.
+        """
         self._driver.finish_round()
         shape = self.domain.shape
         values = {p.name: np.empty((*shape, p.components), np.float32) for p in self.model.parameters}
@@ -102,7 +105,9 @@ class TiledRecovery(RecoveryEngine):
         residual = np.zeros(shape, np.float32)
         doubts: tuple[dict[str, np.ndarray], ...] = {}, {}  # deviations, alternatives
         for number in self._pool.order():
-            part, maps = self._pool.tiles[number], self._pool.recovery(number).maps(confidence)
+            part = self._pool.tiles[number]
+            seen, part.seen = part.seen, None
+            maps = self._pool.recovery(number).maps(confidence) if confidence or seen is None else seen
             texels, own = part_of(part.box), own_of(part.domain)
             residual[texels] = present(maps.residual)[own]
             for name, value in maps.values.items():

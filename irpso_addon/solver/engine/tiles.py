@@ -13,6 +13,7 @@ from ...geometry.samples import mapped_array
 from ...gpu.kernel import Entry
 from ...gpu.program import KeptPrograms
 from ...reflectance.model import ReflectanceModel
+from ...results.maps import Maps
 from ..phases.phase import BACKGROUND_BAND_SECONDS
 from ..phases.separation import SEPARATION
 from ..settings.schedule import Schedule
@@ -45,7 +46,8 @@ class Tile:
     """A tile and its recovery.
 
     domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: of the recovery
-    while that is not on the device. files: the memory's arrays, if they are in files.
+    while that is not on the device. files: the memory's arrays, if they are in files. seen: its maps at the end of a
+    round that the caller wanted to end there, until they are asked for, or the next round.
     """
 
     box: Box
@@ -57,6 +59,7 @@ class Tile:
     progress: Progress = field(init=False)  # set by the pool
     reached: bool = False
     error: float | None = None
+    seen: Maps | None = None
     memory: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -142,7 +145,7 @@ class TilePool:
         tile = self.tiles[number]
         if tile.recovery is not None:
             tile.recovery.close()
-        tile.recovery = None
+        tile.recovery = tile.seen = None
         tile.memory = self._stored(tile, memory)
 
     def close(self) -> None:
@@ -150,7 +153,7 @@ class TilePool:
         for tile in self.tiles:
             if tile.recovery is not None:
                 tile.recovery.close()
-            tile.recovery = tile.memory = None
+            tile.recovery = tile.memory = tile.seen = None
             tile.files = {}
         self._programs.close()
 

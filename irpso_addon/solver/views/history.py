@@ -13,13 +13,11 @@ from ...results.report import error_unit, parameter_error
 from ..engine.engine import RecoveryEngine
 
 _ITERATIONS = "iterations"
-# Per run: each costs a render and a read-back, as much as one or two iterations; where tiles take turns it brings each
-# of them onto the device, and ends a round early.
-_LOOKS, _LOOKS_IN_TURNS = 40, 4
+_LOOKS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
 
 
 class History:
-    """Measures the errors of four texels about 40 times per recovery, 4 times where tiles take turns.
+    """Measures the errors of four texels about 40 times per recovery.
 
     truth: parameter name → (H, W, components), or None; then the error is the residual, in % of white. show: called
     with the maps at each measurement.
@@ -32,7 +30,6 @@ class History:
         show: Callable[[Maps], None] | None = None,
     ):
         self._recovery, self._truth, self._show = recovery, truth, show
-        self._looks = _LOOKS_IN_TURNS if recovery.capabilities.turns else _LOOKS
         rows, columns = np.nonzero(recovery.domain.solvable)
         chosen = spread_marks(np.stack([columns, rows], axis=-1))
         self._rows, self._columns = rows[chosen], columns[chosen]
@@ -41,18 +38,17 @@ class History:
         self._errors: dict[str, list[np.ndarray]] = {}
 
     @property
-    def _every(self) -> int:
-        return max(1, self._recovery.progress.iterations_in_all // self._looks)
-
-    @property
     def until_next(self) -> int:
         """Return the iterations until the next measurement: independent of how the run is sliced."""
-        return self._every - self._recovery.progress.iteration_in_all % self._every
+        progress = self._recovery.progress
+        every = max(1, progress.iterations_in_all // _LOOKS)
+        return every - progress.iteration_in_all % every
 
     def look(self) -> None:
         """Record the errors where a measurement is due."""
         progress = self._recovery.progress
-        if progress.iteration_in_all == self._seen or (progress.iteration_in_all % self._every and not progress.done):
+        every = max(1, progress.iterations_in_all // _LOOKS)
+        if progress.iteration_in_all == self._seen or (progress.iteration_in_all % every and not progress.done):
             return
         self._seen = progress.iteration_in_all
         maps = self._recovery.maps(confidence=False)

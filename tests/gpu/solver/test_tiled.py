@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from irpso_addon.gpu import textures
-from irpso_addon.pipeline.drive import Saving, drive
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine import engine
+from irpso_addon.solver.engine import engine, tiles
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.engine.tiles import TileRecovery
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
-from irpso_addon.solver.views.history import History
 from tests.builders.domains import SHORT, masked, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -155,14 +154,26 @@ def test_time_slices_and_reads_change_nothing(resident, name, monkeypatch):
         assert everything(recovery.maps()) == wanted
 
 
-@pytest.mark.parametrize(("resident", "least", "most"), [(True, 20, 41), (False, 2, 5)])
-def test_a_history_seldom_brings_tiles_that_take_turns_onto_the_device(resident, least, most, monkeypatch):
-    domain, schedule = with_hole(model="lambert", observations=8), load_schedule("swarm").replaced(iterations=40)
-    with tiled(domain, schedule, FEW, resident=resident, model=load_model("lambert")) as recovery:
-        looks, maps = [], recovery.maps
-        monkeypatch.setattr(recovery, "maps", lambda confidence: looks.append(None) or maps(confidence))
-        drive(recovery, History(recovery, None), Saving(None), quiet=True)
-    assert least <= len(looks) <= most
+def test_tiles_that_take_turns_show_where_they_are_without_another_turn(monkeypatch):
+    domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES["refinement"]
+    turns, free = [], 0
+    with (
+        Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as whole,
+        tiled(domain, schedule, FEW, resident=False) as recovery,
+    ):
+        monkeypatch.setattr(tiles, "TileRecovery", lambda *given: turns.append(None) or TileRecovery(*given))
+        done = False
+        while not done:
+            done = whole.step(2).done
+            assert recovery.step(2).done == done
+            before = len(turns)
+            shown, wanted = recovery.maps(confidence=False), whole.maps(confidence=False)
+            free += len(turns) == before
+            for name, value in wanted.values.items():
+                np.testing.assert_array_equal(shown.values[name], value)
+            np.testing.assert_array_equal(shown.residual, wanted.residual)
+        assert everything(recovery.maps()) == everything(whole.maps())
+    assert free > 3
 
 
 def test_a_tiled_step_makes_the_requested_iterations():
