@@ -21,6 +21,7 @@ from benchmarks import (
     coarse_to_fine,
     convergence,
     fig7,
+    full_size,
     interreflection,
     joint,
     killed,
@@ -42,7 +43,7 @@ from benchmarks import (
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
     swarm_scaling, recovery_scaling, killed, window, road, interreflection, separation, balls,
-    seams,
+    seams, full_size,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {
