@@ -110,7 +110,7 @@ def watched(command: list[str], out: Path) -> dict[str, Any]:
 
     memory_at_most: GiB, without pages of files, which the system can drop. foreseen: (seconds, fraction done).
     """
-    began = time.perf_counter()
+    began, before = time.perf_counter(), os.times()
     process = subprocess.Popen(command, cwd=report.ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     seen: dict[str, Any] = {"memory_at_most": 0.0, "written": 0.0, "checkpoint": 0.0, "preview": None, "foreseen": []}
 
@@ -132,7 +132,8 @@ def watched(command: list[str], out: Path) -> dict[str, Any]:
     usage = os.times()
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, command)
-    return {**seen, "seconds": time.perf_counter() - began, "work": usage.children_user + usage.children_system}
+    work = usage.children_user + usage.children_system - before.children_user - before.children_system
+    return {**seen, "seconds": time.perf_counter() - began, "work": work}
 
 
 def look(pid: int, out: Path, seen: dict[str, Any], now: float) -> None:

@@ -150,18 +150,20 @@ def _capture(options: Namespace, folder: Path) -> Capture:
     if _is_scene(options.capture):
         capture = capture_of_open_file(options.colour_space, options.skip_damaged)
         return _framed(capture, Framing(**framing_from_options(options)), options)
-    spec = read_spec(options.capture, options.colour_space)
-    if folder.resolve() in {shot.image.path.parent.resolve() for shot in spec.observations}:
-        raise InputError(f"{folder}: holds the photographs, and would mix them with the maps; choose another with -o")
-    return file_capture(options)
+    return file_capture(options, folder)
 
 
-def file_capture(options: Namespace) -> Capture:
-    """Return the capture of files, with the chosen part of the pictures. Raises InputError."""
+def file_capture(options: Namespace, apart: Path | None = None) -> Capture:
+    """Return the capture of files, with the chosen part of the pictures.
+
+    apart: a folder that must not hold its photographs. Raises InputError.
+    """
     if options.distance and options.card_width:
         raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)
     spec = read_spec(options.capture, options.colour_space)
+    if apart and apart.resolve() in {shot.image.path.parent.resolve() for shot in spec.observations}:
+        raise InputError(f"{apart}: holds the photographs, and would mix them with the maps; choose another with -o")
     framing = replace(spec.framing, **framing_from_options(options))
     capture = whole_capture(spec, decode, options.skip_damaged)
     capture = _framed(replace(capture, card_distance=distance or capture.card_distance), framing, options)
