@@ -32,6 +32,8 @@ def scene():
     scene.cycles.device = "CPU"
     scene.cycles.samples = 4
     scene.cycles.use_denoising = False
+    # With several threads Blender 5.0 shades a grain's texel otherwise, by up to 30 %, in 9 of 400 renders of one scene.
+    scene.render.threads_mode, scene.render.threads = "FIXED", 1
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.filter_width = 1.0
     scene.render.resolution_x = scene.render.resolution_y = SIZE
@@ -253,8 +255,7 @@ def test_the_grain_of_a_mesh_follows_its_own_uv_map(tmp_path):
     difference = relative_difference(rendered, np.rot90(still, -1))
     worst = np.unravel_index(difference.argmax(), difference.shape)
     print(f"\nmean {difference.mean():.2%}, max {difference.max():.2%} at {worst}: {rendered[worst]}")
-    # Here the largest is 0.07 %; on one machine a single texel was 1.6 % off.
-    assert difference.mean() < 0.002 and difference.max() < 0.05
+    assert difference.mean() < 0.002 and difference.max() < 0.015
     untouched = oracles.anisotropic(values, tilted(40, 20), unit(0, 0, 1))
     assert relative_difference(rendered, np.rot90(untouched, -1)).max() > 0.1
 
