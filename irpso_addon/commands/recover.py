@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from argparse import Namespace
@@ -26,7 +27,7 @@ from ..pipeline.ranks import run_on_ranks
 from ..pipeline.result import Found, found_of, make_material, pictures_of, report_of, subject_of
 from ..pipeline.run import Run
 from ..results.report import plain
-from ..results.write import BLEND, REPORT, write_maps
+from ..results.write import BLEND, REPORT, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
@@ -47,7 +48,7 @@ def run(options: Namespace) -> dict:
             raise InputError("--preview: over ranks there is none; leave it out")
         return _planned(options, run_on_ranks(
             ranks, options, lambda: _job_of_ranks(options), StepBars(silent(options)),
-            lambda run: _recovered(options, run),
+            lambda run: _recovered(options, run, previewed=False),
         ))  # fmt: skip
     if options.slots == EACH:
         return _each_slot(options)
@@ -69,13 +70,15 @@ def _recover(options: Namespace, job: Job) -> dict:
     if options.preview and not can_be_smaller(job):
         raise InputError("--preview: a map given with --fixed has the texels of the whole; leave one of the two out")
     wanted = options.preview or (options.preview is None and seconds[0] >= _LONG and can_be_smaller(job))
-    if wanted and not options.resume:  # which has had its preview
-        _preview(options, smaller(job), plan.work)
-    return _recovered(options, run)
+    # A run that goes on has had its preview.
+    return _recovered(options, run, bool(options.resume) or wanted and _preview(options, smaller(job), plan.work))
 
 
-def _preview(options: Namespace, job: Job, work: float) -> None:
-    """Write the maps of a smaller job into OUT/preview, and say how long ``work``, of the whole, then takes."""
+def _preview(options: Namespace, job: Job, work: float) -> bool:
+    """Write the maps of a smaller job into OUT/preview, and say how long ``work``, of the whole, then takes.
+
+    Returns whether there are any.
+    """
     folder = Path(options.output) / PREVIEW
     run = Run(job, StepBars(silent(options)))
     own = run.first_plan().work
@@ -83,12 +86,23 @@ def _preview(options: Namespace, job: Job, work: float) -> None:
         report, _, _ = _solved(options, run, folder, Saving(None), {PREVIEW: PART})
     except InputError as error:  # of a quarter alone, perhaps
         sys.stderr.write(f"irpso: warning: no preview: {error}\n")
-        return
+        return False
     (folder / LIVE).unlink(missing_ok=True)
     if not silent(options):
         seconds = report["seconds"]["solve"] * work / own
         time_left = forecast_text((seconds / _PACE_SPREAD, seconds * _PACE_SPREAD))
         sys.stderr.write(f"preview of 1/{PART}: {folder}; by its pace the whole takes {time_left}\n")
+    return True
+
+
+def _remove_former_preview(folder: Path) -> None:
+    """Remove the preview of a former run, which shows other maps than those beside it."""
+    try:
+        made = json.loads((folder / REPORT).read_text(encoding="utf-8"))["settings"][PREVIEW]
+    except (OSError, ValueError, LookupError, TypeError):
+        return
+    if made == PART:  # another number is of a result that somebody put there
+        remove_result(folder)
 
 
 def _planned(options: Namespace, result: dict) -> dict:
@@ -131,8 +145,8 @@ def _each_slot(options: Namespace) -> dict:
     return {"output": str(folder), **result}
 
 
-def _recovered(options: Namespace, run: Run) -> dict:
-    """Run to the end, write everything, and return the report."""
+def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
+    """Run to the end, write everything, and return the report. previewed: whether OUT/preview is of this run."""
     folder = Path(options.output)
     saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every)
     report, found, started = _solved(options, run, folder, saving)
@@ -144,6 +158,8 @@ def _recovered(options: Namespace, run: Run) -> dict:
         report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
     for name in (CHECKPOINT, *[LIVE] * options.live):
         (folder / name).unlink(missing_ok=True)
+    if not previewed:
+        _remove_former_preview(folder / PREVIEW)
     if not silent(options):
         sys.stdout.write(_summary(report, folder, time.perf_counter() - started))
     warn_quietly(options, report["warnings"])

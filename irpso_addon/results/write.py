@@ -117,6 +117,13 @@ def write_maps(
     return [folder / name for name in (*names, REPORT)]
 
 
+def remove_result(folder: Path) -> None:
+    """Remove the files of the result in this folder, and the folder where nothing else is in it."""
+    for name in _former_files(folder):
+        (folder / name).unlink(missing_ok=True)
+    _remove_empty([folder])
+
+
 def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[str, np.ndarray]) -> list[str]:
     """Write every file except the report; return the names."""
     names = []

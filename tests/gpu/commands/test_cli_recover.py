@@ -321,6 +321,12 @@ def test_a_preview_has_a_quarter_of_the_size_and_changes_nothing(recovered, tmp_
     assert not list((tmp_path / "with" / "preview").glob("checkpoint*"))
     page = ["export", tmp_path / "with" / "preview", "--format", "web", "--photographs", 2, "-o", tmp_path / "page"]
     assert run_cli(*page)[0] == 0
+    (tmp_path / "with" / "preview" / "notes.txt").write_text("mine")
+    assert run_cli(*options, "--quiet", "-o", tmp_path / "with" / "preview" / "preview")[0] == 0
+    assert run_cli(*options, "--quiet", "-o", tmp_path / "with")[0] == 0
+    left = tmp_path / "with" / "preview"
+    assert sorted(path.name for path in left.iterdir()) == ["notes.txt", "preview"], "a former run's preview is gone"
+    assert (left / "preview" / "normal.exr").is_file()
 
 
 def test_a_preview_that_cannot_be_is_refused(recovered, tmp_path, monkeypatch):
