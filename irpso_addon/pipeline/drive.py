@@ -59,11 +59,11 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         while not (progress.done or interrupted()):
             started = bar.seconds
             if saver.turns:  # a tile makes all the iterations it can before the next one's turn
-                progress = recovery.step(history.until_next, _SLICE_SECONDS)
+                progress = recovery.step(history.until_next(None), _SLICE_SECONDS)
             else:
                 # One iteration of a large domain may take minutes; waiting for the bands of short ones would cost.
                 budget = _SLICE_SECONDS if iterations == 1 else None
-                progress = recovery.step(min(iterations, history.until_next), budget)
+                progress = recovery.step(history.until_next(iterations), budget)
             history.look()
             rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
             left = time_left.after(bar.seconds, progress)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from ..state.separation import SeparatedStack
 from .halo import Box
 from .progress import Progress
 
+if TYPE_CHECKING:
+    from .watch import Note
+
 _MOST_RUNNING = 1 << 21  # solvable texels whose running stage goes into a checkpoint: about a gigabyte
 _DIVIDED = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"
 
@@ -41,11 +44,13 @@ class Capabilities:
 
     view: the live textures that it lends: of the whole domain, of the tiles on the device, or none. reconfigure:
     whether it accepts other settings in mid-run. turns: whether tiles take turns on the device, so short steps cost.
+    watches: whether it has ``watch``.
     """
 
     view: Literal["whole", "tiles", "none"]
     reconfigure: bool
     turns: bool = False
+    watches: bool = False
 
 
 class RecoveryEngine(ABC):
@@ -118,6 +123,17 @@ class RecoveryEngine(ABC):
 
         The texels are drawn at random, once. It takes milliseconds, where maps() may take a second.
         """
+
+    def watch(self, rows: np.ndarray, columns: np.ndarray, due: Callable[[Progress], bool]) -> None:
+        """Note from now on what maps() has at n texels, after iterations that are ``due``; ``notes`` returns it.
+
+        For tiles that take turns: to ask them for maps after an iteration would end their turns there.
+        """
+        raise NotImplementedError
+
+    def notes(self) -> list[Note]:
+        """Return the notes of watched texels since the last call, in the order of iterations."""
+        raise NotImplementedError
 
     @property
     def separation(self) -> np.ndarray | None:

@@ -162,6 +162,8 @@ class LockStep:
             tile.progress = recovery.progress
             yield
         tile.progress = recovery.progress
+        if tile.watch is not None:
+            tile.watch.look(recovery)
 
     def _reached(self, recovery: TileRecovery) -> bool:
         """Whether the first tile of any process has reached the threshold."""
@@ -171,8 +173,12 @@ class LockStep:
         """Begin the next stage on all tiles: the whole domain has reached the threshold."""
         for number in self._pool.order():
             tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+            before = recovery.progress.iteration_in_all
             recovery.finish_stage()
             tile.progress, tile.reached, tile.seen = recovery.progress, False, None
+            if tile.watch is not None and recovery.progress.iteration_in_all != before:
+                tile.watch.forget(before)  # the whole domain solved at once has passed it
+                tile.watch.look(recovery)
             self._publish(number)
             yield
         self._exchange()

@@ -122,7 +122,7 @@ class Successive(RecoveryEngine):
 
     @property
     def capabilities(self) -> Capabilities:
-        return self._live.capabilities
+        return replace(self._live.capabilities, watches=False)  # its maps may be others than the live one's
 
     @property
     def separation(self) -> np.ndarray | None:

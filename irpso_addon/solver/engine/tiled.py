@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ from .halo import Box, held_rows, own_of, own_rows, part_of, rectangle
 from .lockstep import LocalTransport, LockStep
 from .progress import Progress
 from .tiles import Tile, TilePool
+from .watch import Note, Watch, noted_by_all
 
 
 class TiledRecovery(RecoveryEngine):
@@ -56,6 +57,7 @@ class TiledRecovery(RecoveryEngine):
         context.ensure()
         super().__init__(domain, model, schedule, seed, fixed, entry)
         self._halo = halo
+        self._watched: list[tuple[Watch, np.ndarray]] = []  # with the numbers of its texels among the watched
         self._once: int | None = None  # a stage that cannot be made again from its begin
         _check_boxes(boxes, domain)
         prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
@@ -68,7 +70,7 @@ class TiledRecovery(RecoveryEngine):
 
     @property
     def capabilities(self) -> Capabilities:
-        return Capabilities("tiles", reconfigure=False, turns=not self._pool.resident)
+        return Capabilities("tiles", reconfigure=False, turns=not self._pool.resident, watches=True)
 
     def tiles(self) -> list[tuple[Box, RecoveryEngine]]:
         return [(part.box, part.recovery) for part in self._pool.tiles if part.recovery is not None]
@@ -118,6 +120,22 @@ class TiledRecovery(RecoveryEngine):
                     whole[texels] = value[own]
         deviations, alternatives = doubts if confidence else (None, None)
         return Maps(self.model, values, self.domain.solvable, residual, deviations, alternatives=alternatives)
+
+    def watch(self, rows: np.ndarray, columns: np.ndarray, due: Callable[[Progress], bool]) -> None:
+        self._watched = []
+        for part in self._pool.tiles:
+            x0, y0, width, height = part.box
+            left, _, bottom, _ = part.domain.halo
+            inside = (x0 <= columns) & (columns < x0 + width) & (y0 <= rows) & (rows < y0 + height)
+            part.watch = None
+            if inside.any():
+                there = rows[inside] - y0 + bottom, columns[inside] - x0 + left
+                part.watch = Watch(*there, due, last=part.progress.iteration_in_all)
+                self._watched.append((part.watch, np.flatnonzero(inside)))
+
+    def notes(self) -> list[Note]:
+        # In a round the threshold may still end the stage.
+        return noted_by_all(self._watched) if self._driver.settled or self.progress.done else []
 
     @property
     def separation(self) -> np.ndarray | None:

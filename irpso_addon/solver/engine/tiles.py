@@ -23,6 +23,7 @@ from ..state.prepare import Prepared
 from .halo import Box, Place, place_of
 from .progress import Progress
 from .recovery import Recovery
+from .watch import Watch
 
 
 class TileRecovery(Recovery):
@@ -47,7 +48,7 @@ class Tile:
 
     domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: of the recovery
     while that is not on the device. files: the memory's arrays, if they are in files. seen: its maps at the end of a
-    round that the caller wanted to end there, until they are asked for, or the next round.
+    round that the caller wanted to end there, until they are asked for, or the next round. watch: of its own texels.
     """
 
     box: Box
@@ -60,6 +61,7 @@ class Tile:
     reached: bool = False
     error: float | None = None
     seen: Maps | None = None
+    watch: Watch | None = None
     memory: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
 

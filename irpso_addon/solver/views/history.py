@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...core.optional import present
 from ...results.maps import Maps
 from ...results.preview import Curves, convergence, display_image, spread_marks
 from ...results.report import error_unit, parameter_error
 from ..engine.engine import RecoveryEngine
+from ..engine.progress import Progress
+from ..engine.watch import Note, note_of
 
 _ITERATIONS = "iterations"
 _LOOKS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
@@ -33,28 +34,35 @@ class History:
         rows, columns = np.nonzero(recovery.domain.solvable)
         chosen = spread_marks(np.stack([columns, rows], axis=-1))
         self._rows, self._columns = rows[chosen], columns[chosen]
+        self._watches = recovery.capabilities.watches and show is None
+        if self._watches:
+            recovery.watch(self._rows, self._columns, _due)
         self._iterations: list[int] = []
         self._seen = 0  # iteration of the last measurement, which may be one of the first tile only
         self._errors: dict[str, list[np.ndarray]] = {}
 
-    @property
-    def until_next(self) -> int:
-        """Return the iterations until the next measurement: independent of how the run is sliced."""
+    def until_next(self, most: int | None) -> int | None:
+        """Return how many iterations may be made before ``look``, ``most`` at most; None for any number.
+
+        Where they end is independent of how the run is sliced.
+        """
+        if self._watches:
+            return most
         progress = self._recovery.progress
-        every = max(1, progress.iterations_in_all // _LOOKS)
-        return every - progress.iteration_in_all % every
+        left = _every(progress) - progress.iteration_in_all % _every(progress)
+        return left if most is None else min(most, left)
 
     def look(self) -> None:
-        """Record the errors where a measurement is due."""
-        progress = self._recovery.progress
-        every = max(1, progress.iterations_in_all // _LOOKS)
-        if progress.iteration_in_all == self._seen or (progress.iteration_in_all % every and not progress.done):
+        """Record the errors where a measurement is due, or those that the recovery has noted."""
+        if self._watches:
+            for note in self._recovery.notes():
+                self._record(note)
             return
-        self._seen = progress.iteration_in_all
+        progress = self._recovery.progress
+        if progress.iteration_in_all == self._seen or not _due(progress):
+            return
         maps = self._recovery.maps(confidence=False)
-        self._iterations.append(progress.iteration_in_all)
-        for name, error in self._errors_of(maps).items():
-            self._errors.setdefault(name, []).append(error[self._rows, self._columns])
+        self._record(note_of(maps, progress.iteration_in_all, self._rows, self._columns))
         if self._show is not None:
             self._show(maps)
 
@@ -69,6 +77,8 @@ class History:
         self._iterations = [int(n) for n in notes.get(_ITERATIONS, ()) if n <= self._seen]
         count = len(self._iterations)
         self._errors = {name: list(errors[:count]) for name, errors in notes.items() if name != _ITERATIONS}
+        if self._watches:
+            self._recovery.watch(self._rows, self._columns, _due)
 
     def picture(self, maps: Maps) -> np.ndarray:
         """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""
@@ -82,8 +92,20 @@ class History:
         marks = [(int(x), int(y)) for x, y in zip(self._columns, self._rows, strict=True)]
         return convergence(image, marks, panels)
 
-    def _errors_of(self, maps: Maps) -> dict[str, np.ndarray]:
-        truth = self._truth or {}
-        known = [p for p in maps.model.parameters if p.name in truth]
-        errors = {p.name: parameter_error(p, maps.values[p.name], truth[p.name]) for p in known}
-        return {"residual": 100 * present(maps.residual), **errors}
+    def _record(self, note: Note) -> None:
+        self._seen = note.iteration
+        self._iterations.append(note.iteration)
+        self._errors.setdefault("residual", []).append(100 * note.residual)
+        for p in self._recovery.model.parameters:
+            if self._truth is not None and p.name in self._truth:
+                error = parameter_error(p, note.values[p.name], self._truth[p.name][self._rows, self._columns])
+                self._errors.setdefault(p.name, []).append(error)
+
+
+def _every(progress: Progress) -> int:
+    """Return the iterations between measurements."""
+    return max(1, progress.iterations_in_all // _LOOKS)
+
+
+def _due(progress: Progress) -> bool:
+    return progress.done or progress.iteration_in_all % _every(progress) == 0

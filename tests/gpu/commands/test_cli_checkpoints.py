@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -108,7 +109,10 @@ class FullDisk:
 
 
 class NoHistory:
-    until_next, notes = 1, {}
+    notes = MappingProxyType({})
+
+    def until_next(self, most):
+        return 1
 
     def look(self):
         pass

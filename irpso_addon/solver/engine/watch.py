@@ -1,0 +1,73 @@
+"""What a few texels show while a recovery runs, noted at the iterations that ask for it and not by stopping there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...core.optional import present
+from ...results.maps import Maps
+from .engine import RecoveryEngine
+from .progress import Progress
+
+
+@dataclass(frozen=True)
+class Note:
+    """What ``maps`` returns of n texels after an iteration, counted over all stages.
+
+    values: parameter name → (n, components). residual: (n,).
+    """
+
+    iteration: int
+    values: Mapping[str, np.ndarray]
+    residual: np.ndarray
+
+
+def note_of(maps: Maps, iteration: int, rows: np.ndarray, columns: np.ndarray) -> Note:
+    """Return the note of (n,) texels of maps that have a residual."""
+    values = {name: value[rows, columns] for name, value in maps.values.items()}
+    return Note(iteration, values, present(maps.residual)[rows, columns])
+
+
+@dataclass
+class Watch:
+    """Takes notes of n texels of a recovery, (n,) rows and columns, after the iterations that are ``due``."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    due: Callable[[Progress], bool]
+    notes: list[Note] = field(default_factory=list)
+    last: int = 0  # iteration of the last note: the placing of a stage's swarms is no new one
+
+    def look(self, recovery: RecoveryEngine) -> None:
+        """Take a note if one is due."""
+        progress = recovery.progress
+        if progress.iteration_in_all != self.last and self.due(progress):
+            self.last = progress.iteration_in_all
+            self.notes.append(note_of(recovery.maps(confidence=False), self.last, self.rows, self.columns))
+
+    def forget(self, iteration: int) -> None:
+        """Drop the note of an iteration that turned out to be the last of its stage."""
+        self.notes = [note for note in self.notes if note.iteration != iteration]
+
+
+def noted_by_all(watches: Sequence[tuple[Watch, np.ndarray]]) -> list[Note]:
+    """Take from watches the notes that all of them have, joined.
+
+    With each watch the numbers of its texels among all that are watched.
+    """
+    found = []
+    texels = sum(len(numbers) for _, numbers in watches)
+    for notes in zip(*(watch.notes for watch, _ in watches), strict=False):
+        whole = {name: np.empty((texels, value.shape[1]), np.float32) for name, value in notes[0].values.items()}
+        residual = np.empty(texels, np.float32)
+        for note, (_, numbers) in zip(notes, watches, strict=True):
+            residual[numbers] = note.residual
+            for name, value in note.values.items():
+                whole[name][numbers] = value
+        found.append(Note(notes[0].iteration, whole, residual))
+    for watch, _ in watches:
+        del watch.notes[: len(found)]
+    return found

@@ -1,0 +1,71 @@
+"""The convergence of a recovery in tiles that take turns: that of the whole, without another turn."""
+
+import numpy as np
+import pytest
+
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine import tiles
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.engine.tiles import TileRecovery
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.views.history import History
+from tests.builders.domains import SHORT, subject
+
+LAMBERT = load_model("lambert")
+BOXES = [(0, 0, 8, 4), (0, 4, 3, 5), (3, 4, 5, 5)]
+STAGES = load_schedule("paper").replaced(iterations=30, cycles=2, particles=4, c3=0.3, neighbour_every=7)
+THRESHOLD = SHORT.replaced(iterations=200, cycles=2, loss="l1", threshold=0.2, c3=0.0, neighbour_every=30)
+
+
+def turns_of(domain, schedule):
+    return TiledRecovery(domain, LAMBERT, schedule, 1, entry="fragment", boxes=BOXES, halo=2, on_device=1)
+
+
+def driven(recovery, history, budget=None):
+    while not recovery.step(history.until_next(None), budget).done:
+        history.look()
+    history.look()
+    return history.notes
+
+
+@pytest.mark.parametrize("schedule", [STAGES, THRESHOLD], ids=["stages", "threshold"])
+def test_tiles_that_take_turns_note_the_errors_of_the_whole(schedule, monkeypatch):
+    domain, truth = subject(9, 8, holes=False)
+    with Recovery(domain, LAMBERT, schedule, 1, entry="fragment") as whole:
+        wanted = driven(whole, History(whole, truth))
+    assert set(wanted) == {"iterations", "residual", "normal", "base_color"} and len(wanted["iterations"]) > 4
+    turns = []
+    monkeypatch.setattr(tiles, "TileRecovery", lambda *given: turns.append(None) or TileRecovery(*given))
+    counts = []
+    for watched in (False, True):
+        turns.clear()
+        with turns_of(domain, schedule) as recovery:
+            if watched:
+                found = driven(recovery, History(recovery, truth), 1e-3)
+            else:
+                recovery.step()
+        counts.append(len(turns))
+    assert counts[0] == counts[1], "to look takes no turn"
+    assert set(found) == set(wanted)
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(found[name], values, name)
+
+
+@pytest.mark.parametrize("stop", [1, 10, 31])
+def test_notes_continue_from_a_checkpoint(stop, tmp_path):
+    domain, truth = subject(9, 8, holes=False)
+    with turns_of(domain, STAGES) as recovery:
+        wanted = driven(recovery, History(recovery, truth))
+    with turns_of(domain, STAGES) as recovery:
+        history = History(recovery, truth)
+        recovery.step(stop)
+        history.look()
+        recovery.save(tmp_path / "run.npz", history.notes)
+    with turns_of(domain, STAGES) as recovery:
+        history = History(recovery, truth)
+        history.take(recovery.load(tmp_path / "run.npz"))
+        found = driven(recovery, history)
+    assert found.keys() == wanted.keys()
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(found[name], values, name)
