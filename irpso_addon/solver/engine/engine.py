@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -30,9 +30,7 @@ from ..state.layout import digest_of_texels
 from ..state.separation import SeparatedStack
 from .halo import Box
 from .progress import Progress
-
-if TYPE_CHECKING:
-    from .watch import Note
+from .watch import Note
 
 _MOST_RUNNING = 1 << 21  # solvable texels whose running stage goes into a checkpoint: about a gigabyte
 _DIVIDED = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"

@@ -162,8 +162,7 @@ class LockStep:
             tile.progress = recovery.progress
             yield
         tile.progress = recovery.progress
-        if tile.watch is not None:
-            tile.watch.look(recovery)
+        tile.look()
 
     def _reached(self, recovery: TileRecovery) -> bool:
         """Whether the first tile of any process has reached the threshold."""
@@ -178,7 +177,7 @@ class LockStep:
             tile.progress, tile.reached, tile.seen = recovery.progress, False, None
             if tile.watch is not None and recovery.progress.iteration_in_all != before:
                 tile.watch.forget(before)  # the whole domain solved at once has passed it
-                tile.watch.look(recovery)
+            tile.look()
             self._publish(number)
             yield
         self._exchange()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,11 @@ class Tile:
     def place(self) -> Place:
         """Its place in the whole domain."""
         return place_of(self.box, self.domain)
+
+    def look(self) -> None:
+        """Let the watch of its texels take a note if one is due."""
+        if self.watch is not None and self.recovery is not None:
+            self.watch.look(self.recovery.progress, partial(self.recovery.maps, confidence=False))
 
 
 class TilePool:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...core.optional import present
 from ...results.maps import Maps
-from .engine import RecoveryEngine
 from .progress import Progress
 
 
@@ -41,12 +40,11 @@ class Watch:
     notes: list[Note] = field(default_factory=list)
     last: int = 0  # iteration of the last note: the placing of a stage's swarms is no new one
 
-    def look(self, recovery: RecoveryEngine) -> None:
-        """Take a note if one is due."""
-        progress = recovery.progress
+    def look(self, progress: Progress, maps: Callable[[], Maps]) -> None:
+        """Take a note if one is due. maps: returns those of the texels' recovery, whose progress is given."""
         if progress.iteration_in_all != self.last and self.due(progress):
             self.last = progress.iteration_in_all
-            self.notes.append(note_of(recovery.maps(confidence=False), self.last, self.rows, self.columns))
+            self.notes.append(note_of(maps(), self.last, self.rows, self.columns))
 
     def forget(self, iteration: int) -> None:
         """Drop the note of an iteration that turned out to be the last of its stage."""
