@@ -46,6 +46,9 @@ def build_parser() -> argparse.ArgumentParser:
     photographs.add_handheld(commands)
     _add_demo(commands)
     add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
+    add.add_argument(
+        "--benchmark", action="store_true", help="also recover a rendered card, and say how fast each phase is"
+    )
     add_common(add)
     return parser
 
