@@ -61,6 +61,7 @@ def _photographs(
         lamp.data.use_shadow = shadows
         path = folder / f"light_{number:03d}.exr"
         if not path.exists():
+            bpy.context.scene.cycles.seed = number  # else a pixel has the same noise under all lights, as its own light
             render_radiance(bpy.context.scene, path)
         yield read_radiance(path)
         if report:
