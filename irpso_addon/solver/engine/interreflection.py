@@ -14,6 +14,7 @@ from ...core.errors import InputError
 from ...core.optional import present
 from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
+from ...geometry.light.alike import drawn_to_alike
 from ...geometry.light.surroundings import Surroundings
 from ...geometry.samples import SampleStack
 from ...gpu.kernel import EntryChoice
@@ -201,7 +202,7 @@ class InterreflectionRounds(Successive):
         return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)
 
     def _next(self) -> Iterator[None]:
-        maps = self._live.maps(confidence=False)
+        maps = self._live.maps(confidence=self._holds)
         self._bases.append(self._basis(maps))
         self._errors.append(self._mean_residual(maps))
         domain = yield from self._without_indirect()
@@ -226,7 +227,25 @@ class InterreflectionRounds(Successive):
             light += counted * layer[..., :3].mean(axis=-1)
             count += counted
         explained = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
-        return {**maps.values, _EXPLAINED: explained[..., None].astype(np.float32)}
+        values = self._steadied(maps, explained) if self._holds else maps.values
+        return {**values, _EXPLAINED: explained[..., None].astype(np.float32)}
+
+    def _steadied(self, maps: Maps, explained: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the live maps with the gloss of texels that hardly show it drawn to that of texels of like colour.
+
+        Light that is found from a gloss that is not there, and taken off, makes the next round find more of it.
+        """
+        values, solved = dict(maps.values), self.domain.solvable
+        colour = next((values[p.name][solved] for p in self.model.parameters if p.is_albedo), None)
+        if colour is None:
+            return values
+        for p in self.model.parameters:
+            deviation = (maps.confidence or {}).get(p.name)
+            if not (p.is_normal or p.is_albedo or p.name in self.fixed or deviation is None):
+                values[p.name] = values[p.name].copy()
+                own = values[p.name][solved], deviation[solved]
+                values[p.name][solved] = drawn_to_alike(*own, colour, explained[solved])
+        return values
 
     def _without_rounds(self, last: int) -> Domain:
         """Make a recovery the last one, without anything of those before it; return its domain."""
