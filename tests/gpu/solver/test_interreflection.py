@@ -175,6 +175,25 @@ def test_the_normals_of_a_mesh_are_held_until_the_light_is_found(bowl):
     assert max(max(found) for found in tilts.values()) == 0 < max(free)
 
 
+def test_light_is_found_from_the_gloss_of_texels_that_show_it(bowl):
+    model = load_model("metallic_roughness")
+    with rounds_of(bowl, model=model) as run:
+        solved = np.argwhere(bowl[0].solvable)
+        unsure, others = tuple(solved[10]), tuple(solved[len(solved) // 2 :].T)
+        maps = run.maps()
+        shape = bowl[0].shape
+        values = {p.name: np.full((*shape, p.components), 0.5, np.float32) for p in model.parameters}
+        deviations = {p.name: np.full((*shape, 1 if p.is_normal else p.components), 0.02) for p in model.parameters}
+        values["roughness"][unsure], deviations["roughness"][unsure] = 1.0, 1.0
+        values["roughness"][others], values["base_color"][others] = 0.7, 0.1
+        basis = run._basis(replace(maps, values=values, confidence=deviations, residual=np.zeros(shape)))
+        assert abs(basis["roughness"][unsure] - 0.5) < 0.01
+        np.testing.assert_allclose(basis["roughness"][others], 0.7, atol=0.01)
+        assert values["roughness"][unsure] == 1, "the maps themselves keep what was found"
+        for name in ("normal", "base_color"):
+            np.testing.assert_array_equal(basis[name], values[name])
+
+
 def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch):
     monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)  # of albedos of up to 0.8 a third of the light is
     with rounds_of(bowl) as recovery:
