@@ -80,7 +80,7 @@ class LockStep:
         """Advance as RecoveryEngine.step.
 
         With a time budget it may stop while some tiles are ahead of others; the next step continues there. Where tiles
-        take turns, that first finishes the round, however few iterations the caller wants.
+        take turns, that first finishes the round, however few iterations the caller wants, and ends with it.
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
@@ -94,6 +94,8 @@ class LockStep:
                     return
             self._work = None
             left = None if left is None else left - self._made
+            if deadline is not None and not self._pool.resident:
+                return  # all tiles are at the same iteration: the moment for a checkpoint, which else takes a turn
 
     def finish_round(self) -> None:
         """Bring all tiles to the same iteration."""

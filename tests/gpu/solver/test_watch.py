@@ -69,3 +69,12 @@ def test_notes_continue_from_a_checkpoint(stop, tmp_path):
     assert found.keys() == wanted.keys()
     for name, values in wanted.items():
         np.testing.assert_array_equal(found[name], values, name)
+
+
+def test_steps_end_with_a_round_so_that_checkpoints_take_no_turn():
+    domain, _ = subject(9, 8, holes=False)
+    with turns_of(domain, STAGES) as recovery:
+        settled = 0
+        while not recovery.step(None, 1e-3).done:
+            settled += recovery.settled
+    assert settled > 6
