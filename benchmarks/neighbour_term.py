@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of
+from irpso_addon.geometry.domain import Domain, domain_of, flat_bake
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -58,10 +58,8 @@ def make_subject(size: int) -> Subject:
     radiance = albedo * cosine[..., None] + rng.normal(size=(LIGHTS, size, size, 3)) * NOISE
     stack = np.concatenate([radiance, np.ones((LIGHTS, size, size, 1))], axis=-1)
 
-    up = np.broadcast_to(np.float32([0, 0, 1]), (size, size, 3))
-    tangent = np.broadcast_to(np.float32([1, 0, 0, 1]), (size, size, 4))
     plane = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    bake = GeometryBake(plane.astype(np.float32), up, tangent, np.ones((size, size), bool), plane[..., :2])
+    bake = flat_bake(plane, np.ones((size, size), bool), plane[..., :2])
     views = np.broadcast_to(np.float32([0, 0, 1, 0]), (LIGHTS, 4))
     domain = domain_of(
         bake, stack.astype(np.float32), lights.astype(np.float32), np.ones((LIGHTS, 3), np.float32), views

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.peers.models import geometry_of, radiance
 from benchmarks.peers.problem import Problem, angles, problem_of
-from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, with_samples
+from irpso_addon.geometry.domain import Domain, domain_of, flat_bake, with_samples
 from irpso_addon.reflectance.model import load_model
 
 TWO_LOBES = "cook_torrance_two_lobe"
@@ -133,9 +133,7 @@ def _domain(shape: tuple[int, int], directions: np.ndarray) -> Domain:
     count = len(directions)
     y, x = np.mgrid[:rows, :columns].astype(np.float32) / max(shape)
     position = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    up = np.broadcast_to(np.float32([0, 0, 1]), (*shape, 3))
-    tangent = np.broadcast_to(np.float32([1, 0, 0, 1]), (*shape, 4))
-    bake = GeometryBake(position, up, tangent, np.ones(shape, bool), position[..., :2])
+    bake = flat_bake(position, np.ones(shape, bool), position[..., :2])
     lights = np.concatenate([directions, np.zeros((count, 1))], axis=1).astype(np.float32)
     views = np.broadcast_to(np.float32([0, 0, 1, 0]), (count, 4))
     empty = np.broadcast_to(np.float32(1), (count, *shape, 4))

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.peers.problem import angles
 from benchmarks.subjects import spiral_lights
-from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, with_samples
+from irpso_addon.geometry.domain import Domain, domain_of, flat_bake, with_samples
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -68,9 +68,8 @@ def make_card(relief: str, material: str, lights: int, noise: float, size: int, 
         "metallic": metallic[..., None], "specular": np.full((*shape, 1), 0.5, np.float32),
     }  # fmt: skip
     y, x = np.mgrid[:size, :size].astype(np.float32)
-    up, tangent = (np.broadcast_to(np.float32(v), (*shape, len(v))) for v in ((0, 0, 1), (1, 0, 0, 1)))
     place = np.stack([x, y, 0 * x], axis=-1)
-    bake = GeometryBake(place, up, tangent, np.ones(shape, bool), place[..., :2] / size)
+    bake = flat_bake(place, np.ones(shape, bool), place[..., :2] / size)
     towards = np.pad(spiral_lights(lights, 0.45), ((0, 0), (0, 1))).astype(np.float32)
     views = np.broadcast_to(np.float32([0, 0, 1, 0]), (lights, 4))
     stack = np.ones((lights, *shape, 4), np.float32)

@@ -18,7 +18,7 @@ import numpy as np
 from ..core.encode import srgb_from_linear
 from ..core.files import replacing_file
 from ..core.udim import tile_stem
-from ..geometry.domain import GeometryBake
+from ..geometry.domain import flat_bake
 from ..results.maps import Maps, split_maps
 from ..solver.views.forward import Renderer
 from .result import Result
@@ -85,13 +85,7 @@ def card_renderer(maps: Maps, lights: np.ndarray) -> Renderer:
     """Return the renderer of maps on a flat card, seen straight from above; lights: (K, 3), toward distant lights."""
     height, width = maps.covered.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    bake = GeometryBake(
-        position=np.stack([x, y, np.zeros_like(x)], axis=-1).astype(np.float32),
-        normal=np.tile(np.float32([0, 0, 1]), (height, width, 1)),
-        tangent=np.tile(np.float32([1, 0, 0, 1]), (height, width, 1)),
-        coverage=maps.covered,
-        uv=np.stack([x, y], axis=-1).astype(np.float32),
-    )
+    bake = flat_bake(np.stack([x, y, np.zeros_like(x)], axis=-1), maps.covered, np.stack([x, y], axis=-1))
     values = {
         p.name: np.broadcast_to(
             np.asarray(maps.values.get(p.name, p.default), np.float32), (height, width, p.components)

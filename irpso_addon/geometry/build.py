@@ -17,7 +17,7 @@ from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
 from ..core.steps import at_once
-from .domain import Domain, GeometryBake, domain_of
+from .domain import Domain, GeometryBake, domain_of, flat_bake
 from .light.light_shape import unshaped
 from .light.shadows import ShadowCaster, texel_size
 from .project import GRAZING, Projector, blocks, filled
@@ -272,13 +272,7 @@ def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     position = camera.points(depth)
     shown = np.isfinite(position).all(axis=-1)
-    return GeometryBake(
-        position=np.where(shown[..., None], position, 0).astype(np.float32),
-        normal=np.tile(np.asarray([0, 0, 1], np.float32), (height, width, 1)),
-        tangent=np.tile(np.asarray([1, 0, 0, 1], np.float32), (height, width, 1)),
-        coverage=mask & shown,
-        uv=np.stack([u, v], axis=-1).astype(np.float32),
-    )
+    return flat_bake(np.where(shown[..., None], position, 0), mask & shown, np.stack([u, v], axis=-1))
 
 
 def _domain(

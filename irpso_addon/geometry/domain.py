@@ -42,6 +42,12 @@ class GeometryBake:
         return GeometryBake(**{item.name: change(getattr(self, item.name)) for item in fields(GeometryBake)})
 
 
+def flat_bake(position: np.ndarray, coverage: np.ndarray, uv: np.ndarray) -> GeometryBake:
+    """Return the geometry of texels (H, W) that face +Z, their tangents along +X; arguments as in GeometryBake."""
+    normal, tangent = (np.tile(np.asarray(axis, np.float32), (*coverage.shape, 1)) for axis in ((0, 0, 1), (1, 0, 0, 1)))
+    return GeometryBake(position.astype(np.float32), normal, tangent, coverage, uv.astype(np.float32))
+
+
 @dataclass(frozen=True)
 class Domain:
     """W×H texels with geometry, sample stack, lights and views: everything that one recovery reads.

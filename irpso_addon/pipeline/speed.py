@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.paths import DEFAULT_MODEL
 from ..core.waves import wave_field, wave_values
-from ..geometry.domain import Domain, GeometryBake, domain_of, tile
+from ..geometry.domain import Domain, domain_of, flat_bake, tile
 from ..gpu import context, textures
 from ..gpu.program import KeptPrograms
 from ..reflectance.model import ReflectanceModel, load_model
@@ -148,10 +148,7 @@ def _card(model: ReflectanceModel, side: int) -> Domain:
     lights = np.pad(directions[directions[:, 2] > 0], ((0, 0), (0, 1))).astype(np.float32)
     intensities = np.ones((len(lights), 3), np.float32)
     views = np.tile(np.array([0, 0, 1, 0], np.float32), (len(lights), 1))
-    flat = np.broadcast_to(np.array([0, 0, 1], np.float32), (side, side, 3))
-    along = np.broadcast_to(np.array([1, 0, 0, 1], np.float32), (side, side, 4))
-    uv = (position[..., :2] + 0.5).astype(np.float32)
-    bake = GeometryBake(position.astype(np.float32), flat, along, np.ones((side, side), bool), uv)
+    bake = flat_bake(position, np.ones((side, side), bool), position[..., :2] + 0.5)
     values = {name: value.astype(np.float32) for name, value in values.items()}
     with closing(Renderer(bake, model, values, lights, intensities, views, card=True)) as renderer:
         samples = np.stack([renderer.render(k) for k in range(len(lights))])
