@@ -44,7 +44,9 @@ class GeometryBake:
 
 def flat_bake(position: np.ndarray, coverage: np.ndarray, uv: np.ndarray) -> GeometryBake:
     """Return the geometry of texels (H, W) that face +Z, their tangents along +X; arguments as in GeometryBake."""
-    normal, tangent = (np.tile(np.asarray(axis, np.float32), (*coverage.shape, 1)) for axis in ((0, 0, 1), (1, 0, 0, 1)))
+    normal, tangent = (
+        np.tile(np.asarray(axis, np.float32), (*coverage.shape, 1)) for axis in ((0, 0, 1), (1, 0, 0, 1))
+    )
     return GeometryBake(position.astype(np.float32), normal, tangent, coverage, uv.astype(np.float32))
 
 
