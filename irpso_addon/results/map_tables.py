@@ -12,7 +12,7 @@ from ..core.errors import InputError
 from ..reflectance.model import Parameter, ReflectanceModel
 from .maps import Maps
 
-CHANNELS = {1: "Y", 2: "RG", 3: "RGB", 4: "RGBA"}
+_CHANNELS = {1: "Y", 3: "RGB", 4: "RGBA"}
 _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
 _RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip", "live"}
 
@@ -28,11 +28,6 @@ class MapTable:
     def components(self) -> int:
         """Number of channels in use."""
         return sum(p.components for p in self.parameters)
-
-    @property
-    def channels(self) -> str:
-        """Channel names in an EXR: Y, RG, RGB or RGBA, which every reader shows as a picture."""
-        return CHANNELS[self.components]
 
     @property
     def is_normal(self) -> bool:
@@ -101,9 +96,24 @@ def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
         low = np.concatenate([np.full(p.components, p.range[0]) for p in table.parameters])
         high = np.concatenate([np.full(p.components, p.range[1]) for p in table.parameters])
         encoded = (values - low) / (high - low)
-    if table.components == 2:
-        encoded = np.concatenate([encoded, np.zeros_like(encoded[..., :1])], axis=-1)
-    return np.clip(np.nan_to_num(encoded), 0, 1).astype(np.float32)
+    return np.clip(np.nan_to_num(_with_black(encoded)), 0, 1).astype(np.float32)
+
+
+def exr_channels(values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return channel name → (H, W) float32 of (H, W, C) values: Y, RGB or RGBA, which every reader shows as a picture.
+
+    Two channels get a third, black one. Blender 5.0 leaves a blue that a file lacks as the memory was, and Cycles
+    takes a texel that is not finite anywhere for black in all channels.
+    """
+    values = _with_black(values)
+    names = _CHANNELS[values.shape[-1]]
+    return {name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate(names)}
+
+
+def _with_black(values: np.ndarray) -> np.ndarray:
+    if values.shape[-1] != 2:
+        return values
+    return np.concatenate([values, np.zeros_like(values[..., :1])], axis=-1)
 
 
 def encoding_text(table: MapTable) -> str:

@@ -21,7 +21,7 @@ from ..core.png import encode_png
 from ..core.udim import tile_part, tile_stem
 from ..reflectance.model import ReflectanceModel
 from .derived_map import DerivedMap
-from .map_tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
+from .map_tables import MapTable, encoded_values, encoding_text, exr_channels, map_tables, map_values
 from .maps import Maps, split_maps
 from .report import plain
 
@@ -141,7 +141,7 @@ def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Calla
     names = []
     for table in tables:
         values = map_values(table, maps)
-        everything[table.name] = _channels(values)
+        everything[table.name] = exr_channels(values)
         stem = stem_of(table.name)
         encode_png(folder / f"{stem}.png", encoded_values(table, values), bits=16)
         write_exr(folder / f"{stem}.exr", {table.name: everything[table.name]})
@@ -149,18 +149,18 @@ def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Calla
     outside = ~maps.covered
     if maps.residual is not None:
         residual = np.where(outside, 0, np.asarray(maps.residual, np.float32).reshape(outside.shape))
-        everything["residual"] = _channels(residual[..., None])
+        everything["residual"] = exr_channels(residual[..., None])
         names.append(f"{stem_of('residual')}.exr")
         write_exr(folder / names[-1], {"residual": everything["residual"]})
     if maps.confidence is not None:
         parts = {}
         for name, deviation in maps.confidence.items():
             deviation = np.asarray(deviation, np.float32).reshape(*outside.shape, -1)
-            parts[f"confidence_{name}"] = _channels(np.where(outside[..., None], 0, deviation))
+            parts[f"confidence_{name}"] = exr_channels(np.where(outside[..., None], 0, deviation))
         names.append(f"{stem_of('confidence')}.exr")
         write_exr(folder / names[-1], parts)
         everything |= parts
-    everything["coverage"] = _channels(maps.covered[..., None].astype(np.float32))
+    everything["coverage"] = exr_channels(maps.covered[..., None].astype(np.float32))
     names.append(f"{stem_of('maps')}.exr")
     write_exr(folder / names[-1], everything)
     return names
@@ -175,14 +175,8 @@ def _write_derived(derived: Sequence[DerivedMap], tiles: Sequence[int], folder: 
             encode_png(folder / names[-1], tile_part(extra.encoded, index, len(tiles)), bits=16)
             if extra.exr:
                 names.append(f"{stem}.exr")
-                write_exr(folder / names[-1], {extra.name: _channels(tile_part(extra.values, index, len(tiles)))})
+                write_exr(folder / names[-1], {extra.name: exr_channels(tile_part(extra.values, index, len(tiles)))})
     return names
-
-
-def _channels(values: np.ndarray) -> dict[str, np.ndarray]:
-    """Name the channels of (H, W, C) values: Y, RG, RGB or RGBA."""
-    names = CHANNELS[values.shape[-1]]
-    return {name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate(names)}
 
 
 def _write_report(

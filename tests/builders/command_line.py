@@ -78,7 +78,7 @@ def write_card(folder, images, lights, mask=None):
 def read_map(path):
     """Return (H, W, C), row 0 at the bottom, of an EXR with one part."""
     (channels,) = read_exr(path).values()
-    names = next(names for names in ("RGBA", "RGB", "RG", "Y", "XYZ") if set(names) == set(channels))
+    names = next(names for names in ("RGBA", "RGB", "Y", "XYZ") if set(names) == set(channels))
     return np.stack([channels[name] for name in names], axis=-1)
 
 

@@ -13,7 +13,7 @@ from ...core.errors import InputError
 from ...core.png import encode_png
 from ...core.udim import ONE_SQUARE, PATTERN, tile_stem
 from ...reflectance.model import Parameter, ReflectanceModel
-from ...results.map_tables import MapTable, encoded_values, map_tables, map_values
+from ...results.map_tables import MapTable, encoded_values, exr_channels, map_tables, map_values
 from ...results.maps import Maps, split_maps
 from ..colour_spaces import use_space
 
@@ -88,7 +88,7 @@ def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str) -> dic
         if table.fits_unit:
             encode_png(paths[number], encoded_values(table, values), bits=16)
         else:
-            write_exr(paths[number], {"": {name: values[..., i] for i, name in enumerate(table.channels)}})
+            write_exr(paths[number], {"": exr_channels(values)})
     return paths
 
 

@@ -16,6 +16,7 @@ from irpso_addon.blender.materials.material import (
     save_blend,
     subject_name,
 )
+from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.results.maps import Maps
@@ -72,6 +73,18 @@ def test_images_hold_maps_in_their_colour_space_packed_and_named():
     np.testing.assert_allclose(pixels(images["IRPSO icon base_color"]), maps.values["base_color"], atol=4e-5)
     np.testing.assert_allclose(pixels(images["IRPSO icon normal"]), maps.values["normal"] * 0.5 + 0.5, atol=1e-5)
     np.testing.assert_allclose(pixels(images["IRPSO icon roughness"])[..., :1], maps.values["roughness"], atol=1e-5)
+
+
+def test_a_map_of_two_numbers_has_a_black_third_channel(tmp_path):
+    """Blender 5.0 shows a channel that an EXR lacks as the memory was; Cycles takes a texel with NaN for black."""
+    maps = random_maps(load_model("anisotropic"))
+    build_material(maps, "icon")
+    image = bpy.data.images["IRPSO icon anisotropy"]
+    (tmp_path / "packed.exr").write_bytes(image.packed_file.data)
+    (channels,) = read_exr(tmp_path / "packed.exr").values()
+    assert set(channels) == {"R", "G", "B"}
+    np.testing.assert_array_equal(channels["B"], 0)
+    np.testing.assert_array_equal(pixels(image)[..., :1], maps.values["stretch"])
 
 
 def test_the_principled_material_connects_every_map():

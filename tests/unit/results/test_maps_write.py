@@ -74,6 +74,16 @@ def one_part(path):
     return next(iter(read_exr(path).values()))
 
 
+def test_a_map_of_two_numbers_has_a_black_third_channel(maps, tmp_path):
+    model = ReflectanceModel("pair", "Pair", Path("pair.glsl"), (Parameter("x", map="xy"), Parameter("y", map="xy")))
+    values = {"x": maps.values["r1"], "y": maps.values["r2"]}
+    write_maps(Maps(model, values, maps.covered), tmp_path / "out", {})
+    channels = one_part(tmp_path / "out" / "xy.exr")
+    assert set(channels) == {"R", "G", "B"}
+    np.testing.assert_array_equal(channels["B"], 0)
+    np.testing.assert_array_equal(channels["G"][maps.covered], values["y"][maps.covered][:, 0])
+
+
 def test_every_map_is_written_as_png_and_exr_with_the_users_own_names(maps, tmp_path):
     written = write_maps(maps, tmp_path / "deep" / "out", {"seed": 1}, {"preview": np.zeros((3, 3, 3))})
     names = {f"{stem}.{kind}" for stem in ("tint", "bumps", "lobes", "strength") for kind in ("png", "exr")}
