@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from .balls.detect.found import FoundBall, as_ball, of_one_kind, tables_of
 from .balls.detect.search import search_steps
 from .balls.lights import KINDS, Calibration, FoundLight, Request, calibration_steps
 from .balls.mirror import Sight
+from .balls.second_opinion import contradiction
 from .photographs import calibrated_table
 
 AUTO = "auto"
@@ -155,8 +156,13 @@ def calibrate_steps(
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     begun = _SEARCH if found else 0.0
-    reading = calibration_steps(readers, balls, request)
-    result = yield from map_steps(reading, lambda n: begun + (1 - begun) * n / len(shots))
+    others = [ball for ball in found if ball.exact and ball.kind != request.kind][:1]
+    each = (1 - begun) / (1 + len(others)) / len(shots)
+    result = yield from map_steps(calibration_steps(readers, balls, request), lambda n: begun + each * n)
+    doubts: list[str] = []
+    for other in others:
+        steps = _second_opinion_steps(readers, camera, of_one_kind(found)[0], result, other)
+        doubts += yield from map_steps(steps, lambda n: 1 - each * (len(shots) - n))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     names = tuple(spec.observations[n].name for n in shots)
@@ -169,13 +175,26 @@ def calibrate_steps(
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
-        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *near_lamps(found, result, camera),
-        *(w for ball in balls for w in ball.warnings),
+        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *doubts,
+        *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
     return Calibrated(spec, number, shots, names, result, tuple(warnings), asked, radius, found)
+
+
+def _second_opinion_steps(
+    readers: Sequence[Callable[[], np.ndarray]], camera: Camera, used: FoundBall, result: Calibration, other: FoundBall
+) -> Generator[int, None, list[str]]:
+    """Yield the number of each photograph; return a warning where the lights of a ball of the other kind contradict."""
+    if result.near:
+        return []
+    ball = as_ball(other, camera, "other", None)
+    request = Request(other.kind, inverse=other.inverse[0] / ball.radius, tables=tables_of([other]))
+    found = yield from calibration_steps(readers, [ball], request)
+    warning = contradiction(used, result.lights, other, found.lights, camera)
+    return [warning] if warning else []
 
 
 def _without(dropped: Collection[str], name: str, light: FoundLight) -> FoundLight:

@@ -20,7 +20,7 @@ from .table import Table, gathered
 
 KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
-_UNCERTAIN = 2.0  # degrees
+_UNCERTAIN, _USELESS = 2.0, 10.0  # degrees: worth a warning; worse than no light
 _MATTE_ERROR = 0.01  # radians: no ball is perfectly matte; measured in Cycles, 0.66° in the mean on a grey table
 _LEAST_LIT = 0.15  # fraction of a matte ball; below, the light is behind it
 _MISFIT, _LEFT_OUT = 0.1, 0.4
@@ -279,6 +279,8 @@ def _placed(
     degrees = float(np.degrees(intersection.error))
     if degrees > _UNCERTAIN:
         warnings = [*warnings, f"its direction is uncertain by {degrees:.1f}°"]
+    if degrees > _USELESS:
+        return FoundLight(None, degrees, None, sights, tuple(warnings))
     inverse, relative = intersection.inverse, intersection.inverse_error / max(abs(intersection.inverse), 1e-300)
     if request.distance is not None:
         inverse, relative = 1 / request.distance, 0.0

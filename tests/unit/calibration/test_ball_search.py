@@ -1,5 +1,6 @@
 """Balls found without being pointed at, in scenes ray traced in numpy."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,12 +9,14 @@ import pytest
 from irpso_addon.calibration.balls.ball import Ball
 from irpso_addon.calibration.balls.detect import falloff, shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
-from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, of_one_kind
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, of_one_kind, tables_of
 from irpso_addon.calibration.balls.detect.outline import fitted
 from irpso_addon.calibration.balls.detect.search import search_steps
-from irpso_addon.calibration.balls.lights import Request, calibration_steps
+from irpso_addon.calibration.balls.lights import FoundLight, Request, calibration_steps
+from irpso_addon.calibration.balls.second_opinion import contradiction
 from irpso_addon.calibration.job import near_lamps, unknown_lens
 from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.types import Light
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.filters import blurred, sampled
 from irpso_addon.core.steps import run_steps
@@ -65,6 +68,38 @@ def test_the_lights_of_a_found_ball_are_within_three_degrees(table, found, numbe
     result = run_steps(calibration_steps([lambda i=i: i for i in table], [ball], Request(KINDS[number])))
     off = degrees([light.light.vector for light in result.lights], LIGHTS)
     assert off.mean() < 1.5 and off.max() < 3.0
+
+
+def lights_of(table, ball):
+    request = Request(ball.kind, tables=tables_of([ball]))
+    readers = [lambda i=i: i for i in table]
+    return run_steps(calibration_steps(readers, [as_ball(ball, EMPTY.camera, "ball", None)], request)).lights
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.2])
+def test_a_ball_of_the_other_kind_contradicts_one_that_was_measured_too_large(table, found, factor):
+    mirror, matte = (next(ball for ball in found if ball.kind == kind) for kind in KINDS)
+    wrong = replace(mirror, points=mirror.centre + factor * (mirror.points - mirror.centre))
+    said = contradiction(mirror, lights_of(table, wrong), matte, lights_of(table, matte), EMPTY.camera)
+    assert (said is None) == (factor == 1)
+    assert said is None or said.startswith(f"the matte ball of radius {matte.radius:.0f} pixels shows the lights")
+
+
+@pytest.mark.parametrize(("known", "contradicts"), [(True, False), (False, True)])
+def test_the_parallax_of_near_lamps_is_no_contradiction(known, contradicts):
+    """Lamps 8 radii away, the balls 3 radii apart in a camera that is turned: directions differ by some 15°."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    camera = Camera.from_fov(240, 180, 40.0, matrix=matrix)
+    rim = 20 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    inverse = (1 / 8 if known else 0.0, 0.001)
+    one, two = (FoundBall(kind, rim + place, 20.0, 1.0, 0.9, inverse=inverse)
+                for kind, place in zip(KINDS, ([100, 90], [160, 90]), strict=True))  # fmt: skip
+    places = matrix[:3, :3] @ np.array([3.0, 0, 0])
+    lights = [[FoundLight(Light(tuple(unit(8 * light - at)), (1.0,) * 3), 0.5, None, (), ()) for light in LIGHTS]
+              for at in (np.zeros(3), places)]  # fmt: skip
+    said = contradiction(one, lights[0], two, lights[1], camera)
+    assert (said is not None) == contradicts
 
 
 def test_only_the_wanted_kind_is_searched(table):

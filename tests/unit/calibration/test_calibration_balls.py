@@ -320,6 +320,18 @@ def test_undetermined_lights_get_a_warning():
         calibrated(images, [ball], lights="near")
 
 
+def test_a_matte_ball_whose_parts_show_different_lights_gives_none():
+    """Three photographs are right; in a fourth half of the ball is lit from elsewhere."""
+    rng, (centre, radius), view = np.random.default_rng(1), PLACES["orthographic"], CAMERAS["orthographic"]
+    images = [matte_image(view, [(centre, radius)], light) for light in cap(7, 40)]
+    image, ball = images[3].copy(), ball_of(view, np.array(centre), radius)
+    middle = ball.outline[:-1].mean(axis=0)
+    image[int(middle[1]) :] = images[6][int(middle[1]) :]
+    lights = calibrated([photographed(i, rng, 0.8) for i in [*images[:3], image]], [ball], "matte").lights
+    assert [light.light is None for light in lights] == [False, False, False, True]
+    assert "uncertain by" in lights[3].warnings[-1]
+
+
 def test_a_highlight_that_floods_the_ball_gets_a_warning():
     rng, (centre, radius), view = np.random.default_rng(1), PLACES["orthographic"], CAMERAS["orthographic"]
     ball = ball_of(view, np.array(centre), radius)
