@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.optional import present
 from ...geometry.domain import Domain
 from ...geometry.samples import mapped_array
 from ...gpu.kernel import Entry
@@ -128,8 +127,6 @@ class TilePool:
                 last.memory = self._stored(last, last.recovery.memory())
                 last.recovery.close()
                 last.recovery = None
-            if self._scratch is not None and not self.resident:
-                self._pack(tile)
             tile.recovery = TileRecovery(
                 tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.memory
             )
@@ -171,14 +168,6 @@ class TilePool:
     def empty(self, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
         """Return zeros in memory, or in a file."""
         return np.zeros(shape, dtype) if self._scratch is None else mapped_array(self._scratch, shape, dtype)
-
-    def _pack(self, tile: Tile) -> None:
-        """Let a tile that takes turns have its samples as they go to the GPU, in a file: they are packed once."""
-        if tile.prepared.stack is None:
-            packed = tile.prepared.packed(tile.domain, self._settings[1])
-            file = self.empty(present(packed.stack).shape)
-            file[:] = packed.stack
-            tile.prepared = replace(packed, stack=file)
 
     def _stored(self, tile: Tile, memory: Checkpoint) -> Checkpoint:
         """Return a tile's memory, moved to files if there is a folder for them."""

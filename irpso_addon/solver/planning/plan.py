@@ -70,8 +70,7 @@ class Plan:
 
     shape: (H, W) of the domain. texels: covered. tiles: rectangles that contain all of them, with ``halo`` texels
     around each. on_device: tiles on the device at once; where not all fit, tiles take turns. stack_on, state_on: place
-    of the sample stack, and of the state of waiting tiles: "memory" or "scratch" (a file, where the waiting tiles'
-    samples lie once more, as they go to the device). passes: turns of each tile,
+    of the sample stack, and of the state of waiting tiles: "memory" or "scratch" (a file). passes: turns of each tile,
     1 + exchanges. device, host, scratch: largest bytes. work: as of a Cost, of all texels.
     """
 
@@ -321,18 +320,16 @@ def _places(
     texels: of the domain, covered or not.
     """
     stack = FLOAT4 * cost.observed * cost.stacks * texels
-    waiting = 0 if resident else sum(_places_of(tile.texels) for tile in tiles)
-    state, packed = cost.kept * waiting, FLOAT4 * cost.observations * waiting
+    state = 0 if resident else cost.kept * sum(_places_of(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
     least = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
     if cost.rounds:
         least += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
     for where in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
-        host = least + stack * (where[0] == "memory") + state * (where[1] == "memory")
-        if host <= memory.host:
-            scratch = stack * (where[0] == "scratch") + (state + packed) * (where[1] == "scratch")
-            return host, scratch, *where
+        scratch = stack * (where[0] == "scratch") + state * (where[1] == "scratch")
+        if least + stack + state - scratch <= memory.host:
+            return least + stack + state - scratch, scratch, *where
     raise InputError(
         f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(least)} even with the"
         " images in a scratch file; allow more, or choose a smaller --resolution"

@@ -18,7 +18,6 @@ from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
-from irpso_addon.solver.state.prepare import Prepared
 from tests.builders.domains import SHORT, masked, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -99,24 +98,6 @@ def test_swapped_tiles_give_the_maps_of_the_whole_bit_for_bit(name, on_scratch, 
         assert everything(recovery.maps()) == wanted
         assert sum(part.recovery is not None for part in recovery._pool.tiles) == 1
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("on_scratch", [True, False])
-def test_the_samples_of_waiting_tiles_are_packed_once_where_files_hold_them(on_scratch, tmp_path, monkeypatch):
-    domain, wanted, _ = known("standard")
-    packed, steps = [], Prepared.packing_steps
-
-    def counted(prepared, tile, schedule):
-        packed.append(prepared.stack is None)
-        return steps(prepared, tile, schedule)
-
-    monkeypatch.setattr(Prepared, "packing_steps", counted)
-    scratch = tmp_path if on_scratch else None
-    with tiled(domain, SCHEDULES["standard"], FEW, resident=False, scratch=scratch) as recovery:
-        recovery.step()
-        assert everything(recovery.maps()) == wanted
-        count = len(recovery._pool.tiles)
-    assert len(packed) > 2 * count and (sum(packed) == count) == on_scratch
 
 
 @pytest.mark.parametrize(("card", "resident"), [(True, True), (False, False)])
