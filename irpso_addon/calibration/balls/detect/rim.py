@@ -90,7 +90,7 @@ def _shifts(
         shift = more / np.where(clear, contrast, 1.0)
         variance = pictures.noise**2 + uneven + 4 * rough + (_MODEL * contrast) ** 2 + (_BEND * beta) ** 2
         shifts.append(shift)
-        weights.append(np.where(clear & (np.abs(shift) < gap), contrast**2 / variance, 0))
+        weights.append(np.where(clear & (np.abs(shift) < gap), contrast**2 / np.where(clear, variance, 1.0), 0))
     return np.array(shifts), np.array(weights)
 
 
