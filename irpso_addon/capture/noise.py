@@ -39,30 +39,56 @@ _DARK = 8  # mean code of a block under which black cuts the noise off
 _BETWEEN = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  # radiance between code k and k + 1
 
 
+class NoiseEstimate:
+    """The noise of a capture's photographs, from some of them, as they are read anyway.
+
+    It depends on the images only, not on the order in which they come.
+    """
+
+    def __init__(self, capture: Capture):
+        self._size: tuple[int, ...] = ()
+        self._chosen: list[Observation] = []
+        self._corners = np.zeros((0, 2), int)
+        self._blocks: dict[int, np.ndarray | None] = {}  # place among the chosen → codes, None where the size is wrong
+        encoding = capture.encoding
+        self._fine = not _coarse(capture) or (encoding is not None and encoding.colour_space != "srgb")
+        if self._fine:
+            return
+        index, observations = _chosen(capture)
+        corners = _corners(np.asarray(capture.masks[index], bool))
+        if len(observations) >= _FEWEST and len(corners) >= _FEWEST_BLOCKS:
+            self._size, self._chosen, self._corners = capture.masks[index].shape, observations, corners
+
+    def take(self, observation: Observation, image: np.ndarray) -> None:
+        """Take an observation's image (H, W, 4), as ``Observation.read`` gives it, if it is one of the chosen."""
+        for place, one in enumerate(self._chosen):
+            if one is observation:
+                right = image.shape[:2] == self._size
+                self._blocks[place] = _codes(np.asarray(image, np.float32), self._corners) if right else None
+
+    def finishing(self) -> Generator[None, None, float]:
+        """Yield before each chosen image that was not taken is read; return the deviation of ``noise_of``."""
+        if self._fine:
+            return 0.0
+        for place, one in enumerate(self._chosen):
+            if place not in self._blocks:
+                yield
+                with suppress(CaptureError):  # the recovery or inspect reports it
+                    self.take(one, one.read())
+        blocks = [block for _, block in sorted(self._blocks.items()) if block is not None]
+        deviations = block_noise(np.stack(blocks, axis=1)) if blocks else np.zeros(0)
+        if len(deviations) < _FEWEST_BLOCKS:
+            return USUAL
+        return float(np.clip(STEP * np.round(np.median(deviations) / (255 * STEP)), LEAST, MOST))
+
+
 def noise_of(capture: Capture) -> Generator[None, None, float]:
     """Yield before each image is read, and return the standard deviation of the sRGB codes as a fraction of white.
 
     LEAST to MOST in STEPs; USUAL if no camera has seven images or too few blocks are usable; 0 for files finer than
-    8-bit sRGB codes. It depends on the images only, not on their order.
+    8-bit sRGB codes.
     """
-    encoding = capture.encoding
-    if not _coarse(capture) or (encoding is not None and encoding.colour_space != "srgb"):
-        return 0.0
-    index, observations = _chosen(capture)
-    corners = _corners(np.asarray(capture.masks[index], bool))
-    if len(observations) < _FEWEST or len(corners) < _FEWEST_BLOCKS:
-        return USUAL
-    blocks = []
-    for one in observations:
-        yield
-        with suppress(CaptureError):  # the recovery or inspect reports it
-            image = one.read()
-            if image.shape[:2] == capture.masks[index].shape:
-                blocks.append(_codes(np.asarray(image, np.float32), corners))
-    deviations = block_noise(np.stack(blocks, axis=1)) if blocks else np.zeros(0)
-    if len(deviations) < _FEWEST_BLOCKS:
-        return USUAL
-    return float(np.clip(STEP * np.round(np.median(deviations) / (255 * STEP)), LEAST, MOST))
+    return NoiseEstimate(capture).finishing()
 
 
 def images_read(capture: Capture) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
-from ..capture.noise import images_read, noise_of
+from ..capture.noise import NoiseEstimate, images_read
 from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
@@ -45,8 +45,7 @@ def card_steps(
     """
     yield from _settling(capture)
     camera = capture.cameras[0]
-    bake = card_bake(capture)
-    noise = yield from noise_of(capture)
+    bake, noise = card_bake(capture), NoiseEstimate(capture)
     x0, y0, width, height = window or (0, 0, *bake.coverage.shape[::-1])
     if window is not None:
         bake = _windowed(bake, window)
@@ -55,7 +54,9 @@ def card_steps(
     texels = np.flatnonzero(bake.coverage)
     for observation, out in zip(capture.observations, stack.layers(), strict=True):
         yield
-        image = _read(observation, capture)[y0 : y0 + height, x0 : x0 + width]
+        whole = _read(observation, capture)
+        noise.take(observation, whole)
+        image = whole[y0 : y0 + height, x0 : x0 + width]
         shown = bake.coverage & ((image[..., 3] > 0) | np.isfinite(image).all(axis=-1))
         out[shown] = image[shown]
         if observation.light.axis is not None:
@@ -63,7 +64,7 @@ def card_steps(
             points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
             _weigh(out, texels, *_shape_of(observation.light, points, texels))
     views = np.broadcast_to(_local(camera).view, (len(capture.observations), 4))
-    domain = _domain(capture, bake, stack, views, inverse, card=True, noise=noise)
+    domain = _domain(capture, bake, stack, views, inverse, card=True, noise=(yield from noise.finishing()))
     if window is None:
         _check_seen(capture, domain, "the card")
     return replace(domain, origin=(x0, y0))
@@ -74,7 +75,7 @@ domain_from_card = at_once("domain_from_card", card_steps)
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
     """Return the number of steps of ``card_steps``, an upper bound for ``mesh_steps``, which adds one per camera."""
-    return len(capture.observations) + images_read(capture) + (len(capture.cameras) if on_mesh else 0)
+    return len(capture.observations) + (len(capture.cameras) + images_read(capture) if on_mesh else 0)
 
 
 def card_bake(capture: Capture) -> GeometryBake:
@@ -142,7 +143,6 @@ def mesh_steps(
     _check_masks(capture)
     yield from _settling(capture)
     bake, seams = surface or mesh_surface(mesh, width, height, allow_overlap)
-    noise = yield from noise_of(capture)
     texel = texel_size(mesh, bake)
     if window is not None:
         bake, seams = _windowed(bake, window), window_seams(seams, window)
@@ -154,10 +154,10 @@ def mesh_steps(
         return Projector(bake, bake_camera(mesh, camera), camera, grazing, steps, falloff)
 
     rows, columns = bake.coverage.shape
-    stack = new_stack(len(capture.observations), rows, columns, scratch)
-    yield from _fill(stack, capture, bake, project, caster)
+    stack, noise = new_stack(len(capture.observations), rows, columns, scratch), NoiseEstimate(capture)
+    yield from _fill(stack, capture, bake, project, caster, noise)
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
-    domain = _domain(capture, bake, stack, views, np.eye(4), card=False, noise=noise)
+    domain = _domain(capture, bake, stack, views, np.eye(4), card=False, noise=(yield from noise.finishing()))
     if window is None:
         _check_seen(capture, domain, f"mesh '{mesh.name}'")
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
@@ -189,6 +189,7 @@ def _fill(
     bake: SurfaceBake,
     project: Callable[[int], Projector],
     caster: ShadowCaster | None,
+    noise: NoiseEstimate,
 ) -> Generator[None, None, None]:
     """Read the images into the stack, yielding before each: light by light, because images of one light share shadows.
 
@@ -202,7 +203,7 @@ def _fill(
         for index in sorted(set(cameras) - set(projectors)):
             yield
             projectors[index] = project(index)
-        yield from _fill_light(stack, capture, bake, projectors, caster, light, numbers)
+        yield from _fill_light(stack, capture, bake, projectors, caster, light, numbers, noise)
         left -= cameras
         projectors = {index: projector for index, projector in projectors.items() if left[index]}
 
@@ -215,6 +216,7 @@ def _fill_light(
     caster: ShadowCaster | None,
     light: Light,
     numbers: Sequence[int],
+    noise: NoiseEstimate,
 ) -> Generator[None, None, None]:
     """Read the images under one light, the observations ``numbers``, yielding before each."""
     seen = {index: projectors[index].visible for index in {capture.observations[k].camera for k in numbers}}
@@ -230,6 +232,7 @@ def _fill_light(
             continue
         yield
         image = _read(capture.observations[k], capture)
+        noise.take(capture.observations[k], image)
         stack.layer(k)[:] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
         _weigh(stack.layer(k), texels, gain, weight)
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.linearise import Picture, samples_of_picture
 from irpso_addon.capture.inspect.report import inspect_capture
-from irpso_addon.capture.noise import LEAST, MOST, USUAL, images_read, noise_of
+from irpso_addon.capture.noise import LEAST, MOST, USUAL, NoiseEstimate, images_read, noise_of
 from irpso_addon.capture.read import read_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.core.encode import srgb_from_linear
@@ -140,6 +140,31 @@ def test_the_announced_number_of_images_is_read():
         capture = capture_of(clean(count))
         steps = sum(1 for _ in noise_of(capture))
         assert steps == images_read(capture) == min(count, 12)
+
+
+@pytest.mark.parametrize("window", [None, (3, 5, 20, 4)])
+def test_a_domain_reads_each_photograph_once(window):
+    capture, read = capture_of(noisy(clean(20), 4.0)), []
+
+    def counted(shot):
+        return replace(shot, read=lambda: (read.append(shot.name), shot.read())[1])
+
+    counting = replace(capture, observations=tuple(map(counted, capture.observations)))
+    assert domain_from_card(counting, window=window).noise == run_steps(noise_of(capture))
+    assert sorted(read) == [shot.name for shot in capture.observations]
+
+
+def test_photographs_that_were_taken_before_are_not_read_again_and_the_others_are():
+    capture = capture_of(noisy(clean(8), 4.0))
+    estimate = NoiseEstimate(capture)
+    for shot in capture.observations[:2:-1]:
+        estimate.take(shot, shot.read())
+    steps = estimate.finishing()
+    assert sum(1 for _ in steps) == 3
+    estimate = NoiseEstimate(capture)
+    for shot in capture.observations[::-1]:
+        estimate.take(shot, shot.read())
+    assert run_steps(estimate.finishing()) == run_steps(noise_of(capture))
 
 
 def test_inspect_states_the_noise_of_8_bit_files(tmp_path):
