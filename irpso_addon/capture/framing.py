@@ -116,12 +116,14 @@ class _View:
     """A framed picture. camera: its own. places: pixel coordinates (…, 2) in it → in the picture (…, 2).
 
     count: samples of a pixel along each side. window: (x0, y0, width, height) where it is a part as it is, else None.
+    upright: its rows and columns are the picture's.
     """
 
     camera: Camera
     places: Callable[[np.ndarray], np.ndarray]
     count: int
     window: tuple[int, int, int, int] | None = None
+    upright: bool = True
 
     def image(self, rgba: np.ndarray) -> np.ndarray:
         """Return (h, w, 4) of a picture (H, W, 4) with encoded weights, as ``Observation.read`` has them."""
@@ -150,11 +152,15 @@ class _View:
         """Return (h, w, C) means of ``count``² bilinear samples of an image (H, W, C)."""
         width, height, count = self.camera.width, self.camera.height, self.count
         image = np.ascontiguousarray(image, np.float32)
-        out = np.empty((height, width, image.shape[-1]), np.float32)
         x = (np.arange(width * count) + 0.5) / count
-        rows = max(1, _BLOCK // (width * count**2))
-        for first in range(0, height, rows):
-            last = min(first + rows, height)
+        if self.upright:  # one axis after the other: 4 · count values instead of 4 · count²
+            along = [self.places(np.stack([at, at], axis=-1)) for at in (x, (np.arange(height * count) + 0.5) / count)]
+            rows = _means(image, along[1][:, 1], count)
+            return np.ascontiguousarray(_means(rows.swapaxes(0, 1), along[0][:, 0], count).swapaxes(0, 1))
+        out = np.empty((height, width, image.shape[-1]), np.float32)
+        step = max(1, _BLOCK // (width * count**2))
+        for first in range(0, height, step):
+            last = min(first + step, height)
             y = (np.arange(first * count, last * count) + 0.5) / count
             places = self.places(np.stack(np.meshgrid(x, y), axis=-1))
             samples = _bilinear(image, places).reshape(last - first, count, width, count, -1)
@@ -164,6 +170,19 @@ class _View:
 
 def _read(read: Callable[[], np.ndarray], view: _View) -> np.ndarray:
     return view.image(read())
+
+
+def _means(values: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
+    """Return (n, …) means of ``count`` values each of (N, …), between which is linear; places: (n · count,) in 0…N."""
+    at = np.clip(places - 0.5, 0, len(values) - 1)
+    low = np.minimum(at.astype(np.int64), max(len(values) - 2, 0))
+    share = ((at - low) / count).astype(np.float32)[:, None, None]
+    total = np.zeros((len(places) // count, *values.shape[1:]), np.float32)
+    for k in range(count):
+        first, part = low[k::count], share[k::count]
+        total += values[first] * (np.float32(1 / count) - part)
+        total += values[first + int(len(values) > 1)] * part
+    return total
 
 
 def _bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -186,7 +205,7 @@ def _view(camera: Camera, framing: Framing) -> _View:
     count = math.ceil(1 / framing.scale - 1e-9)
     if framing.corners:
         seen = _facing(camera, framing)
-        return _View(seen, partial(_through, seen, camera), count)
+        return _View(seen, partial(_through, seen, camera), count, upright=False)
     x, top, width, height = map(int, framing.crop or (0, 0, camera.width, camera.height))
     if min(x, top) < 0 or min(width, height) < _LEAST_SIDE or x + width > camera.width or top + height > camera.height:
         raise CaptureError(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.capture.camera import Camera
@@ -99,6 +100,20 @@ def test_scale_that_divides_nothing_keeps_the_mean_and_the_camera():
     inner = slice(1, -1), slice(1, -1)
     np.testing.assert_allclose(found[inner][..., 0], np.broadcast_to(at_x, (height, width))[inner], atol=1e-4)
     np.testing.assert_allclose(found[inner][..., 1], np.broadcast_to(at_y[:, None], (height, width))[inner], atol=1e-4)
+
+
+def test_a_part_that_is_made_smaller_has_the_means_of_samples_between_its_pixels():
+    image, (x0, top, width, height), count = noise(), (7, 5, 61, 43), 2
+    found = framed(capture_of(image), Framing(crop=(7, 5, 61, 43), scale=0.63)).observations[0].read()
+    rows, columns = found.shape[:2]
+    assert (columns, rows) == (38, 27)
+    y = (np.arange(rows * count) + 0.5) / count * height / rows + HEIGHT - top - height
+    x = (np.arange(columns * count) + 0.5) / count * width / columns + x0
+    places = np.meshgrid(y - 0.5, x - 0.5, indexing="ij")
+    for channel in range(3):
+        samples = map_coordinates(image[..., channel].astype(np.float64), places, order=1)
+        means = samples.reshape(rows, count, columns, count).mean(axis=(1, 3))
+        np.testing.assert_allclose(found[..., channel], means, atol=1e-6)
 
 
 def test_weights_and_clipped_channels_survive_a_scale():
