@@ -20,10 +20,13 @@ def bounded(weight: np.ndarray, clipped: np.ndarray) -> np.ndarray:
 
 def weight_and_clipped(bounded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Decode ``bounded``: return (…) weights in 0…1 and the clipped channels (…, 3) bool."""
-    below = np.maximum(-bounded, 0)
-    bits = below.astype(np.int32)
-    clipped = (bits[..., None] & _BITS.astype(np.int32)) > 0
-    return np.where(bits > 0, 2 * (below - bits), np.maximum(bounded, 0)).astype(np.float32), clipped
+    weight = np.maximum(bounded, 0).astype(np.float32)
+    clipped = np.zeros((*weight.shape, 3), bool)
+    bounds = np.nonzero(bounded <= -1)  # few: the others cost nothing more
+    bits = (-bounded[bounds]).astype(np.int32)
+    weight[bounds] = 2 * (-bounded[bounds] - bits)
+    clipped[bounds] = (bits[:, None] & _BITS.astype(np.int32)) > 0
+    return weight, clipped
 
 
 def without_bounds(rgba: np.ndarray) -> np.ndarray:

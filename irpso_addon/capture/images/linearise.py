@@ -76,11 +76,11 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
 def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -> Samples:
     """Return Samples of (H, W, 3) linear colour, (H, W) alpha or None, and (H, W, 3) bool clipped."""
     not_finite = _any(~np.isfinite(colour))
-    weight = np.ones(colour.shape[:2], np.float32) if alpha is None else alpha.astype(np.float32)
-    not_finite |= ~np.isfinite(weight)
     rgba = np.empty((*colour.shape[:2], 4), np.float32)
-    rgba[..., :3] = colour
-    rgba[..., 3] = np.clip(weight, 0, 1)
+    rgba[..., :3], rgba[..., 3] = colour, 1
+    if alpha is not None:
+        not_finite |= ~np.isfinite(alpha)
+        rgba[..., 3] = np.clip(alpha.astype(np.float32), 0, 1)
     rgba[not_finite] = 0
     bounds, any_clipped = rgba, _any(clipped)
     if any_clipped.any():
