@@ -94,6 +94,7 @@ class Run:
         self.doubts: tuple[str, ...] = ()
         self._plan: Plan | None = None
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
+        self._thrown: dict[int, np.ndarray | float] = {}  # the indirect light of photographs that are held out
 
     def first_plan(self) -> Plan:
         """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
@@ -119,8 +120,10 @@ class Run:
         return with_modes(recovery.maps(confidence))
 
     def indirect(self, observation: int) -> np.ndarray | float:
-        """Return the light that was taken off a photograph, (H, W, 3) or 0: off one that is held out, none."""
-        return present(self.recovery).indirect(observation) if observation in self.job.fitted else 0.0
+        """Return the indirect light, (H, W, 3) or 0: what was taken off, or what ``relighting`` found."""
+        if observation in self.job.fitted:
+            return present(self.recovery).indirect(observation)
+        return self._thrown.get(observation, 0.0)
 
     @property
     def indirect_share(self) -> np.ndarray | None:
@@ -133,8 +136,10 @@ class Run:
 
     def relighting(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
-        steps = relit_steps(present(self.domain), maps, self.job.unseen, self.job.capture, self._elsewhere)
-        at = present(self.progress).evaluations
+        domain, unseen, at = present(self.domain), self.job.unseen, present(self.progress).evaluations
+        if self.recovery is not None:
+            self._thrown = dict(zip(unseen, (yield from self.recovery.indirect_in(domain, unseen)), strict=True))
+        steps = relit_steps(domain, maps, unseen, self.job.capture, self._elsewhere, self.indirect)
         self._relit = at, *(yield from steps)
 
     @property

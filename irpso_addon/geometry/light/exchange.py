@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from ...core.steps import map_steps
 from ..surface.bake import SurfaceBake
 from ..surface.mesh import MeshData
 from .shadows import corner_weights
@@ -53,11 +54,8 @@ def exchange_steps(
     """
     grid = _Grid(bake, resolution)
     normals = bake.normal.reshape(-1, 3)[grid.texels].astype(np.float64)
-    face = bake.face_normal.reshape(-1, 3)[grid.texels].astype(np.float64)
-    points = bake.position.reshape(-1, 3)[grid.texels].astype(np.float64)
-    points += _LIFT * np.ptp(mesh.positions.reshape(-1, 3), axis=0).max() * face
+    points, face = _above(mesh, bake, grid.texels)
     directions = cosine_directions(normals, rays)
-    lit = np.zeros((len(lights), len(points)), bool)
     hits = np.full(directions.shape[:2], -1, np.int32)
     total = rays + len(lights)
     for number, directed in enumerate(directions):
@@ -66,6 +64,17 @@ def exchange_steps(
         met = (triangle >= 0) & (triangle < len(mesh.positions))
         hits[number, up[met]] = grid.elements_at(mesh, triangle[met], place[met], directed[up[met]])
         yield (number + 1) / total
+    seen = lit_steps(mesh, bake, grid.texels, lights, cast)
+    lit = yield from map_steps(seen, lambda part: (rays + part * len(lights)) / total)
+    return Exchange(grid.texels, directions.astype(np.float32), hits, lit, *grid.around())
+
+
+def lit_steps(
+    mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, lights: np.ndarray, cast: Cast
+) -> Generator[float, None, np.ndarray]:
+    """Yield the fraction of the work that is done; return ``Exchange.lit`` (K, E) of elements under lights (K, 4)."""
+    points, face = _above(mesh, bake, texels)
+    lit = np.zeros((len(lights), len(points)), bool)
     for number, light in enumerate(lights.astype(np.float64)):
         toward = light[:3] - light[3] * points
         distance = np.linalg.norm(toward, axis=-1)
@@ -74,8 +83,15 @@ def exchange_steps(
         triangle, place = cast(points[up], toward[up])
         beyond = light[3] * np.linalg.norm(place - points[up], axis=-1) > distance[up]
         lit[number, up] = (triangle < 0) | beyond
-        yield (rays + number + 1) / total
-    return Exchange(grid.texels, directions.astype(np.float32), hits, lit, *grid.around())
+        yield (number + 1) / len(lights)
+    return lit
+
+
+def _above(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (E, 3) points just above the faces at texels, where their rays begin, and the faces' normals."""
+    face = bake.face_normal.reshape(-1, 3)[texels].astype(np.float64)
+    points = bake.position.reshape(-1, 3)[texels].astype(np.float64)
+    return points + _LIFT * np.ptp(mesh.positions.reshape(-1, 3), axis=0).max() * face, face
 
 
 def cosine_directions(normals: np.ndarray, rays: int) -> np.ndarray:

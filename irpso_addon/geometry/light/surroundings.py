@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..domain import Domain
 from ..relief.relief import card_height
 from ..surface.bake import SurfaceBake, surface_bake
 from ..surface.mesh import MeshData
-from .exchange import Cast, Exchange, exchange_steps
+from .exchange import Cast, Exchange, exchange_steps, lit_steps
 
 Values = Mapping[str, np.ndarray]  # parameter name → (H, W, components)
 Found = tuple[Domain, Exchange, Values]
@@ -47,6 +47,7 @@ class MeshSurroundings:
     rays: int
     shape_known: bool = True
     _exchange: Exchange | None = None
+    _lights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # of the exchange
 
     @property
     def identity(self) -> dict[str, str]:
@@ -54,13 +55,15 @@ class MeshSurroundings:
         return {"occluders": hashlib.sha256(self.mesh.occluders.tobytes()).hexdigest()}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
-        """Work as Surroundings; only the first call takes time."""
+        """Work as Surroundings; only the first call takes long, and one under other lights some time."""
+        shape = self.mesh, surface_bake(domain.bake)
         if self._exchange is None:
-            self._exchange = yield from exchange_steps(
-                self.mesh, surface_bake(domain.bake), domain.lights, self.caster_of(self.mesh),
-                self.resolution, self.rays,
-            )  # fmt: skip
-        return domain, self._exchange, values
+            cast, self._lights = self.caster_of(self.mesh), domain.lights
+            self._exchange = yield from exchange_steps(*shape, domain.lights, cast, self.resolution, self.rays)
+        if np.array_equal(self._lights, domain.lights):
+            return domain, self._exchange, values
+        lit = yield from lit_steps(*shape, self._exchange.texels, domain.lights, self.caster_of(self.mesh))
+        return domain, replace(self._exchange, lit=lit), values
 
 
 @dataclass

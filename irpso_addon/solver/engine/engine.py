@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -147,6 +147,17 @@ class RecoveryEngine(ABC):
             return 0.0
         direct = SeparatedStack(self.domain.stack, self.domain.intensities, separation)
         return self.domain.stack.layer(observation)[..., :3] - direct.layer(observation)[..., :3]
+
+    def indirect_in(
+        self, domain: Domain, observations: Sequence[int]
+    ) -> Generator[None, None, list[np.ndarray | float]]:
+        """Yield often; return the light, (H, W, 3) or 0, that the maps make the subject throw on itself in each.
+
+        domain: of the same texels, with observations that need not be those that the maps were found from. 0 where such
+        light is not known from the maps.
+        """
+        yield from ()
+        return [0.0] * len(observations)
 
     @property
     def indirect_share(self) -> np.ndarray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -137,6 +137,20 @@ class InterreflectionRounds(Successive):
             return own
         return own + self.domain.stack.layer(observation)[..., :3] - self._samples.layer(observation)[..., :3]
 
+    def indirect_in(
+        self, domain: Domain, observations: Sequence[int]
+    ) -> Generator[None, None, list[np.ndarray | float]]:
+        if self._samples is None:
+            return [0.0] * len(observations)
+        found: list[np.ndarray | float] = []
+        with closing((yield from self._lighting(domain))) as light:
+            for observation in observations:
+                thrown = np.zeros((*domain.shape, 3), np.float32)
+                thrown[light.covered] = self._strengths[-1] * light.at_texels(light.of_elements(observation))
+                found.append(thrown)
+                yield
+        return found
+
     @property
     def indirect_share(self) -> np.ndarray | None:
         return self._live.indirect_share if self._share is None else self._share
@@ -260,16 +274,10 @@ class InterreflectionRounds(Successive):
 
         None where there is next to none.
         """
-        settings, domain = self.schedule.interreflection, self.domain
+        domain = self.domain
         first, relaxation = len(self._bases) == 1, 1.0 if self._holds else _RELAXATION
-        surface, exchange, values = yield from map_steps(
-            self._surroundings.steps(domain, self._bases[-1]), lambda part: None
-        )
-        covered = surface.bake.coverage
-        known = domain.solvable & (values[_EXPLAINED][..., 0] > 0) & ~self._dominated
-        if not known.any():
-            known = domain.solvable
-        with closing(IndirectLight(surface, exchange, self.model, values, known, settings.bounces)) as light:
+        with closing((yield from self._lighting(domain))) as light:
+            exchange, covered = light.exchange, light.covered
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
             for observation in range(domain.observations):
                 radiance[observation] = light.of_elements(observation)
@@ -304,6 +312,14 @@ class InterreflectionRounds(Successive):
                     self._stand_in[name] = np.zeros((*domain.shape, value.shape[-1]), np.float32)
                     self._stand_in[name][covered] = exchange.at_texels(value)
         return replace(domain, stack=samples)
+
+    def _lighting(self, domain: Domain) -> Generator[None, None, IndirectLight]:
+        """Return, yielding often, what finds the light of the last basis in the observations of a domain."""
+        basis, bounces = self._bases[-1], self.schedule.interreflection.bounces
+        steps = self._surroundings.steps(domain, basis)
+        surface, exchange, values = yield from map_steps(steps, lambda part: None)
+        known = domain.solvable & (values[_EXPLAINED][..., 0] > 0) & ~self._dominated
+        return IndirectLight(surface, exchange, self.model, values, known if known.any() else domain.solvable, bounces)
 
     def _take_share(self, share: np.ndarray) -> None:
         """Take the share (H, W) of the light of the photographs that is indirect."""

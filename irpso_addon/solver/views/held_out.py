@@ -17,7 +17,7 @@ from ...reflectance.model import ReflectanceModel, load_model
 from ...results.maps import Maps
 from ...results.preview import PreviewRow, preview
 from .forward import rendered
-from .pictures import SHOWN_WHITE, image_psnr, image_row
+from .pictures import SHOWN_WHITE, Indirect, image_psnr, image_row, no_indirect
 
 _STEP, _MOST = 8, 6  # of the automatic choice
 FEWEST_SPARING = _STEP // 2 + 1  # least observations of a capture that spares one
@@ -58,10 +58,12 @@ def relit_steps(
     held_out: Sequence[int],
     capture: Capture,
     threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
+    indirect: Indirect = no_indirect,
 ) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
     """Yield often; return pictures and figures, both {} without observations.
 
-    domain: of all observations. threaded: runs a numpy function elsewhere and yields meanwhile. The figures are the
+    domain: of all observations. threaded: runs a numpy function elsewhere and yields meanwhile. indirect: the light
+    that is added to the render of an observation. The figures are the
     PSNR in dB of each observation and of its highlights alone, their means, and the factor over the diffuse reflection
     that defines a highlight; None where there is nothing to compare.
     """
@@ -71,10 +73,12 @@ def relit_steps(
     bright, rows = [], []
     yield
     for k, diffuse in zip(held_out, rendered(domain, *_diffuse(domain, maps), held_out), strict=True):
-        bright.append((yield from threaded(partial(_highlights, domain, maps, k, diffuse))))
+        shaded = diffuse[..., :3] + indirect(k)
+        bright.append((yield from threaded(partial(_highlights, domain, maps, k, shaded))))
     yield
     for k, name, render in zip(held_out, names, rendered(domain, maps.model, maps.values, held_out), strict=True):
-        rows.append((yield from threaded(partial(image_row, domain, maps, k, name, render))))
+        lit = render[..., :3] + indirect(k)
+        rows.append((yield from threaded(partial(image_row, domain, maps, k, name, lit))))
     figures = yield from threaded(lambda: _figures(names, rows, bright))
     picture = yield from threaded(lambda: preview(rows, ("Photograph", "Relit", "Error")))
     return {"relit": picture}, figures
@@ -90,13 +94,13 @@ def relit_line(figures: Mapping[str, Any]) -> str:
 
 
 def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: texels of a photograph far above the maps' diffuse reflection ``diffuse`` (H, W, 4).
+    """Return (H, W) bool: texels of a photograph far above the maps' diffuse reflection ``diffuse`` (H, W, 3).
 
     This includes highlights that the fit has missed.
     """
     seen = np.nan_to_num(domain.stack.layer(k)[..., :3]).mean(axis=-1)
     floor = _DARK * np.percentile(seen[maps.covered], SHOWN_WHITE)
-    return seen > HIGHLIGHT * diffuse[..., :3].mean(axis=-1) + floor
+    return seen > HIGHLIGHT * diffuse.mean(axis=-1) + floor
 
 
 def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np.ndarray]]:

@@ -31,7 +31,7 @@ class IndirectLight:
     domain: of the maps. exchange: its elements. bounces: between surfaces. The maps are values: parameter name →
     (H, W, components). known: (H, W) bool, where they tell the material; elsewhere elements have that of the nearest
     one where they do. Elements that are not solvable have the mesh's own normal. materials: those of the E elements,
-    parameter name → (E, components).
+    parameter name → (E, components). covered: (H, W) bool, the texels of ``at_texels``.
     """
 
     def __init__(
@@ -44,7 +44,8 @@ class IndirectLight:
         bounces: int,
     ):
         context.ensure()
-        self._domain, self._exchange, self._bounces = domain, exchange, bounces
+        self._domain, self.exchange, self._bounces = domain, exchange, bounces
+        self.covered = domain.bake.coverage
         albedo = next((values[p.name] for p in model.parameters if p.is_albedo), None)
         self._albedo = None if albedo is None else np.maximum(_flat(albedo), _LEAST_ALBEDO)
         count = len(exchange.texels)
@@ -62,9 +63,9 @@ class IndirectLight:
     def at_texels(self, radiance: np.ndarray) -> np.ndarray:
         """Return (T, 3) float32 at the covered texels, row by row, of the radiance of elements (E, 3)."""
         if self._albedo is None:
-            return self._exchange.at_texels(radiance)
-        detail = self._albedo[_flat(self._domain.bake.coverage)]
-        return self._exchange.at_texels(radiance / self._albedo[self._exchange.texels]) * detail
+            return self.exchange.at_texels(radiance)
+        detail = self._albedo[_flat(self.covered)]
+        return self.exchange.at_texels(radiance / self._albedo[self.exchange.texels]) * detail
 
     @cached_property
     def shown(self) -> np.ndarray:
@@ -74,7 +75,7 @@ class IndirectLight:
     @property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the elements' texels."""
-        rows, columns = np.divmod(self._exchange.texels, self._domain.shape[1])
+        rows, columns = np.divmod(self.exchange.texels, self._domain.shape[1])
         return rows, columns
 
     def strength(self, radiance: np.ndarray) -> float:
@@ -90,7 +91,7 @@ class IndirectLight:
         camera = camera.ravel()  # numpy 2.0 gives it another axis
         seen = np.stack([(shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
         mine = radiance.mean(axis=-1)
-        dark = ~self._exchange.lit | (cosine < _AWAY)
+        dark = ~self.exchange.lit | (cosine < _AWAY)
         enough = mine > _LEAST_SHARE * np.percentile(shown[seen], 90)
         counted = dark & seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _LEAST_SAMPLES:
@@ -103,17 +104,17 @@ class IndirectLight:
 
     def of_elements(self, observation: int) -> np.ndarray:
         """Return (E, 3) float32: the radiance of the elements in one observation."""
-        lit = self._laid(self._exchange.lit[observation].astype(np.float32))
+        lit = self._laid(self.exchange.lit[observation].astype(np.float32))
         given = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
         received, target = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(2))
         constants = {
-            "u_observation": observation, "u_ray_count": len(self._exchange.hits), "u_columns": self._shape[1]
+            "u_observation": observation, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
         }  # fmt: skip
         for left in reversed(range(self._bounces)):
             to_camera = {"u_to_camera": int(left == 0)}
             self._pass.run([target], {**given, "u_received": received}, constants | to_camera)
             received, target = target, received
-        return textures.download(received).reshape(-1, 4)[: len(self._exchange.texels), :3]
+        return textures.download(received).reshape(-1, 4)[: len(self.exchange.texels), :3]
 
     def close(self) -> None:
         """Free shader and textures."""
@@ -130,7 +131,7 @@ class IndirectLight:
         self, model: ReflectanceModel, values: Mapping[str, np.ndarray], known: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Return parameter name → (E, components) of all elements: their own, or those of the nearest known one."""
-        texels = self._exchange.texels
+        texels = self.exchange.texels
         alike = self._nearest(_flat(known)[texels])
         found = {}
         for p in model.parameters:
@@ -142,7 +143,7 @@ class IndirectLight:
 
     def _nearest(self, known: np.ndarray) -> np.ndarray:
         """Return (E,) for each element the nearest known one: itself, where it is."""
-        places = _flat(self._domain.bake.position)[self._exchange.texels]
+        places = _flat(self._domain.bake.position)[self.exchange.texels]
         nearest, others = np.arange(len(places)), np.flatnonzero(known)
         missing = np.flatnonzero(~known)
         for part in np.array_split(missing, -(-len(missing) * len(others) // _CHUNK) or 1):

@@ -23,12 +23,16 @@ SHOWN_WHITE = 99.5  # percentile of the reference: display white
 Indirect = Callable[[int], np.ndarray | float]
 
 
-def _none(observation: int) -> float:
+def no_indirect(observation: int) -> float:
     return 0.0
 
 
 def error_preview(
-    domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None, names: Sequence[str], indirect: Indirect = _none
+    domain: Domain,
+    maps: Maps,
+    truth: Mapping[str, np.ndarray] | None,
+    names: Sequence[str],
+    indirect: Indirect = no_indirect,
 ) -> np.ndarray:
     """Return (H, W, 3) display values: reference | recovered | error, of maps with a truth, then of images.
 
@@ -104,7 +108,7 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 
 
 def image_rows(
-    domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str], indirect: Indirect = _none
+    domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str], indirect: Indirect = no_indirect
 ) -> list[PreviewRow]:
     """Return the ``image_row`` of each observation. indirect: returns what to add to the render of an observation."""
     rows = zip(observations, labels, rendered(domain, maps.model, maps.values, observations), strict=True)

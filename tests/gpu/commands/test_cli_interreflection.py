@@ -50,6 +50,17 @@ def test_rounds_lower_the_error_of_a_hollow_card_and_report_their_strength(card,
     assert found["share"] == pytest.approx(share[mask].mean(), rel=1e-4)
 
 
+def test_photographs_that_are_held_out_are_relit_with_the_light_of_the_rounds(card, tmp_path):
+    capture, *_ = card
+    found = {}
+    for rounds in (0, 2):
+        settings = "--set", f"interreflection_rounds={rounds}", "--hold-out", "3,17"
+        code, report = recover(capture, tmp_path / str(rounds), *settings)
+        assert code == 0
+        found[rounds] = report["relighting_mean_psnr_db"]
+    assert found[2] > found[0] + 1
+
+
 def test_an_interrupted_run_resumes_to_the_same_maps(card, tmp_path):
     from irpso_addon.pipeline import drive
 

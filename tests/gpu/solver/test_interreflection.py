@@ -20,7 +20,7 @@ from irpso_addon.solver.engine import interreflection
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.views.display import Display, Shown
 from irpso_addon.solver.views.indirect import IndirectLight
-from tests.builders.cavity import cap_card, cavity, cavity_mesh
+from tests.builders.cavity import cap_card, cavity, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
 from tests.builders.rounds import ALBEDO, LAMBERT, ROUNDS, SINGLE, matt_bowl, rounds_of, without_indirect
@@ -152,6 +152,24 @@ def test_rounds_find_the_normals_and_the_colour_of_a_bowl(bowl, whole):
     assert tilt > 3 and colour[0] > 1.15  # what it is about
     tilt, colour = errors(whole[0])
     assert tilt < 1 and abs(colour - 1).max() < 0.03
+
+
+def test_the_maps_tell_the_light_of_photographs_that_they_were_not_found_from(bowl):
+    """Half a sphere keeps half of what a place sends; its opening lets in π cos θ, of which a place receives half."""
+    lights = np.array([[0.3, 0.2, -0.9], [-0.6, 0.1, -0.5]])
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    unseen = half_cavity(bowl[1].mesh, ALBEDO, lights)
+    with rounds_of(bowl) as recovery:
+        assert run_steps(recovery.indirect_in(unseen, [0])) == [0.0]  # nothing has been found yet
+        recovery.step()
+        light = run_steps(recovery.indirect_in(unseen, [1, 0]))
+        again = run_steps(recovery.indirect_in(bowl[0], [3]))[0]
+        lit = bowl[0].stack.layer(3)[..., 3] > 0  # where no lamp reaches, all that shows is taken off
+        np.testing.assert_allclose(again[lit], recovery.indirect(3)[lit], atol=1e-5)
+    rho = np.array(ALBEDO)
+    for found, direction in zip(light, lights[::-1], strict=True):
+        wanted = rho * 0.5 * rho * (-direction[2] / 2) / (1 - 0.5 * rho)
+        np.testing.assert_allclose(found[unseen.solvable].mean(axis=0), wanted, rtol=0.12)
 
 
 def test_each_round_makes_all_iterations(bowl, whole):
