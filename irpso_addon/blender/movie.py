@@ -58,6 +58,8 @@ def opened_movie(path: Path) -> Iterator[Movie]:
     """Yield an open video, closed at the end. Raises InputError if Blender cannot decode it."""
     import bpy
 
+    if path.is_dir():
+        raise InputError(f"{path}: holds no video; give a video, or a folder of videos")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; give a video")
     image = loaded(path)

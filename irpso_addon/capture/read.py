@@ -14,6 +14,7 @@ from .spec import CaptureSpec, build_capture
 from .types import Capture
 
 _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light_directions.txt, or with one .lp file"
+_NO_LIGHTS = "of photographs irpso calibrate, or Find Lights, makes one"
 
 
 def read_capture(
@@ -79,4 +80,4 @@ def _spec_of_folder(folder: Path, colour_space: str) -> CaptureSpec:
         return rti.spec_of_lp(lists[0], colour_space)
     if lists:
         raise CaptureError(f"{folder}: holds {len(lists)} .lp files; give the path of the one to read", "kind")
-    raise CaptureError(f"{folder}: holds no capture; {_REMEDY}", "kind")
+    raise CaptureError(f"{folder}: holds no capture; {_REMEDY}; {_NO_LIGHTS}", "kind")

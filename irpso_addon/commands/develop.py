@@ -43,7 +43,7 @@ def run(options: Namespace) -> dict:
     settings = {k: v for k, v in vars(options).items() if k not in ("command", "json", "quiet") and v}
     report = bar.run(develop_steps(ImageStore(decode), source, wanted, out, settings), tuple)
     for warning in report["warnings"]:
-        sys.stderr.write(f"irpso: {warning}\n")
+        sys.stderr.write(f"irpso: warning: {warning}\n")
     summary = {key: report[key] for key in _SHOWN if key in report}
     if options.bursts and not silent(options):
         taken = sum(len(shot.images) for shot in source.shots)

@@ -1,12 +1,14 @@
-"""``frames VIDEO…``: photographs from videos of a lamp that is carried around a subject."""
+"""``frames VIDEO…``: photographs from videos, or folders of them, of a lamp that is carried around a subject."""
 
 from __future__ import annotations
 
 import sys
 from argparse import Namespace
 from pathlib import Path
+from shlex import quote
 
 from ..blender.frames import COUNT, frame_steps
+from ..calibration.photographs import videos_of
 from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
 from .options.values import silent
@@ -18,9 +20,11 @@ def run(options: Namespace) -> dict:
     check_unused(out)
     count = COUNT if options.count is None else options.count
     bar = ProgressBar("frames", silent(options))
-    found = bar.run(frame_steps([Path(video) for video in options.videos], out, count), tuple)
+    videos = [video for given in map(Path, options.videos) for video in videos_of(given) or [given]]
+    found = bar.run(frame_steps(videos, out, count), tuple)
     for warning in found.warnings:
-        sys.stderr.write(f"irpso: {warning}\n")
+        sys.stderr.write(f"irpso: warning: {warning}\n")
     if not silent(options):
-        sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: irpso calibrate {out}\n")
+        next_one = f"irpso calibrate {quote(str(out))}"
+        sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_one}\n")
     return {"output": str(out), "frames": list(found.numbers), "warnings": list(found.warnings)}

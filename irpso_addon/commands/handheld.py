@@ -7,6 +7,7 @@ import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,8 @@ def _summary(found: Handheld, out: Path) -> str:
         f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
         f" {found.flash.beam:.1f}",
         *(f"warning: {warning}" for warning in found.warnings),
-        f"written to {out}; recover it with: irpso recover {out} --blend {out / BLEND} --object {CARD}"
+        f"written to {out}; recover it with: irpso recover {quote(str(out))} --blend {quote(str(out / BLEND))}"
+        f" --object {CARD}"
         f" --resolution {size} -o OUT",
     ]
     return "\n".join(lines) + "\n"

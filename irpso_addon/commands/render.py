@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 
@@ -48,6 +49,8 @@ def run(options: Namespace) -> dict:
     bar.close()
     for renderer in renderers:
         renderer.close()
+    if not silent(options):
+        sys.stdout.write(f"{len(capture.observations)} photographs written to {options.output}\n")
     return {"output": options.output, "images": len(capture.observations)}
 
 

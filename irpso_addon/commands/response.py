@@ -38,7 +38,7 @@ def run(options: Namespace) -> dict:
         response, warnings = _from_brackets(path, exposing, store, options)
     write_response(options.output, response)
     for warning in warnings:
-        sys.stderr.write(f"irpso: {warning}\n")
+        sys.stderr.write(f"irpso: warning: {warning}\n")
     ends = {name: [round(float(v), 4) for v in response.used[c]] for c, name in enumerate(("red", "green", "blue"))}
     residual = float(response.residual) if np.isfinite(response.residual) else None
     if not options.json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
+from shlex import quote
 
 from ..blender.images import decode
 from ..calibration.rigs.apply import apply_steps
@@ -47,6 +48,11 @@ def _apply(options: Namespace) -> dict:
     )
     applied = bar.run(steps, tuple)
     for warning in (*applied.left_out, *applied.warnings):
-        sys.stderr.write(f"irpso: {warning}\n")
+        sys.stderr.write(f"irpso: warning: {warning}\n")
+    if not silent(options):
+        out = quote(options.output)
+        sys.stdout.write(
+            f"{len(applied.lamps)} photographs under their lamps, written to {out}; next: irpso inspect {out}\n"
+        )
     return {"output": options.output, "lamps": applied.lamps, "developed": applied.developed,
             "left_out": list(applied.left_out), "warnings": list(applied.warnings)}  # fmt: skip

@@ -104,6 +104,8 @@ def measured_maps(result: Result) -> Maps:
 
 
 def _report(folder: Path) -> dict[str, Any]:
+    if folder.is_file():
+        raise InputError(f"{folder}: is a file; give the folder that recover wrote with -o")
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -31,6 +31,7 @@ from .job import Job
 from .run import Run
 
 _NONE = DerivedMaps()
+_LEAST_SEEN = 0.1  # of the mesh: less is hardly what was meant to be photographed
 _GIVEN_AS_ONE = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
@@ -71,7 +72,7 @@ def report_of(
     )  # fmt: skip
     priors = job.schedule.fitness.priors
     doubts = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
-    doubts += run.doubts
+    doubts += [*run.doubts, *_unseen_warnings(domain, maps)]
     faults = [*job.warnings, *capture_warnings(job.capture)]
     report |= run.findings | run.relit[1] | {"warnings": [*doubts, *faults, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
@@ -84,6 +85,17 @@ def report_of(
     if run.lights is not None:
         report["lights"] = run.lights.report(job.numbers)
     return report | ({} if found.height is None else {"height": found.height.described()})
+
+
+def _unseen_warnings(domain: Domain, maps: Maps) -> list[str]:
+    """Return a warning where next to nothing of a mesh is in the photographs: it may stand elsewhere."""
+    whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
+    if domain.card or seen >= _LEAST_SEEN * whole:
+        return []
+    return [
+        f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"
+        " the cameras"
+    ]
 
 
 def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:

@@ -27,6 +27,8 @@ def open_blend(path: str | Path) -> None:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"there is no Blender file '{path}'; check the path given to --blend")
+    if path.suffix.lower() not in ("", ".blend"):
+        raise InputError(f"'{path}' is no .blend file; import it in Blender, save the scene, and give that file")
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # Blender reports what it reads
             bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)

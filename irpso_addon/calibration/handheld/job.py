@@ -68,6 +68,7 @@ def handheld_steps(
     Raises InputError where photographs are too few, blurred, without points, from one place or of another lens.
     """
     _check_count(len(capture.observations), "")
+    _check_size(capture)
     pictures = yield from map_steps(picture_steps(capture), lambda share: 0.5 * share)
     names = np.array([shot.name for shot in capture.observations])
     sharp = np.flatnonzero(pictures.sharp >= _BLURRED * np.median(pictures.sharp))
@@ -114,6 +115,18 @@ def handheld_steps(
         tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.board,
         (*filter(None, told), *warnings, *more),
     )  # fmt: skip
+
+
+def _check_size(capture: Capture) -> None:
+    """Raise InputError where photographs differ in size; some may be turned."""
+    first = capture.cameras[0]
+    for shot in capture.observations:
+        camera = capture.cameras[shot.camera]
+        if {camera.width, camera.height} != {first.width, first.height}:
+            raise InputError(
+                f"{shot.name}: is {camera.width}×{camera.height} pixels where {capture.observations[0].name} has"
+                f" {first.width}×{first.height}; give all photographs as the camera wrote them, in one size"
+            )
 
 
 def _check_count(count: int, why: str) -> None:

@@ -23,6 +23,8 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
 
     They are removed if the calibration fails. Raises InputError where a video shows no lights, or its camera moves.
     """
+    if not Path(options.capture).exists():
+        raise InputError(f"{options.capture}: is not there; give a folder of photographs, a video, or a capture")
     videos = videos_of(Path(options.capture))
     if not videos:
         if options.count is not None:
@@ -34,7 +36,7 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
     found = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
     try:
         for warning in found.warnings:
-            sys.stderr.write(f"irpso: {warning}\n")
+            sys.stderr.write(f"irpso: warning: {warning}\n")
         if not silent(options):
             shown = ", ".join(video.name for video in videos)
             sys.stdout.write(f"{len(found.files)} of {found.total} frames of {shown} written to {folder}\n")

@@ -1,6 +1,8 @@
 """Videos through Blender's movie reader, and the commands that make photographs of them."""
 
 import json
+import shlex
+import shutil
 import tomllib
 
 import bpy
@@ -51,6 +53,21 @@ def test_the_command_writes_photographs_that_are_read_as_the_scenes_light(video,
     for number, name in zip(chosen, names, strict=True):
         found = ImageStore(decode).samples(ImageRef(tmp_path / "out" / name)).rgba[::-1, :, :3]
         assert np.abs(found - LINEAR[number - 1]).mean() < 0.01  # by sRGB's curve it would be 0.03
+
+
+def test_a_folder_of_videos_gives_the_frames_of_all_and_the_next_command_is_one_to_paste(video, tmp_path):
+    folder, out = tmp_path / "vidéos à moi", tmp_path / "my frames"
+    folder.mkdir()
+    shutil.copy(video, folder / video.name)
+    code, said, err = run_cli("frames", folder, "-o", out, "--count", "8")
+    assert code == 0 and len(list(out.iterdir())) == 8, err
+    assert shlex.split(said.splitlines()[-1].partition("next: ")[2]) == ["irpso", "calibrate", str(out)]
+    (tmp_path / "empty").mkdir()
+    code, _, err = run_cli("frames", tmp_path / "empty", "-o", tmp_path / "none")
+    assert code == 2 and err == f"irpso: {tmp_path / 'empty'}: holds no video; give a video, or a folder of videos\n"
+    for words in ([], ["--count", "8"]):
+        code, _, err = run_cli("calibrate", tmp_path / "nothing.mp4", "-o", tmp_path / "none", *words)
+        assert code == 2 and "nothing.mp4: is not there; give a folder of photographs, a video, or a capture" in err
 
 
 @pytest.mark.parametrize("moved", [False, True])

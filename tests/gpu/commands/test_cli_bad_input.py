@@ -201,7 +201,8 @@ CAPTURES = {
     "a file that is no capture": (
         prepared(lambda f: (f / "note.md").touch(), recover(capture="note.md")), r"note.md: is no capture"),
     "a scene with several meshes": (recover(capture="scene.blend"), r"has \d+ mesh objects; choose one with --object"),
-    "an empty folder": (prepared(lambda f: (f / "void").mkdir(), recover(capture="void")), r"void: holds no capture"),
+    "an empty folder": (prepared(lambda f: (f / "void").mkdir(), recover(capture="void")),
+        r"void: holds no capture; .* irpso calibrate"),
     "a missing image": (broken("lists", lambda c: (c / "2.exr").unlink()), r"2.exr: this image is not there"),
     "a cut image": (
         broken("lists", lambda c: (c / "2.exr").write_bytes((c / "2.exr").read_bytes()[:200])), r"2.exr: .*cut"),
@@ -238,7 +239,9 @@ CAPTURES = {
 
 MESHES = {
     "no such .blend": (mesh("square", "none.blend"), r"none.blend.*--blend"),
-    "a .blend that is none": (mesh("square", "card/capture.toml"), r"cannot open .*capture.toml"),
+    "a .blend that is none": (
+        prepared(lambda f: (f / "none.blend").write_text("no blend file"), mesh("square", "none.blend")),
+        r"cannot open .*none.blend"),
     "no such object": (mesh("cube"), r"no object 'cube'.*'square'"),
     "a camera for a mesh": (mesh("camera"), r"'camera' is of type CAMERA, not a mesh"),
     "a file without a mesh": (mesh("square", "empty.blend"), r"no mesh objects"),
@@ -363,6 +366,10 @@ RENDERS = {
     "no maps there": (render(maps="nowhere"), r"nowhere"),
     "maps of no known name": (render(maps="card/000.exr"), r"000.exr: holds no map"),
     "no camera": (render(blend="library.blend"), r"no active camera; name one with --camera"),
+    "a mesh of another program": (
+        prepared(lambda f: (f / "head.obj").touch(), render(blend="head.obj")),
+        r"head.obj' is no .blend file; import it",
+    ),
     "a camera that is not there": (render("--camera", "front"), r"--camera front"),
     "a mesh for a camera": (render("--camera", "square"), r"'square' is of type MESH, not a camera"),
     "a panorama": (render("--camera", "panorama"), r"'panorama' is panoramic"),

@@ -1,6 +1,7 @@
 """``handheld``, ``markers`` and ``--corners auto`` on the command line: what they write, what they refuse."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -30,6 +31,11 @@ def folder(tmp_path_factory):
 
 def test_photographs_taken_by_hand_become_a_capture_on_a_mesh(folder, tmp_path):
     photos, cameras = folder
+    out = tmp_path / "capture of mine"
+    code, told, error = run_cli("handheld", photos, "-o", out, "--fov", FOV)
+    assert code == 0, error
+    words = shlex.split(told.splitlines()[-1].partition("recover it with: ")[2])
+    assert words[:5] == ["irpso", "recover", str(out), "--blend", str(out / "card.blend")]
     out = tmp_path / "capture"
     code, told, error = run_cli("handheld", photos, "-o", out, "--fov", FOV, "--json")
     assert code == 0, error

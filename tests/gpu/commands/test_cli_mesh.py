@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -11,6 +12,7 @@ from mathutils import Vector
 
 from irpso_addon.blender.scenes.light_units import sun_strength
 from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.pipeline import result
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 from tests.builders import command_line as cli_maker
@@ -103,6 +105,14 @@ def test_maps_of_a_mesh_are_recovered_where_they_are_seen(ball):
     assert report["texels"] == seen.sum() and report["unseen_texels"] == seen.size - seen.sum()
     # Many texels show no highlight in any image, and there nothing but the albedo tells of the roughness.
     assert normal.mean() < 0.4 and color.mean() < 2.0 and np.median(rough) < 12
+
+
+@pytest.mark.parametrize(("seen", "card", "warned"), [(9, False, True), (10, False, False), (9, True, False)])
+def test_a_mesh_that_the_photographs_hardly_show_gets_a_warning(seen, card, warned):
+    covered = np.arange(100).reshape(10, 10) < seen
+    domain = SimpleNamespace(bake=SimpleNamespace(coverage=np.ones((10, 10), bool)), card=card)
+    said = result._unseen_warnings(domain, SimpleNamespace(covered=covered))
+    assert len(said) == warned and (not warned or "show 9 of the mesh's 100 texels lit" in said[0])
 
 
 def test_albedo_and_roughness_are_recovered_under_a_known_normal_map(ball):

@@ -239,6 +239,7 @@ def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folde
         assert f"{name}: this format writes no" in (said := refused(folder, "--format", kind, out=tmp_path / name))
         assert said.endswith(f"; {remedy}\n")
     assert "holds no report.json" in refused(tmp_path, "--format", "ptm")
+    assert "normal.exr: is a file; give the folder" in refused(folder / "normal.exr", "--format", "ptm")
     (tmp_path / "report.json").write_text('{"kind": "mirror", "lights": []}')
     assert "holds no result of recover" in refused(tmp_path, "--format", "ptm")
     (tmp_path / "report.json").write_text('{"texels": 3, "slots": {"Skin": {}, "Eyes": {}}}')

@@ -194,6 +194,10 @@ def test_few_photographs_and_photographs_without_a_card_are_refused(on_paper):
     _, capture = on_paper
     with pytest.raises(InputError, match="5 photographs can be used, 8 are needed"):
         run_steps(handheld_steps(replace(capture, observations=capture.observations[:5])))
+    small = replace(capture.cameras[2], width=capture.cameras[2].width // 2, height=capture.cameras[2].height // 2)
+    mixed = replace(capture, cameras=(*capture.cameras[:2], small, *capture.cameras[3:]))
+    with pytest.raises(InputError, match=rf"IMG_2: is {small.width}×{small.height} pixels where IMG_0 has"):
+        run_steps(handheld_steps(mixed))
     empty = photographs(hand(8), lambda places: np.full(len(places), 0.4))
     with pytest.raises(InputError, match="neither printed markers nor enough features"):
         run_steps(handheld_steps(empty))
