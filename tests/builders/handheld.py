@@ -25,15 +25,18 @@ def hand(count, seed=0, widest=48.0, far=360.0):
     ]  # fmt: skip
 
 
-def photographs(cameras, value, blurred=()):
-    """Return a capture of pictures under the flash beside each camera; value: places (…, 2) → reflectance."""
+def photographs(cameras, value, blurred=(), gloss=0.0):
+    """Return a capture of pictures under the flash beside each camera; value: places (…, 2) → reflectance.
+
+    gloss: of the field of a board, the width of a Beckmann lobe of reflectance 0.04; 0 for none.
+    """
     shots = []
     for number, camera in enumerate(cameras):
 
         def lit(places, camera=camera):
             flat = places.reshape(-1, 2)
             shade = STRENGTH * irradiance(flat, camera.matrix, OFFSET, BEAM)
-            return (value(flat) * shade).reshape(places.shape[:-1])
+            return ((value(flat) + shining(flat, camera, gloss)) * shade).reshape(places.shape[:-1])
 
         grey = seen_plane(camera, lit)
         if number in blurred:
@@ -43,6 +46,19 @@ def photographs(cameras, value, blurred=()):
         shots.append(Observation(f"IMG_{number}", lambda p=picture: p, light, number))
     blank = tuple(replace(camera, matrix=np.eye(4)) for camera in cameras)
     return Capture("card", tuple(shots), blank, tuple(np.ones(SIZE[::-1], bool) for _ in cameras))
+
+
+def shining(places, camera, width):
+    """Return the reflectance (N,) that a lobe adds within the field of a board, seen and lit from beside a camera."""
+    if not width:
+        return 0.0
+    points = np.insert(places, 2, 0.0, axis=1)
+    eye, lamp = camera.position, camera.matrix[:3, :3] @ OFFSET + camera.position
+    view, light = ((at - points) / np.linalg.norm(at - points, axis=1, keepdims=True) for at in (eye, lamp))
+    half = (view + light) / np.linalg.norm(view + light, axis=1, keepdims=True)
+    cosine = half[:, 2]
+    lobe = np.exp((1 - 1 / cosine**2) / width**2) / (width**2 * cosine**4) * 0.04 / (4 * view[:, 2] * light[:, 2])
+    return np.where((np.abs(places) < np.array(board_of("A4", 8).field) / 2 - 4).all(axis=-1), lobe, 0)
 
 
 def on_board(places):

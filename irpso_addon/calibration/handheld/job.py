@@ -25,6 +25,7 @@ _BLURRED = 0.6  # of the median sharpness
 _ONE_PLACE = 6.0  # degrees between views, seen from the card: root mean square
 _WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a board
 _UNEVEN = 0.08  # standard deviation of the logarithm of the strengths above which exposures differ
+_CONTRADICTS = 2.5  # standard errors
 _UNSURE = 0.02  # of the distance: standard error of the flash's place that makes it useless
 _TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
 _SHOWN = 0.6  # of the photographs that must show a place of a card without a board
@@ -228,8 +229,19 @@ def _sampled(radiance: np.ndarray, camera: Camera, places: np.ndarray) -> np.nda
 
 
 def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> tuple[Flash, np.ndarray, list[str]]:
-    """Return the flash, its intensities (K,), and warnings."""
+    """Return the flash, its intensities (K,), and warnings.
+
+    A card that shines bends what its brightness says of the flash, by more than the errors know. The paper around it
+    is matt: it counts alone where it is surer, or both contradict each other.
+    """
     flash, warnings = flash_of(samples, offset), []
+    if board is not None and offset is None:
+        count = len(board.white)
+        paper = flash_of(Samples(samples.places[:count], samples.cameras, samples.radiance[:, :count]))
+        apart = np.abs(paper.offset - flash.offset)[:2]
+        surer = np.linalg.norm(paper.error) < np.linalg.norm(flash.error)
+        if surer or (apart > _CONTRADICTS * np.hypot(paper.error, flash.error)).any():
+            flash = paper
     distance = float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
     if offset is None and (flash.error > _UNSURE * distance).any():
         warnings.append("the brightness does not tell the flash's place; it is taken to be the lens's (--flash-offset)")
@@ -242,9 +254,9 @@ def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> 
             f"the exposure differs between the photographs, by {np.log(gains).std():.0%} (standard deviation), and is"
             " divided out; fix it (AE lock) for a common one"
         )
-    paper = flash.albedo[: len(board.white)] if board else flash.albedo[:0]
-    if np.isfinite(paper).any():
-        strength = float(np.nanmedian(paper)) / _WHITE
+    white = flash.albedo[: len(board.white)] if board else flash.albedo[:0]
+    if np.isfinite(white).any():
+        strength = float(np.nanmedian(white)) / _WHITE
     else:
         strength = float(np.nanpercentile(flash.albedo, 95)) / _WHITE
         warnings.append("the base colour is known up to one factor: its brightest part is taken to reflect 80 %")

@@ -24,6 +24,7 @@ PAPERS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}  # millimetres
 SIDE = 24.0  # of a marker, millimetres
 _EDGE = 10.0  # from the paper's edge to a marker
 _QUIET = 6.0  # white around a marker
+_APART = 5.0  # places of bare paper
 _DPI = 600
 _INCH = 25.4
 _RULER = 50.0  # millimetres
@@ -71,9 +72,11 @@ class Board:
     def white(self) -> np.ndarray:
         """(N, 2) places of bare paper, between the markers of each long and short side, in millimetres."""
         corners = [np.mean(places, axis=0) for places in list(self.markers.values())[:4]]
-        return np.array([
+        middles = np.array([
             (1 - share) * corners[k] + share * corners[(k + 1) % 4] for k in range(4) for share in (0.28, 0.72)
         ])  # fmt: skip
+        around = _APART * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+        return (middles[:, None] + around).reshape(-1, 2)
 
 
 BOARDS = tuple(

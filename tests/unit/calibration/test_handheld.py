@@ -169,12 +169,22 @@ def test_photographs_of_a_board_give_cameras_and_flash_in_millimetres(on_paper):
     assert found.numbers == (0, 1, 2, 3, 5, 6, 7, 8) and "blurred: IMG_4" in found.warnings[0]
     turn, shift = off([c.matrix for c in found.cameras], [cameras[n].matrix for n in found.numbers])
     assert found.board is not None and turn < 0.8 and shift < 0.012
-    np.testing.assert_allclose(found.flash.offset, OFFSET, atol=3.0)
+    np.testing.assert_allclose(found.flash.offset, OFFSET, atol=3.5)
     assert found.flash.beam == pytest.approx(BEAM, abs=0.3)
     np.testing.assert_allclose(found.intensities, STRENGTH, rtol=0.05)
     np.testing.assert_allclose(found.field, (-65, -108.5, 65, 108.5))
     given = run_steps(handheld_steps(capture, "known", OFFSET))
     np.testing.assert_array_equal(given.flash.offset, OFFSET)
+
+
+def test_a_card_that_shines_does_not_bend_the_flash_that_matt_paper_shows():
+    """With the places of the card the flash is 7 and 3 mm off."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    found = run_steps(
+        handheld_steps(photographs(hand(14, seed=6, widest=45.0, far=500.0), on_board, gloss=0.3), "known")
+    )
+    np.testing.assert_allclose(found.flash.offset, OFFSET, atol=2.6)
+    assert found.flash.beam == pytest.approx(BEAM, abs=0.2)
 
 
 def test_a_wrong_focal_length_is_refused_with_the_better_one(on_paper):
