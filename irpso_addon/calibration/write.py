@@ -16,7 +16,7 @@ from ..capture.formats.table import TABLE
 from ..capture.spec import CaptureSpec
 from ..capture.types import Light
 from ..core.errors import InputError
-from ..core.files import check_unused, new_folder
+from ..core.files import check_unused, check_writable, new_folder
 from ..core.png import encode_png
 from .balls.contact_sheet import calibration_picture
 from .job import Calibrated, report_text, written_table
@@ -31,6 +31,7 @@ def checked_output(out: Path) -> Path:
         for path in (out, _beside(out, _REPORT), _beside(out, _PICTURE)):
             if path.exists():
                 raise InputError(f"{path}: exists; choose another name for -o, or delete it first")
+        check_writable(out)
     else:
         check_unused(out, "choose a new folder, or a .toml file for -o")
     return out

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,6 +48,21 @@ def check_unused(path: Path, remedy: str = "choose a new folder or delete it fir
     """Raise InputError unless a folder can be made at ``path``: nothing is there, or an empty folder."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"{path}: is there already and not empty; {remedy}")
+    check_writable(path)
+
+
+def check_writable(path: Path) -> None:
+    """Raise InputError where nothing can be written at ``path``. The trial file has no name or is removed at once."""
+    place = path
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"{place}: is a file, so nothing can be written to {path}; choose another folder")
+    try:
+        with tempfile.TemporaryFile(dir=place):
+            pass
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
 
 
 def synced(path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..capture.images.exr import write_exr
 from ..core.errors import InputError
-from ..core.files import synced
+from ..core.files import check_writable, synced
 from ..core.png import encode_png
 from ..core.udim import tile_part, tile_stem
 from ..reflectance.model import ReflectanceModel
@@ -35,23 +35,11 @@ _BESIDE = ("maps", "residual", "confidence", "preview", "convergence", "relit", 
 
 
 def check_output_folder(folder: str | Path) -> Path:
-    """Return the folder as a Path. Raises InputError where a result cannot be written there.
-
-    The trial file has no name or is removed at once.
-    """
+    """Return the folder as a Path. Raises InputError where a result cannot be written there."""
     if not str(folder):
         raise InputError("the output folder has an empty name; give a name")
-    folder = Path(folder)
-    place = folder
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    if not place.is_dir():
-        raise InputError(f"{place}: is a file, so no result can be written to {folder}; choose another folder")
-    try:
-        with tempfile.TemporaryFile(dir=place):
-            return folder
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+    check_writable(Path(folder))
+    return Path(folder)
 
 
 def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:

@@ -148,7 +148,7 @@ def _image_steps(
         findings += keep_frame(groups[observation.camera], index, str(spec.observations[index].image), samples)
     for camera, frames in groups.items():
         if frames.names:
-            facts.append((f"brightness{f', camera {camera + 1}' * (len(groups) > 1)}", brightness(frames)))
+            facts.append((f"brightness{f', {spec.views[camera].name}' * (len(groups) > 1)}", brightness(frames)))
             findings += yield from _numbered("Comparing images", 0, frame_steps(frames))
             findings += _geometry_findings(spec, capture, camera, frames)
             findings += _room_light_findings(capture, frames)
