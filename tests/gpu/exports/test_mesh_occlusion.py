@@ -159,6 +159,17 @@ def test_past_a_seam_lies_what_is_across_it():
     assert np.abs(past - across).mean() < 0.03 < np.abs(across - found[rows, edge - 2][:, None]).mean()
 
 
+def test_the_margin_around_a_round_island_is_as_open_as_the_island():
+    """A half sphere sees half of the sky everywhere. Unwrapped as a disc, it has a rim that runs across texels."""
+    mesh = cavity_mesh(0.0)
+    angle, radius = 2 * np.pi * mesh.uvs[..., 0], 0.4 * (1 - 0.98 * mesh.uvs[..., 1])
+    disc = 0.5 + radius[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    mesh = replace(mesh, uvs=disc.astype(np.float32))
+    maps = maps_of(mesh, 80)
+    assert 0.4 < maps.covered.mean() < 0.6
+    np.testing.assert_allclose(mesh_open_sky(mesh, maps, RAYS), 0.5, atol=NOISE + 0.02)
+
+
 def test_maps_of_another_mesh_are_refused():
     mesh = plane(2.0, u_span=(0.0, 0.5))
     with pytest.raises(InputError, match=r"'UVMap' of 'test' does not cover"):
