@@ -7,7 +7,6 @@ hollow half sphere of 9120 triangles it traces 0.7 million rays a second on each
 from __future__ import annotations
 
 import contextlib
-import io
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +18,7 @@ from ..geometry.surface.mesh import MeshData
 from ..results.maps import Maps
 from .materials.material import new_material
 from .mesh import mesh_of_faces
+from .operators import cycles_operator
 
 RAYS = 128
 _NAME = "IRPSO occlusion"
@@ -86,10 +86,7 @@ def _baked(
         subject.select_set(True, view_layer=layer)
         layer.objects.active = subject
         chosen = {"active_object": subject, "object": subject, "selected_objects": [subject]}
-        with (
-            bpy.context.temp_override(scene=scene, view_layer=layer, **chosen),
-            contextlib.redirect_stdout(io.StringIO()),  # Blender reports what it bakes
-        ):
+        with bpy.context.temp_override(scene=scene, view_layer=layer, **chosen), cycles_operator():
             bpy.ops.object.bake(
                 type="AO", margin=MARGIN_TEXELS, margin_type="ADJACENT_FACES", use_clear=False,
                 use_selected_to_active=False, target="IMAGE_TEXTURES",
