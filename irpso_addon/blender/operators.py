@@ -7,7 +7,6 @@ import io
 import os
 import re
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -45,29 +44,26 @@ def cycles_operator() -> Iterator[None]:
 def _ended_by_signals() -> Iterator[None]:
     """Have a thread end the process if a signal comes and this context lasts for more than ``_PATIENCE`` after it."""
     terminal = os.dup(2)  # standard error is caught meanwhile
-    heard, told = socket.socketpair()
-    told.setblocking(False)
+    heard, told = os.pipe()
+    if os.name != "nt":  # where no such call is asked for
+        os.set_blocking(told, False)
+    returned = threading.Event()
 
     def watch() -> None:
-        if not heard.recv(1):  # closed
-            return
-        heard.settimeout(_PATIENCE)
-        try:
-            while heard.recv(1):
-                pass
-        except TimeoutError:
+        if os.read(heard, 1) and not returned.wait(_PATIENCE):  # nothing is read once the pipe is closed
             remove_unfinished()
             os.write(terminal, b"\nirpso: interrupted\n")
             exit_process(INTERRUPTED)
 
     watcher = threading.Thread(target=watch, daemon=True)
-    before = signal.set_wakeup_fd(told.fileno())
+    before = signal.set_wakeup_fd(told)
     watcher.start()
     try:
         yield
     finally:
+        returned.set()
         signal.set_wakeup_fd(before)
-        told.close()
+        os.close(told)
         watcher.join()
-        heard.close()
+        os.close(heard)
         os.close(terminal)
