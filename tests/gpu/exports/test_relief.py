@@ -16,6 +16,7 @@ from irpso_addon.geometry.relief.height import Height
 from irpso_addon.geometry.relief.solid import relief_solid
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from tests.builders.command_line import run_cli
 
 SHAPE = (9, 13)
 
@@ -90,6 +91,15 @@ def test_the_command_writes_nothing_but_its_json(suffix, tmp_path, monkeypatch, 
     assert cli.main(["export", "leaf", "--format", "relief", "-o", str(path), "--json"]) == 0
     said, error = capfd.readouterr()
     assert json.loads(said)["output"] == str(path) and error == ""
+
+
+def test_the_command_replaces_a_file_only_on_request(tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "read_result", lambda *_: result(leaf()))
+    (mine := tmp_path / "leaf.stl").write_text("mine")
+    words = ("export", "leaf", "--format", "relief", "-o", mine)
+    code, _, said = run_cli(*words)
+    assert code == 2 and f"{mine}: is there already" in said and mine.read_text() == "mine"
+    assert run_cli(*words, "--replace")[0] == 0 and len(triangles_of(mine)) > 0
 
 
 @pytest.mark.parametrize(
