@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.files import replacing_file
 from .mesh import mesh_of_faces
+from .operators import quiet_operator
 
 SUFFIXES = (".stl", ".ply", ".obj")
 
@@ -34,7 +33,7 @@ def write_mesh(path: Path, vertices: np.ndarray, quads: np.ndarray, uv: np.ndarr
         for other in selected:
             other.select_set(False)
         obj.select_set(True)
-        with replacing_file(path) as partial, contextlib.redirect_stdout(io.StringIO()):
+        with replacing_file(path) as partial, quiet_operator():
             named = partial.with_suffix(path.suffix)  # exporters go by it
             _export(named, path.suffix.lower())
             if named != partial:

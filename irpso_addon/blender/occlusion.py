@@ -7,7 +7,6 @@ hollow half sphere of 9120 triangles it traces 0.7 million rays a second on each
 from __future__ import annotations
 
 import contextlib
-import io
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,10 +18,10 @@ from ..geometry.surface.mesh import MeshData
 from ..results.maps import Maps
 from .materials.material import new_material
 from .mesh import mesh_of_faces
+from .operators import cycles_operator
 
 RAYS = 128
 _NAME = "IRPSO occlusion"
-_EMPTY = -1.0  # of texels that Cycles has not written
 _BEHIND = 1e-4  # of the extent of all that there is: a copy of the mesh behind it
 _REACH = 10.0  # of the extent of all that there is: nothing lies farther away than 1
 _LEAST_FOUND = 0.98  # share of the maps' texels that the mesh must cover; edges differ by rounding
@@ -37,11 +36,12 @@ def mesh_open_sky(mesh: MeshData, maps: Maps, rays: int = RAYS) -> np.ndarray:
     """
     if mesh.tiles != maps.tiles:
         raise _other_mesh(mesh)
-    baked = _baked(mesh, _normals(maps), maps.covered.shape, rays)
-    found = baked >= 0
+    baked, share = _baked(mesh, _normals(maps), maps.covered.shape, rays)
+    found = share > 0
     if (found & maps.covered).sum() < _LEAST_FOUND * maps.covered.sum():
         raise _other_mesh(mesh)
-    return np.clip(fill_margin(baked[..., None], found)[..., 0], 0, 1)
+    sky = np.divide(baked, share, out=baked, where=found)
+    return np.clip(fill_margin(sky[..., None], found)[..., 0], 0, 1)
 
 
 def _other_mesh(mesh: MeshData) -> InputError:
@@ -60,14 +60,20 @@ def _normals(maps: Maps) -> np.ndarray | None:
     return fill_margin(normals, maps.covered, far=FLAT_NORMAL, given=maps.margin)
 
 
-def _baked(mesh: MeshData, normals: np.ndarray | None, shape: tuple[int, int], rays: int) -> np.ndarray:
-    """Return (H, W) float32 what Cycles bakes, ``_EMPTY`` elsewhere."""
+def _baked(
+    mesh: MeshData, normals: np.ndarray | None, shape: tuple[int, int], rays: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (H, W) float32 what Cycles bakes, and the share of each texel that it has written.
+
+    In the margin Cycles blends texels with neighbours that it has not written. They are 0 in colour and alpha, so that
+    a texel's alpha is the share of what is baked in its colour.
+    """
     import bpy
 
     with _removed_afterwards() as made:
         extent = float(np.linalg.norm(np.ptp(mesh.opaque.reshape(-1, 3), axis=0)))
         scene = _scene(made, rays, _REACH * extent)
-        target = _image(made, np.full((*shape, 4), _EMPTY, np.float32))
+        target = _image(made, np.zeros((*shape, 4), np.float32))
         subject = _subject(made, scene, mesh)
         subject.data.materials.append(_material(made, target, normals))
         # Cycles lets rays below the face begin beyond it: behind a sheet they would see the sky.
@@ -80,17 +86,15 @@ def _baked(mesh: MeshData, normals: np.ndarray | None, shape: tuple[int, int], r
         subject.select_set(True, view_layer=layer)
         layer.objects.active = subject
         chosen = {"active_object": subject, "object": subject, "selected_objects": [subject]}
-        with (
-            bpy.context.temp_override(scene=scene, view_layer=layer, **chosen),
-            contextlib.redirect_stdout(io.StringIO()),  # Blender reports what it bakes
-        ):
+        with bpy.context.temp_override(scene=scene, view_layer=layer, **chosen), cycles_operator():
             bpy.ops.object.bake(
                 type="AO", margin=MARGIN_TEXELS, margin_type="ADJACENT_FACES", use_clear=False,
                 use_selected_to_active=False, target="IMAGE_TEXTURES",
             )  # fmt: skip
         baked = np.empty(4 * shape[0] * shape[1], np.float32)
         target.pixels.foreach_get(baked)
-    return baked.reshape(*shape, 4)[..., 0]
+    pixels = baked.reshape(*shape, 4)
+    return pixels[..., 0], pixels[..., 3]
 
 
 @contextlib.contextmanager

@@ -168,6 +168,8 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
                      help="width of the card of a relief (default 100, as millimetres)")  # fmt: skip
     add.add_argument("--photographs", type=int, metavar="N",
                      help="photographs in a page of web: unseen ones, then the most different (default 8)")  # fmt: skip
+    add.add_argument("--replace", action="store_true",
+                     help="replace files of the same names; an asset is never replaced")  # fmt: skip
     add_shelf(add)
     add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)

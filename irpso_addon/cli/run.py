@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
 from ..core.errors import InputError, IrpsoError, ShaderError
+from ..core.interrupt import INTERRUPTED, interrupt_on_signals
 from .parser import build_parser
 
-INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
 _ZIP = "install the extension from the zip that `make extension` builds, which holds it, or {} with pip"
 _REMEDIES = {  # for a missing module
     "numpy": "install numpy (for Debian's Blender: the package python3-numpy)",
@@ -30,8 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, "--json" in argv)
     except SystemExit as stop:  # --help; this process may be Blender
         return int(stop.code or 0)
-    for number in (signal.SIGINT, signal.SIGTERM):  # Blender has its own SIGINT handler
-        signal.signal(number, signal.default_int_handler)
+    interrupt_on_signals()
     try:
         result = import_module(f"..commands.{options.command}", __package__).run(options)
     except IrpsoError as error:

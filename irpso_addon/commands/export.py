@@ -29,12 +29,12 @@ def run(options: Namespace) -> dict:
     if options.format == ASSET:
         return _asset(result, options)
     if options.format == RELIEF:
-        found = write_relief(result, options.output, options.width)
+        found = write_relief(result, options.output, options.width, options.replace)
         if not silent(options):
             sys.stdout.write(f"written to {found['output']}: {found['width']:g} wide, {found['depth']:.3g} deep\n")
         return found
     if options.format == TURNTABLE:
-        found = write_turntable(result, options.output, lambda: _subject(result, options.object))
+        found = write_turntable(result, options.output, lambda: _subject(result, options.object), options.replace)
         if not silent(options):
             sys.stdout.write(f"written to {found['output']}\n")
         return found
@@ -44,7 +44,13 @@ def run(options: Namespace) -> dict:
     subject = partial(_subject, result, options.object)
     result = with_occlusion(result, options, subject)
     found = export(
-        result, options.format, options.output, options.convention, subject, lambda: page_photographs(result, options)
+        result,
+        options.format,
+        options.output,
+        options.convention,
+        subject,
+        lambda: page_photographs(result, options),
+        options.replace,
     )
     if options.format == WEB and options.photographs is None and not names_photographs(result):
         found["warnings"].append(f"no photographs: {UNNAMED}")

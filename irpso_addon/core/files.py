@@ -15,6 +15,8 @@ from typing import Any
 
 from .errors import InputError
 
+_unfinished: set[Path] = set()  # folders that are being filled
+
 
 @contextmanager
 def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
@@ -90,6 +92,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     check_unused(path)
     partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    _unfinished.add(partial)
     try:
         partial.mkdir(parents=True)
         yield partial
@@ -99,6 +102,13 @@ def new_folder(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        _unfinished.discard(partial)
+
+
+def remove_unfinished() -> None:
+    """Remove every ``new_folder`` that is not complete, before the process ends in the middle."""
+    for partial in _unfinished:
         shutil.rmtree(partial, ignore_errors=True)
 
 

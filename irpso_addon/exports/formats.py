@@ -25,19 +25,21 @@ def export(
     convention: str,
     subject: Callable[[], Any],
     photographs: Callable[[], Photographs | None] = lambda: None,
+    replace: bool = True,
 ) -> dict[str, Any]:
     """Write a result in a format; return the entries of its report. Raises InputError; then nothing is written.
 
     out: a folder; for gltf and ptm also a file. convention: of texture sets. subject: called only for gltf, returns the
     object in the open file to export. photographs: called only for a page, returns what the page shows of the capture.
+    replace: files that are there.
     """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: choose one of {', '.join(FORMATS)}")
     if kind == "openlime":
-        return write_openlime(result, out)
+        return write_openlime(result, out, replace)
     if kind == WEB:
-        return write_page(result, out, photographs() if result.card else None)
+        return write_page(result, out, photographs() if result.card else None, replace)
     if kind == "textures":
-        return write_textures(result, out, convention)
-    path = file_place(out, file_stem(result.name), [ONE_FILE[kind]])
-    return write_ptm(result, path) if kind == "ptm" else write_gltf(result, path, subject())
+        return write_textures(result, out, convention, replace)
+    path = file_place(out, file_stem(result.name), [ONE_FILE[kind]], replace)
+    return write_ptm(result, path, replace) if kind == "ptm" else write_gltf(result, path, subject())

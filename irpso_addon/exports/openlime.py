@@ -34,14 +34,14 @@ _GAMMA = 2.2
 _AMBIENT = 1e-6  # of kAmbient, which is 0.1 where none is given, and 0 counts as none
 
 
-def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
+def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> dict[str, Any]:
     """Write 8-bit images and info.json, one set per UDIM tile; return the errors of the fit.
 
-    info.json holds a layer's options: ``new OpenLIME.Layer(info)``. Raises InputError if the model's lobes are unknown
-    or the folder cannot be written.
+    info.json holds a layer's options: ``new OpenLIME.Layer(info)``. replace: files of the same names. Raises InputError
+    if the model's lobes are unknown or the folder cannot be written.
     """
     tiles, report = result.maps.tiles, {}
-    with filled_folder(folder) as place:
+    with filled_folder(folder, replace) as place:
         for number, maps in split_maps(result.maps):
             surface = surface_of(maps)
             fit = fit_ward(surface, _LOWEST, _HIGHEST)

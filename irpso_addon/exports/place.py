@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,11 +15,11 @@ _FILES = {".glb", ".gltf", ".fbx", ".obj", ".stl", ".ply", ".ptm", ".png", ".jpg
 
 
 @contextmanager
-def filled_folder(folder: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder; at the end move its files, and its folders' files, into ``folder``, replacing those of
-    the same name.
+def filled_folder(folder: str | Path, replace: bool = True) -> Iterator[Path]:
+    """Yield a temporary folder; at the end move its files, and its folders' files, into ``folder``.
 
-    An exception moves nothing. Raises InputError if the folder cannot be written.
+    replace: files of the same name; otherwise they are an InputError. An exception moves nothing. Raises InputError if
+    the folder cannot be written.
     """
     _refuse_file(Path(folder), "name a folder")
     folder = check_output_folder(folder)
@@ -27,24 +27,35 @@ def filled_folder(folder: str | Path) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".irpso-", dir=folder) as temporary:
             yield Path(temporary)
-            for file in sorted(path for path in Path(temporary).rglob("*") if path.is_file()):
-                place = folder / file.relative_to(temporary)
+            files = sorted(path for path in Path(temporary).rglob("*") if path.is_file())
+            places = [folder / file.relative_to(temporary) for file in files]
+            check_replaced(places, replace)
+            for file, place in zip(files, places, strict=True):
                 place.parent.mkdir(exist_ok=True)
                 os.replace(file, place)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
 
 
-def file_place(out: str | Path, stem: str, suffixes: Sequence[str]) -> Path:
+def file_place(out: str | Path, stem: str, suffixes: Sequence[str], replace: bool = True) -> Path:
     """Return the file that ``out`` names by one of these suffixes, or the file of this stem in the folder ``out``, with
-    the first suffix. Raises InputError where it cannot be written, or has the suffix of another kind of file.
+    the first suffix. Raises InputError where it cannot be written, has the suffix of another kind of file, or is there
+    already without ``replace``.
     """
     path = Path(out)
     if path.suffix.lower() in suffixes:
         check_output_folder(path.parent)
-        return path
-    _refuse_file(path, f"name a {' or '.join(suffixes)} file, or a folder")
-    return check_output_folder(path) / f"{stem}{suffixes[0]}"
+    else:
+        _refuse_file(path, f"name a {' or '.join(suffixes)} file, or a folder")
+        path = check_output_folder(path) / f"{stem}{suffixes[0]}"
+    check_replaced([path], replace)
+    return path
+
+
+def check_replaced(files: Iterable[Path], replace: bool) -> None:
+    """Raise InputError where one of these files is there already, unless ``replace``."""
+    if not replace and (there := next((file for file in files if file.exists()), None)):
+        raise InputError(f"{there}: is there already; choose another -o, or replace it with --replace")
 
 
 def _refuse_file(path: Path, remedy: str) -> None:

@@ -21,21 +21,24 @@ from ..core.udim import tile_stem
 from ..geometry.domain import flat_bake
 from ..results.maps import Maps, split_maps
 from ..solver.views.forward import Renderer
+from .place import check_replaced
 from .result import Result
 
 _LIGHTS = 64
 _WIDEST = 80.0  # degrees from the normal
 
 
-def write_ptm(result: Result, path: str | Path) -> dict[str, Any]:
+def write_ptm(result: Result, path: str | Path, replace: bool = True) -> dict[str, Any]:
     """Write NAME.ptm, one per UDIM tile; return the PSNR (dB) of the polynomials against their reference renders.
 
-    The result's own shader renders the reference, so every model can be written. Raises InputError or
-    GpuUnavailableError.
+    The result's own shader renders the reference, so every model can be written. replace: files that are there. Raises
+    InputError or GpuUnavailableError.
     """
     path, report = Path(path), {}
-    for number, maps in split_maps(result.maps):
-        file = path.with_name(f"{tile_stem(path.stem, number, result.maps.tiles)}.ptm")
+    parts = list(split_maps(result.maps))
+    files = [path.with_name(f"{tile_stem(path.stem, number, result.maps.tiles)}.ptm") for number, _ in parts]
+    check_replaced(files, replace)
+    for file, (_, maps) in zip(files, parts, strict=True):
         lights = even_lights(_LIGHTS, _WIDEST)
         basis = polynomial(lights)
         renderer = card_renderer(maps, lights)

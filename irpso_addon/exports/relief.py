@@ -15,11 +15,11 @@ from .result import Result
 WIDTH, BASE = 100.0, 0.02  # of the card: millimetres, as printing programs read STL; of the width
 
 
-def write_relief(result: Result, out: str | Path, width: float = WIDTH) -> dict[str, Any]:
+def write_relief(result: Result, out: str | Path, width: float = WIDTH, replace: bool = True) -> dict[str, Any]:
     """Write a card's relief as .stl, .ply or .obj; return the entries of the report.
 
-    out: the file, or a folder for NAME.stl. width: of the whole card. Raises InputError where the result has no height
-    or is a mesh's.
+    out: the file, or a folder for NAME.stl. width: of the whole card. replace: a file that is there. Raises InputError
+    where the result has no height or is a mesh's.
     """
     if result.height is None:
         raise InputError(f"{result.folder}: has no height; recover with --height")
@@ -27,7 +27,7 @@ def write_relief(result: Result, out: str | Path, width: float = WIDTH) -> dict[
         raise InputError(f"{result.folder}: its height is the fine detail of a mesh; export the mesh as gltf")
     if not width > 0:
         raise InputError(f"--width {width:g}: give a length above 0")
-    path = file_place(out, file_stem(result.name), SUFFIXES)
+    path = file_place(out, file_stem(result.name), SUFFIXES, replace)
     path.parent.mkdir(parents=True, exist_ok=True)
     vertices, quads = relief_solid(result.height, width, BASE * width)
     rows, columns = result.height.covered.shape

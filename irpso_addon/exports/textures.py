@@ -97,11 +97,13 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
 }  # fmt: skip
 
 
-def write_textures(result: Result, folder: str | Path, convention: str = "blender") -> dict[str, Any]:
+def write_textures(
+    result: Result, folder: str | Path, convention: str = "blender", replace: bool = True
+) -> dict[str, Any]:
     """Write a set of PNG, UDIM tiles as NAME_BaseColor.1001.png; return their names and the fit's error.
 
     convention: "blender", "unreal", "unity" or "substance". Two lobes are replaced by the nearest single GGX lobe. For
-    an unknown shader each map is written unchanged. Raises InputError.
+    an unknown shader each map is written unchanged. replace: files of the same names. Raises InputError.
     """
     if convention not in CONVENTIONS:
         raise InputError(f"'{convention}': no texture set has this name; choose one of {', '.join(CONVENTIONS)}")
@@ -109,7 +111,7 @@ def write_textures(result: Result, folder: str | Path, convention: str = "blende
     stem = prefix + file_stem(result.name)
     report: dict[str, Any] = {}
     names = []
-    with filled_folder(folder) as place:
+    with filled_folder(folder, replace) as place:
         for index, (number, maps) in enumerate(split_maps(result.maps)):
             try:
                 pictures, error = _pictures(result, maps, index, textures)

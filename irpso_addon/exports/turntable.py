@@ -17,13 +17,15 @@ from .result import Result
 _PICTURES, _SIDE, _RIM = 8, 224, 8  # pictures; pixels of a side of each, and of the rim above and below
 
 
-def write_turntable(result: Result, out: str | Path, subject: Callable[[], Any]) -> dict[str, Any]:
+def write_turntable(
+    result: Result, out: str | Path, subject: Callable[[], Any], replace: bool = True
+) -> dict[str, Any]:
     """Write a PNG of pictures side by side, by Cycles; return the entries of the report.
 
-    out: the file, or a folder for NAME_turntable.png. subject: returns the object of the result's open file. Raises
-    InputError where nothing can be written there, or the result has no material.
+    out: the file, or a folder for NAME_turntable.png. subject: returns the object of the result's open file. replace:
+    a file that is there. Raises InputError where nothing can be written there, or the result has no material.
     """
-    path = file_place(out, f"{file_stem(result.name)}_turntable", [".png"])
+    path = file_place(out, f"{file_stem(result.name)}_turntable", [".png"], replace)
     strip = np.concatenate(turntable(subject(), _SIDE, _PICTURES), axis=1)
     rows = np.flatnonzero(strip[..., 3].any(axis=1))
     strip = strip[max(rows[0] - _RIM, 0) : rows[-1] + 1 + _RIM]

@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from ..core.errors import GpuUnavailableError
+from ..core.interrupt import interrupted_afterwards
 from .output import caught_output
 
 _SOFTWARE = ("llvmpipe", "softpipe", "lavapipe", "swiftshader")
@@ -32,7 +33,7 @@ def ensure(quiet: bool = True) -> None:
     except ImportError as error:
         raise GpuUnavailableError(f"Blender's Python module does not load ({error}); run 'make doctor'") from error
     if bpy.app.background:
-        with caught_output() if quiet else nullcontext():
+        with interrupted_afterwards(), caught_output() if quiet else nullcontext():
             if hasattr(gpu, "init"):  # since Blender 5.2
                 gpu.init()
             else:

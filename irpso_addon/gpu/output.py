@@ -20,6 +20,8 @@ def caught_output() -> Iterator[Callable[[], str]]:
             os.dup2(log.fileno(), stream)
 
         def text() -> str:
+            sys.stdout.flush()
+            sys.stderr.flush()
             log.seek(0)
             return log.read().decode("utf-8", "replace").strip()
 

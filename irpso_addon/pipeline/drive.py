@@ -11,11 +11,11 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.files import remove_partials
+from ..core.interrupt import held_back
 from ..core.progress_bar import ProgressBar
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.progress import TimeLeft
 from ..solver.views.history import History
-from .interrupt import held_back
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C

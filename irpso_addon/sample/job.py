@@ -12,7 +12,6 @@ from ..blender.scenes import cycles, table_top
 from ..blender.scenes.true_surface import TrueMaps
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
-from ..gpu.output import caught_output
 from . import layout
 from .chart import TALL, WIDE, chart_picture
 from .photograph import developed, write_photograph
@@ -75,9 +74,8 @@ def sample_steps(request: Request, folder: Path, samples: int = _SAMPLES) -> Gen
         rendered = partial / ".rendered.exr"
         _build(scene, found)
         yield Step("truth", 1 / steps)
-        with caught_output():  # Blender tells of each file, and Cycles of the GPUs that it lacks
-            cycles.set_up(scene, _view(request, _TRUTH_SAMPLES, bounces=0))
-            cycles.render_maps(scene, rendered, more=(table_top.SUBJECT,))
+        cycles.set_up(scene, _view(request, _TRUTH_SAMPLES, bounces=0))
+        cycles.render_maps(scene, rendered, more=(table_top.SUBJECT,))
         names = photograph_names(request.photographs)
         write_truth(partial, found, cycles.read_seen_maps(rendered, more=(table_top.SUBJECT,)), names)
         cycles.set_up(scene, _view(request, samples, _BOUNCES))
@@ -87,8 +85,7 @@ def sample_steps(request: Request, folder: Path, samples: int = _SAMPLES) -> Gen
         for number, (name, place) in enumerate(zip(names, found.lamps, strict=True)):
             yield Step(f"photograph {number + 1} of {len(names)}", (number + 2) / steps)
             cycles.place_lamp(lamp, place, layout.LAMP_DISTANCE)
-            with caught_output():
-                cycles.render_radiance(scene, rendered)
+            cycles.render_radiance(scene, rendered)
             noise = np.random.SeedSequence([request.seed % 2**32, number]).generate_state(1)[0]
             codes = developed(cycles.read_radiance(rendered), int(noise))
             write_photograph(partial / FOLDER / name, codes, layout.FOCAL_35MM)

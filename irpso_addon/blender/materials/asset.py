@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.files import replacing_file
+from ..operators import quiet_operator
 from .material import TAG
 from .pictures import icon
 
@@ -59,7 +59,7 @@ def write_asset(path: Path, obj: Any, name: str, about: About, catalog: str) -> 
         shown.image_size = (_SIDE, _SIDE)
         shown.image_pixels_float.foreach_set(picture.astype(np.float32).ravel())
         try:
-            with replacing_file(path, durable=True) as partial, contextlib.redirect_stdout(io.StringIO()):
+            with replacing_file(path, durable=True) as partial, quiet_operator():
                 bpy.data.libraries.write(str(partial), {copy}, fake_user=True, compress=True)
         except RuntimeError as error:
             raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another library") from error

@@ -7,7 +7,6 @@ a node halves it: as here.
 from __future__ import annotations
 
 import contextlib
-import io
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ..colour_spaces import Use, use_space
 from ..mesh import mesh_of_faces
+from ..operators import quiet_operator
 from .displacement import DIVISION
 from .material import TAG
 
@@ -82,7 +82,7 @@ def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) 
         for other in bpy.context.view_layer.objects:
             other.select_set(other == copy)
         bpy.context.view_layer.objects.active = copy
-        with replacing_file(path) as partial, contextlib.redirect_stdout(io.StringIO()):
+        with replacing_file(path) as partial, quiet_operator():
             accepted = {name: value for name, value in _SETTINGS.items() if name in properties}
             try:
                 bpy.ops.export_scene.gltf(filepath=str(partial), **accepted)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import itertools
 import math
 from collections.abc import Sequence
@@ -17,6 +15,7 @@ from ...geometry.relief.height import Height
 from ...reflectance.model import ReflectanceModel
 from ...results.map_tables import MapTable, map_tables
 from ...results.maps import Maps
+from ..operators import quiet_operator
 from . import two_lobe_nodes as two_lobe
 from .anisotropy_nodes import connect_grain
 from .displacement import METHOD, displacement, divide
@@ -239,7 +238,7 @@ def save_blend(path: str | Path) -> Path:
             for image in images:
                 image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
             # The paths fit the new place, so Blender must not remap them.
-            with contextlib.redirect_stdout(io.StringIO()):  # Blender reports what it writes
+            with quiet_operator():
                 bpy.ops.wm.save_as_mainfile(
                     filepath=str(partial), copy=True, check_existing=False, relative_remap=False
                 )

@@ -11,7 +11,6 @@ import numpy as np
 
 from ...capture.images.exr import read_exr
 from ...core.encode import srgb_from_linear
-from ...gpu.output import caught_output
 from ..scenes import cycles, table_top
 from .material import TAG
 
@@ -40,6 +39,7 @@ def turntable(obj: Any, side: int, count: int) -> list[np.ndarray]:
 
 def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[float]) -> list[np.ndarray]:
     """Return the pictures of an object turned by angles in radians about a card's normal, or a mesh's vertical."""
+    import bpy
     from mathutils import Matrix, Vector
 
     upright = Matrix.Identity(3) if TAG not in obj else obj.matrix_world.to_quaternion().to_matrix()
@@ -52,7 +52,8 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[f
         for turn in turns
     ]
     found = []
-    with table_top.own_scene("IRPSO pictures") as scene, tempfile.TemporaryDirectory(prefix="irpso-") as folder:
+    temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # which is removed however the process ends
+    with table_top.own_scene("IRPSO pictures") as scene, temporary as folder:
         scene.collection.objects.link(obj)
         corners = [_extent(obj, axes, place) for place in placed]
         low, high = (np.array(ends) for ends in zip(*corners, strict=True))
@@ -66,8 +67,7 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[f
         try:
             for place in placed:
                 obj.matrix_world = place
-                with caught_output():  # Blender tells of each file
-                    cycles.render_radiance(scene, rendered)
+                cycles.render_radiance(scene, rendered)
                 found.append(_displayed(rendered))
         finally:
             obj.matrix_world = before

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..operators import quiet_operator
 from .true_surface import smooth_mesh
 
 CARD = "Card"
@@ -25,7 +26,8 @@ def save_card(path: Path, field: tuple[float, float, float, float]) -> None:
     made = smooth_mesh(scene, CARD, places, np.arange(4)[None], uv)
     mesh = made.data
     try:
-        bpy.data.libraries.write(str(path), {scene}, fake_user=True)
+        with quiet_operator():
+            bpy.data.libraries.write(str(path), {scene}, fake_user=True)
     finally:
         bpy.data.scenes.remove(scene)
         bpy.data.objects.remove(made)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...capture.images.exr import read_exr
+from ..operators import cycles_operator
 from .light_units import point_power, sun_strength
 from .true_surface import TRUTHS
 
@@ -146,5 +147,6 @@ def _render(scene: Any, path: Path, kind: str, persistent: bool = False) -> None
     if kind.endswith("MULTILAYER"):
         settings.color_depth = "32"
     scene.render.filepath = str(partial)
-    bpy.ops.render.render(write_still=True, scene=scene.name)
+    with cycles_operator():
+        bpy.ops.render.render(write_still=True, scene=scene.name)
     os.replace(partial, path)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +13,7 @@ from ...capture.camera import Camera
 from ...capture.distortion import NAMES
 from ...capture.errors import CaptureError
 from ...core.errors import InputError
+from ..operators import quiet_operator
 
 # Custom property of a camera object: lens distortion, which Blender's cameras do not have.
 DISTORTION = "irpso_distortion"
@@ -30,7 +29,7 @@ def open_blend(path: str | Path) -> None:
     if path.suffix.lower() not in ("", ".blend"):
         raise InputError(f"'{path}' is no .blend file; import it in Blender, save the scene, and give that file")
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # Blender reports what it reads
+        with quiet_operator():
             bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
     except RuntimeError as error:
         raise InputError(f"Blender cannot open '{path}': {' '.join(str(error).split())}") from error

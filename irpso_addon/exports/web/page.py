@@ -47,21 +47,25 @@ PlanesOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Encode = Callable[[np.ndarray], str]
 
 
-def write_page(result: Result, folder: str | Path, photographs: Photographs | None = None) -> dict[str, Any]:
+def write_page(
+    result: Result, folder: str | Path, photographs: Photographs | None = None, replace: bool = True
+) -> dict[str, Any]:
     """Write index.html, its files and the tiles into a folder; return the entries of the report.
 
-    photographs: of the same texels, None for a page without them. Raises InputError if the result is a mesh's.
+    photographs: of the same texels, None for a page without them. replace: files of the same names; a former page
+    always is. Raises InputError if the result is a mesh's.
     """
     if not result.card:
         raise InputError(
             f"{result.name}: its maps are those of a mesh, which the page does not show; choose gltf (--format gltf)"
         )
-    if (Path(folder) / ENTRY).exists() and not (Path(folder) / _RESULT).exists():
+    former_page = (Path(folder) / _RESULT).exists()
+    if (Path(folder) / ENTRY).exists() and not former_page:
         raise InputError(
             f"{Path(folder) / ENTRY}: is no page of this program's and would be replaced; name another folder"
         )
     maps, bytes_of = measured_maps(result), {"maps": 0, "uncertainty": 0, "photographs": 0}
-    with filled_folder(folder) as place:
+    with filled_folder(folder, replace or former_page) as place:
         for file in sorted(PAGE.iterdir()):
             shutil.copyfile(file, place / file.name)
         (place / _TILES).mkdir()

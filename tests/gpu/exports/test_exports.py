@@ -223,6 +223,29 @@ def test_a_file_can_be_named(folder, tmp_path):
     assert (code, err) == (0, "") and read_glb(tmp_path / "mine.glb")[0]["asset"]["version"] == "2.0"
 
 
+@pytest.mark.parametrize(
+    ("kind", "out", "mine"),
+    [
+        ("textures", "set", "set/{}_Normal.png"),
+        ("openlime", "layer", "layer/info.json"),
+        ("gltf", "a.glb", "a.glb"),
+        ("ptm", "a.ptm", "a.ptm"),
+        ("turntable", "a.png", "a.png"),
+    ],
+)
+def test_a_file_of_the_users_own_is_replaced_only_on_request(kind, out, mine, folder, tmp_path):
+    mine = tmp_path / mine.format(folder.name)
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine")
+    beside = set(mine.parent.iterdir())
+    words = ("export", folder, "--format", kind, "-o", tmp_path / out)
+    code, _, said = run_cli(*words)
+    assert code == 2 and said == f"irpso: {mine}: is there already; choose another -o, or replace it with --replace\n"
+    assert mine.read_text() == "mine" and set(mine.parent.iterdir()) == beside
+    assert run_cli(*words, "--replace")[0] == 0
+    assert mine.read_bytes() != b"mine"
+
+
 def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folder, tmp_path):
     out = tmp_path / "out"
 

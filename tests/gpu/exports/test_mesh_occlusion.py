@@ -1,5 +1,6 @@
 """The occlusion of meshes, against form factors: spheres, walls and planes in closed form."""
 
+import os
 from dataclasses import replace
 
 import bpy
@@ -10,6 +11,7 @@ from mathutils import Matrix, Vector
 from irpso_addon.blender.materials.material import save_blend
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.blender.occlusion import mesh_open_sky
+from irpso_addon.blender.operators import quiet_operator
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.udim import tile_part
 from irpso_addon.exports.gltf import write_gltf
@@ -159,6 +161,17 @@ def test_past_a_seam_lies_what_is_across_it():
     assert np.abs(past - across).mean() < 0.03 < np.abs(across - found[rows, edge - 2][:, None]).mean()
 
 
+def test_the_margin_around_a_round_island_is_as_open_as_the_island():
+    """A half sphere sees half of the sky everywhere. Unwrapped as a disc, it has a rim that runs across texels."""
+    mesh = cavity_mesh(0.0)
+    angle, radius = 2 * np.pi * mesh.uvs[..., 0], 0.4 * (1 - 0.98 * mesh.uvs[..., 1])
+    disc = 0.5 + radius[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    mesh = replace(mesh, uvs=disc.astype(np.float32))
+    maps = maps_of(mesh, 80)
+    assert 0.4 < maps.covered.mean() < 0.6
+    np.testing.assert_allclose(mesh_open_sky(mesh, maps, RAYS), 0.5, atol=NOISE + 0.02)
+
+
 def test_maps_of_another_mesh_are_refused():
     mesh = plane(2.0, u_span=(0.0, 0.5))
     with pytest.raises(InputError, match=r"'UVMap' of 'test' does not cover"):
@@ -205,6 +218,27 @@ def test_the_command_bakes_the_object_of_the_result(tmp_path):
     )
     assert code == 0, err
     assert "occlusionTexture" in read_glb(tmp_path / "leaf.glb")[0]["materials"][0]
+
+
+def test_a_quiet_command_of_a_mesh_writes_nothing_to_the_terminal(tmp_path, capfd):
+    """Blender writes from C: what it reads, renders and bakes, and how long that took."""
+    settings = {"model": "principled", "settings": {"object": "sheet", "slots": None}}
+    write_maps(on_a_sheet("principled", texels=16)[0].maps, tmp_path / "leaf", settings)
+    save_blend(tmp_path / "leaf" / "material.blend")
+    capfd.readouterr()
+    for number, words in enumerate((("textures", "--occlusion", "--rays", 1), ("gltf",), ("turntable",), ("asset",))):
+        code, said, error = run_cli(
+            "export", tmp_path / "leaf", "--format", *words, "-o", tmp_path / f"out{number}", "--quiet"
+        )
+        assert (code, said, error) == (0, "", "")
+        assert tuple(capfd.readouterr()) == ("", ""), words
+
+
+def test_errors_that_blender_only_prints_stay_visible(capfd):
+    line = "00:56.960  bpy.rna          | ERROR Python script error in CYCLES.render"
+    with quiet_operator():
+        os.write(1, f"Read blend\n{line}\n".encode())
+    assert tuple(capfd.readouterr()) == ("", f"{line}\n")
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,14 @@
 """A relief as a body: closed, of the right volume and size, and read back by hand from STL, PLY and OBJ."""
 
+import json
 import struct
 
 import bpy
 import numpy as np
 import pytest
 
+from irpso_addon import cli
+from irpso_addon.commands import export
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports.relief import write_relief
 from irpso_addon.exports.result import Result
@@ -13,6 +16,7 @@ from irpso_addon.geometry.relief.height import Height
 from irpso_addon.geometry.relief.solid import relief_solid
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from tests.builders.command_line import run_cli
 
 SHAPE = (9, 13)
 
@@ -77,6 +81,25 @@ def test_ply_and_obj_have_the_same_body_and_the_open_file_stays(tmp_path):
     np.testing.assert_allclose(sorted(points[:, 1]), sorted(vertices[:, 2]), atol=1e-4)  # y is up
     assert sorted(path.name for path in tmp_path.iterdir()) == ["leaf.obj", "leaf.ply"]
     assert before == [len(getattr(bpy.data, kind)) for kind in ("objects", "meshes")]
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+def test_the_command_writes_nothing_but_its_json(suffix, tmp_path, monkeypatch, capfd):
+    """Blender's exporters write from C how long they took."""
+    monkeypatch.setattr(export, "read_result", lambda *_: result(leaf()))
+    path = tmp_path / f"leaf.{suffix}"
+    assert cli.main(["export", "leaf", "--format", "relief", "-o", str(path), "--json"]) == 0
+    said, error = capfd.readouterr()
+    assert json.loads(said)["output"] == str(path) and error == ""
+
+
+def test_the_command_replaces_a_file_only_on_request(tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "read_result", lambda *_: result(leaf()))
+    (mine := tmp_path / "leaf.stl").write_text("mine")
+    words = ("export", "leaf", "--format", "relief", "-o", mine)
+    code, _, said = run_cli(*words)
+    assert code == 2 and f"{mine}: is there already" in said and mine.read_text() == "mine"
+    assert run_cli(*words, "--replace")[0] == 0 and len(triangles_of(mine)) > 0
 
 
 @pytest.mark.parametrize(

@@ -276,6 +276,17 @@ def test_a_page_of_the_users_own_is_not_replaced(recovered, tmp_path):
     assert mine.read_text() == "mine" and list(mine.parent.iterdir()) == [mine]
 
 
+def test_another_file_of_the_users_own_is_replaced_only_on_request(recovered, tmp_path):
+    result, *_ = recovered
+    mine = tmp_path / "site" / "page.css"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    words = ("export", result, "--format", "web", "-o", mine.parent, "--photographs", 0)
+    code, _, said = run_cli(*words)
+    assert code == 2 and f"{mine}: is there already" in said and list(mine.parent.iterdir()) == [mine]
+    assert run_cli(*words, "--replace")[0] == 0 and mine.read_text() != "mine"
+
+
 def test_a_capture_that_is_gone_or_has_changed_is_named_with_the_remedy(recovered, tmp_path):
     result, maps, lights = recovered
     half = np.stack([oracle(maps, light)[::-1][:40] for light in lights])

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from irpso_addon.pipeline import interrupt
+from irpso_addon.core import interrupt
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,69 @@
+"""Surroundings of calls of Blender's operators: a quiet terminal, and signals that are not lost."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+
+from ..core.files import remove_unfinished
+from ..core.interrupt import INTERRUPTED, interrupted_afterwards, signals_interrupt
+from ..gpu.context import exit_process
+from ..gpu.output import caught_output
+
+_PATIENCE = 3.0  # seconds from a signal to the end of the process, where Cycles goes on
+_ERROR = re.compile(r"^Error\b|\bERROR\b")  # Cycles also tells of "unknown error" at GPUs that a machine lacks
+
+
+@contextlib.contextmanager
+def quiet_operator() -> Iterator[None]:
+    """Keep Blender's lines off the terminal, except errors. A signal meanwhile raises KeyboardInterrupt at the end."""
+    with interrupted_afterwards():
+        with caught_output() as text, contextlib.redirect_stdout(io.StringIO()):
+            yield
+            lines = text().splitlines()
+        sys.stderr.writelines(f"{line}\n" for line in lines if _ERROR.search(line))
+
+
+@contextlib.contextmanager
+def cycles_operator() -> Iterator[None]:
+    """Be a ``quiet_operator`` for renders and bakes: a signal ends the process after ``_PATIENCE``.
+
+    Cycles cannot be stopped from Python, and one picture may take it minutes. In the window nothing ends.
+    """
+    with _ended_by_signals() if signals_interrupt() else contextlib.nullcontext(), quiet_operator():
+        yield
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Have a thread end the process if a signal comes and this context lasts for more than ``_PATIENCE`` after it."""
+    terminal = os.dup(2)  # standard error is caught meanwhile
+    heard, told = os.pipe()
+    if os.name != "nt":  # where no such call is asked for
+        os.set_blocking(told, False)
+    returned = threading.Event()
+
+    def watch() -> None:
+        if os.read(heard, 1) and not returned.wait(_PATIENCE):  # nothing is read once the pipe is closed
+            remove_unfinished()
+            os.write(terminal, b"\nirpso: interrupted\n")
+            exit_process(INTERRUPTED)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    before = signal.set_wakeup_fd(told)
+    watcher.start()
+    try:
+        yield
+    finally:
+        returned.set()
+        signal.set_wakeup_fd(before)
+        os.close(told)
+        watcher.join()
+        os.close(heard)
+        os.close(terminal)

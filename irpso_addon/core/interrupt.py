@@ -1,0 +1,62 @@
+"""Ctrl-C and SIGTERM, delayed until an iteration is whole or a call of Blender has returned."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+INTERRUPTED = 130  # the shell's own exit code for a program ended by Ctrl-C
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def interrupt_on_signals() -> None:
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt. Blender has a SIGINT handler of its own."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.default_int_handler)
+
+
+def signals_interrupt() -> bool:
+    """Return whether SIGINT and SIGTERM raise KeyboardInterrupt, as in a command and not in Blender's window."""
+    return all(signal.getsignal(number) is signal.default_int_handler for number in _SIGNALS)
+
+
+@contextmanager
+def held_back() -> Iterator[Callable[[], bool]]:
+    """Hold back the first SIGINT or SIGTERM; yields a function that returns whether one has come.
+
+    An exception in the middle of an iteration leaves swarms half moved: no checkpoint can continue from them. A second
+    signal interrupts at once.
+    """
+    came = False
+
+    def note(number: int, frame: object) -> None:
+        nonlocal came
+        if came:
+            raise KeyboardInterrupt
+        came = True
+
+    before = {number: signal.signal(number, note) for number in _SIGNALS}
+    try:
+        yield lambda: came
+    finally:
+        for number, handler in before.items():
+            # None is a handler from outside Python, as Blender's own, which Python cannot put back.
+            signal.signal(number, signal.default_int_handler if handler is None else handler)
+
+
+@contextmanager
+def interrupted_afterwards() -> Iterator[None]:
+    """Raise the KeyboardInterrupt of a signal at the end. Without ``signals_interrupt`` nothing changes.
+
+    Blender prints and drops exceptions of its Python parts, among them Cycles and the exporter of glTF.
+    """
+    if not signals_interrupt():
+        yield
+        return
+    with held_back() as interrupted:
+        try:
+            yield
+        finally:
+            if interrupted():
+                raise KeyboardInterrupt
