@@ -39,9 +39,13 @@ def run(options: Namespace) -> dict:
     cameras = scene_cameras(options.camera, size)
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
-    renderers = []
+    renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
+    seen_at = empty_at = 0
     for bake, camera in zip(bakes, cameras, strict=True):
-        seen = turned_normals(model, sample_maps(model, values, bake.uv), mesh, bake, from_blender)
+        shown = sample_maps(model, values, bake.uv)
+        seen_at += np.count_nonzero(bake.coverage)
+        empty_at += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
+        seen = turned_normals(model, shown, mesh, bake, from_blender)
         renderers.append(camera_renderer(bake, model, seen, camera, lights))
     masks = [bake.coverage for bake in bakes]
     capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)
@@ -49,6 +53,9 @@ def run(options: Namespace) -> dict:
     bar.close()
     for renderer in renderers:
         renderer.close()
+    if empty_at:
+        share = empty_at / seen_at
+        sys.stderr.write(f"irpso: warning: the maps have no normal at {share:.1%} of what shows, which is black\n")
     if not silent(options):
         sys.stdout.write(f"{len(capture.observations)} photographs written to {options.output}\n")
     return {"output": options.output, "images": len(capture.observations)}

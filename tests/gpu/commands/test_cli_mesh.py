@@ -1,6 +1,7 @@
 """From maps to camera images and back: ``render``, then ``recover --blend``; and what Cycles makes of the result."""
 
 import json
+import re
 import shutil
 from types import SimpleNamespace
 
@@ -105,6 +106,19 @@ def test_maps_of_a_mesh_are_recovered_where_they_are_seen(ball):
     assert report["texels"] == seen.sum() and report["unseen_texels"] == seen.size - seen.sum()
     # Many texels show no highlight in any image, and there nothing but the albedo tells of the roughness.
     assert normal.mean() < 0.4 and color.mean() < 2.0 and np.median(rough) < 12
+
+
+def test_maps_with_holes_render_black_there_with_a_warning(ball, tmp_path):
+    folder, values = ball
+    normal = np.where(np.arange(TEXELS)[:, None, None] < TEXELS // 2, values["normal"], 0)
+    write_exr(tmp_path / "holes.exr", {"normal": {c: normal[..., i].astype(np.float32) for i, c in enumerate("RGB")}})
+    code, _, err = run_cli(
+        "render", tmp_path / "holes.exr", "--blend", folder / "scene.blend", "--camera", "left", "--dome", "1x1",
+        "--size", "32x32", "-o", tmp_path / "out", "--quiet",
+    )  # fmt: skip
+    assert code == 0
+    share = re.fullmatch(r"irpso: warning: the maps have no normal at (.*)% of what shows, which is black\n", err)[1]
+    assert 35 < float(share) < 65
 
 
 @pytest.mark.parametrize(("seen", "card", "warned"), [(9, False, True), (10, False, False), (9, True, False)])
