@@ -48,7 +48,7 @@ class Samples:
 
 def flash_of(samples: Samples, offset: np.ndarray | None = None) -> Flash:
     """Return the flash that explains the samples best. offset: (3,) where it is known."""
-    usable = _usable(samples)
+    usable = usable_samples(samples)
     start = np.zeros(3) if offset is None else np.asarray(offset, float)
     found, beam, gains, albedo = _fit(samples, usable, start, offset is None)
     count = len(samples.cameras)
@@ -71,14 +71,18 @@ def irradiance(places: np.ndarray, camera: np.ndarray, offset: np.ndarray, beam:
     return np.clip(-away[:, 2] / distance, 1e-6, 1) / distance**2 * along**beam
 
 
-def _usable(samples: Samples) -> np.ndarray:
-    """Return (K, P) bool: lit, and away from the mirror direction, which is taken as if the flash were the lens."""
+def usable_samples(samples: Samples) -> np.ndarray:
+    """Return (K, P) bool: lit, of places that enough photographs show, and away from the mirror direction.
+
+    That is taken as if the flash were the lens.
+    """
     eyes = samples.cameras[:, None, :3, 3] - np.insert(samples.places, 2, 0.0, axis=1)
     cosine = eyes[..., 2] / np.linalg.norm(eyes, axis=-1)
     good = np.isfinite(samples.radiance) & (samples.radiance > 0)
     matte = good & (cosine < np.cos(np.radians(_OFF_MIRROR)))
     # A photograph from straight above shows the card near the mirror direction alone, and has a strength, too.
-    return np.where(matte.sum(axis=1, keepdims=True) >= _LEAST_MATTE * good.shape[1], matte, good)
+    usable = np.where(matte.sum(axis=1, keepdims=True) >= _LEAST_MATTE * good.shape[1], matte, good)
+    return usable & (usable.sum(axis=0) >= _LEAST_SAMPLES)
 
 
 def _fit(
@@ -88,7 +92,7 @@ def _fit(
 
     The places' albedos are eliminated: for each place, all columns count from their weighted mean.
     """
-    k, p = np.nonzero(usable & ((usable.sum(axis=0) >= _LEAST_SAMPLES)[None]))
+    k, p = np.nonzero(usable & (usable.sum(axis=0) >= _LEAST_SAMPLES))
     log = np.log(samples.radiance[k, p])
     count, reach = len(samples.cameras), float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
     beam, gains, weight = 0.0, np.zeros(count), np.ones(len(log))

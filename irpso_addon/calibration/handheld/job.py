@@ -13,7 +13,7 @@ from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps
 from .cameras import Placed, placed_cameras
-from .flash import Flash, Samples, flash_of
+from .flash import Flash, Samples, flash_of, usable_samples
 from .likeness import doubtful
 from .pictures import picture_steps
 from .tracks import Tracks, feature_tracks, marker_tracks
@@ -25,7 +25,8 @@ _BLURRED = 0.6  # of the median sharpness
 _ONE_PLACE = 6.0  # degrees between views, seen from the card: root mean square
 _WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a board
 _UNEVEN = 0.08  # standard deviation of the logarithm of the strengths above which exposures differ
-_CONTRADICTS = 2.5  # standard errors
+_CONTRADICTS, _FAR_SURER = 2.5, 0.5  # standard errors; of the other's
+_LEAST_PAPER = 10  # places of bare paper that each photograph must show unclipped
 _UNSURE = 0.02  # of the distance: standard error of the flash's place that makes it useless
 _TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
 _SHOWN = 0.6  # of the photographs that must show a place of a card without a board
@@ -232,16 +233,18 @@ def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> 
     """Return the flash, its intensities (K,), and warnings.
 
     A card that shines bends what its brightness says of the flash, by more than the errors know. The paper around it
-    is matt: it counts alone where it is surer, or both contradict each other.
+    is matt: it counts alone where it is far surer or both contradict each other.
     """
     flash, warnings = flash_of(samples, offset), []
     if board is not None and offset is None:
         count = len(board.white)
-        paper = flash_of(Samples(samples.places[:count], samples.cameras, samples.radiance[:, :count]))
-        apart = np.abs(paper.offset - flash.offset)[:2]
-        surer = np.linalg.norm(paper.error) < np.linalg.norm(flash.error)
-        if surer or (apart > _CONTRADICTS * np.hypot(paper.error, flash.error)).any():
-            flash = paper
+        paper = Samples(samples.places[:count], samples.cameras, samples.radiance[:, :count])
+        if (usable_samples(paper).sum(axis=1) >= _LEAST_PAPER).all():
+            told = flash_of(paper)
+            apart = np.abs(told.offset - flash.offset)[:2]
+            surer = np.linalg.norm(told.error) < _FAR_SURER * np.linalg.norm(flash.error)
+            if surer or (apart > _CONTRADICTS * np.hypot(told.error, flash.error)).any():
+                flash = told
     distance = float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
     if offset is None and (flash.error > _UNSURE * distance).any():
         warnings.append("the brightness does not tell the flash's place; it is taken to be the lens's (--flash-offset)")

@@ -27,7 +27,7 @@ _QUIET = 6.0  # white around a marker
 _APART = 5.0  # places of bare paper
 _DPI = 600
 _INCH = 25.4
-_RULER = 50.0  # millimetres
+_RULER, _CAPTION = 50.0, 14.0  # millimetres: width and height, at the left of the lower edge
 _SUFFIXES = (".png", ".pdf")
 
 
@@ -76,7 +76,9 @@ class Board:
             (1 - share) * corners[k] + share * corners[(k + 1) % 4] for k in range(4) for share in (0.28, 0.72)
         ])  # fmt: skip
         around = _APART * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-        return (middles[:, None] + around).reshape(-1, 2)
+        places = (middles[:, None] + around).reshape(-1, 2)
+        printed = (places[:, 0] < 0) & (places[:, 1] < _EDGE - PAPERS[self.paper][1] / 2 + _CAPTION)
+        return places[~printed]
 
 
 BOARDS = tuple(

@@ -120,6 +120,15 @@ def test_a_printed_board_gives_the_corners_and_the_width_of_its_field(camera):
     )
 
 
+def test_nothing_is_printed_where_a_board_has_bare_paper():
+    for board in BOARDS:
+        ink, (width, height) = np.asarray(board_picture(board, 254).convert("L")), PAPERS[board.paper]
+        column, row = np.round(10 * (board.white * (1, -1) + (width / 2, height / 2))).astype(int).T
+        assert len(board.white) > 60
+        for x, y in zip(column, row, strict=True):
+            assert (ink[y - 15 : y + 16, x - 15 : x + 16] == 255).all(), (board.name, x, y)
+
+
 def test_no_number_is_on_two_boards():
     numbers = [number for board in BOARDS for number in board.markers]
     assert len(set(numbers)) == len(numbers) and max(numbers) < 50
