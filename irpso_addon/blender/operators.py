@@ -1,4 +1,4 @@
-"""Surroundings of calls of Blender's operators: a quiet terminal, and signals that are not lost."""
+"""Context managers around Blender's operators: they keep its lines off the terminal and lose no signal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import threading
 from collections.abc import Iterator
 
 from ..core.files import remove_unfinished
-from ..core.interrupt import INTERRUPTED, interrupted_afterwards, signals_interrupt
+from ..core.interrupt import INTERRUPTED, SIGNALS, interrupted_afterwards, signals_interrupt
 from ..gpu.context import exit_process
 from ..gpu.output import caught_output
 
@@ -24,15 +24,20 @@ _ERROR = re.compile(r"^Error\b|\bERROR\b")  # Cycles also tells of "unknown erro
 def quiet_operator() -> Iterator[None]:
     """Keep Blender's lines off the terminal, except errors. A signal meanwhile raises KeyboardInterrupt at the end."""
     with interrupted_afterwards():
-        with caught_output() as text, contextlib.redirect_stdout(io.StringIO()):
-            yield
-            lines = text().splitlines()
-        sys.stderr.writelines(f"{line}\n" for line in lines if _ERROR.search(line))
+        lines: list[str] = []
+        try:
+            with caught_output() as text, contextlib.redirect_stdout(io.StringIO()):
+                try:
+                    yield
+                finally:
+                    lines = text().splitlines()
+        finally:
+            sys.stderr.writelines(f"{line}\n" for line in lines if _ERROR.search(line))
 
 
 @contextlib.contextmanager
 def cycles_operator() -> Iterator[None]:
-    """Be a ``quiet_operator`` for renders and bakes: a signal ends the process after ``_PATIENCE``.
+    """Work as ``quiet_operator`` around renders and bakes; a signal ends the process after ``_PATIENCE``.
 
     Cycles cannot be stopped from Python, and one picture may take it minutes. In the window nothing ends.
     """
@@ -50,7 +55,9 @@ def _ended_by_signals() -> Iterator[None]:
     returned = threading.Event()
 
     def watch() -> None:
-        if os.read(heard, 1) and not returned.wait(_PATIENCE):  # nothing is read once the pipe is closed
+        while (came := os.read(heard, 1)) and came[0] not in SIGNALS:  # nothing is read once the pipe is closed
+            pass
+        if came and not returned.wait(_PATIENCE):
             remove_unfinished()
             os.write(terminal, b"\nirpso: interrupted\n")
             exit_process(INTERRUPTED)

@@ -159,14 +159,14 @@ def calibrate_steps(
     others = [ball for ball in found if ball.exact and ball.kind != request.kind][:1]
     each = (1 - begun) / (1 + len(others)) / len(shots)
     result = yield from map_steps(calibration_steps(readers, balls, request), lambda n: begun + each * n)
+    names = tuple(spec.observations[n].name for n in shots)
+    result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
     doubts: list[str] = []
     for other in others:
         steps = _second_opinion_steps(readers, camera, of_one_kind(found)[0], result, other)
         doubts += yield from map_steps(steps, lambda n: 1 - each * (len(shots) - n))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
-    names = tuple(spec.observations[n].name for n in shots)
-    result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
     shown = sum(light.light is not None for light in result.lights)
     if shown < max(1, _FEWEST * len(shots)):
         lost = next(i for i, light in enumerate(result.lights) if light.light is None)

@@ -214,9 +214,10 @@ def _weighted(rgba: np.ndarray) -> np.ndarray:
     finite = np.isfinite(rgba)
     weight[~(finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3])] = 0
     out = np.empty((*weight.shape, 7), np.float32)
-    for channel in range(3):  # one by one: with an axis of three numpy takes four times as long
-        np.multiply(rgba[..., channel], weight, out=out[..., channel])
-        np.multiply(clipped[..., channel], weight, out=out[..., 4 + channel])
+    with np.errstate(invalid="ignore"):  # infinity times 0
+        for channel in range(3):  # one by one: with an axis of three numpy takes four times as long
+            np.multiply(rgba[..., channel], weight, out=out[..., channel])
+            np.multiply(clipped[..., channel], weight, out=out[..., 4 + channel])
     out[..., 3] = weight
     out[weight == 0] = 0
     return out

@@ -12,7 +12,8 @@ from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
 from ..exports.asset import write_to_shelf
 from ..exports.formats import export
-from ..exports.names import ASSET, RELIEF, TURNTABLE, WEB
+from ..exports.names import ASSET, ONE_FILE, RELIEF, TURNTABLE, WEB
+from ..exports.place import file_place, file_stem
 from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
 from ..exports.turntable import write_turntable
@@ -42,6 +43,8 @@ def run(options: Namespace) -> dict:
         probe.probe()
         context.ensure()
     subject = partial(_subject, result, options.object)
+    if options.format == "gltf":  # before a bake
+        file_place(options.output, file_stem(result.name), [ONE_FILE["gltf"]], options.replace)
     result = with_occlusion(result, options, subject)
     found = export(
         result,

@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
-from shlex import quote
 
 from ..blender.frames import COUNT, frame_steps
 from ..calibration.photographs import videos_of
 from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
-from .options.values import silent
+from .options.values import pasted, silent
 
 
 def run(options: Namespace) -> dict:
@@ -25,6 +24,6 @@ def run(options: Namespace) -> dict:
     for warning in found.warnings:
         sys.stderr.write(f"irpso: warning: {warning}\n")
     if not silent(options):
-        next_one = f"irpso calibrate {quote(str(out))}"
+        next_one = f"irpso calibrate {pasted(out)}"
         sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_one}\n")
     return {"output": str(out), "frames": list(found.numbers), "warnings": list(found.warnings)}

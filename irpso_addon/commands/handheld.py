@@ -7,7 +7,6 @@ import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
 from ..core.progress_bar import ProgressBar
-from .options.values import numbers_of_text, silent
+from .options.values import numbers_of_text, pasted, silent
 
 BLEND = "card.blend"
 _REPORT = "report.json"
@@ -116,7 +115,7 @@ def _summary(found: Handheld, out: Path) -> str:
         f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
         f" {found.flash.beam:.1f}",
         *(f"warning: {warning}" for warning in found.warnings),
-        f"written to {out}; recover it with: irpso recover {quote(str(out))} --blend {quote(str(out / BLEND))}"
+        f"written to {out}; recover it with: irpso recover {pasted(out)} --blend {pasted(out / BLEND)}"
         f" --object {CARD}"
         f" --resolution {size} -o OUT",
     ]

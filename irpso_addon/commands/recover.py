@@ -194,10 +194,10 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
     lines = [f"{report['texels']} texels, {report['seconds']['solve']:.1f} s, written to {folder} in {seconds:.1f} s"]
     if unseen := report["unseen_texels"]:
         lines.append(f"{unseen} more texels are seen and lit in no photograph and copy the nearest recovered texel")
-    if found := report.get("interreflection"):
+    if (found := report.get("interreflection", {})).get("share", 0) > 0:
         lines.append(
-            f"light that the subject throws on itself: {found['share']:.0%} of the photographs', found in"
-            f" {found['rounds']} rounds; unknown beneath it: {found['unknown_texels']} texels"
+            f"light that the subject throws on itself: {found['share']:.0%} of what the photographs show; it leaves"
+            f" {found['unknown_texels']} texels unknown"
         )
     if residual := report.get("residual"):
         lines.append(f"residual: mean {residual['mean']:.5f}, 99th percentile {residual['p99']:.5f}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
-from shlex import quote
 
 from ..blender.images import decode
 from ..calibration.rigs.apply import apply_steps
@@ -13,7 +12,7 @@ from ..calibration.rigs.rig import read_rig, save_rig
 from ..capture.read import read_spec
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
-from .options.values import silent
+from .options.values import pasted, silent
 
 _USE = {"save": (1, "irpso rig save CAPTURE -o RIG"), "apply": (2, "irpso rig apply RIG PHOTOGRAPHS -o CAPTURE")}
 
@@ -50,7 +49,7 @@ def _apply(options: Namespace) -> dict:
     for warning in (*applied.left_out, *applied.warnings):
         sys.stderr.write(f"irpso: warning: {warning}\n")
     if not silent(options):
-        out = quote(options.output)
+        out = pasted(options.output)
         sys.stdout.write(
             f"{len(applied.lamps)} photographs under their lamps, written to {out}; next: irpso inspect {out}\n"
         )

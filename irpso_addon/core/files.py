@@ -50,7 +50,7 @@ def check_unused(path: Path, remedy: str = "choose a new folder or delete it fir
     """Raise InputError unless a folder can be made at ``path``: nothing is there, or an empty folder."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"{path}: is there already and not empty; {remedy}")
-    check_writable(path)
+    check_writable(path.absolute().parent if path.exists() else path)  # an empty folder is replaced, not filled
 
 
 def check_writable(path: Path) -> None:

@@ -7,18 +7,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 INTERRUPTED = 130  # the shell's own exit code for a program ended by Ctrl-C
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def interrupt_on_signals() -> None:
     """Make SIGINT and SIGTERM raise KeyboardInterrupt. Blender has a SIGINT handler of its own."""
-    for number in _SIGNALS:
+    for number in SIGNALS:
         signal.signal(number, signal.default_int_handler)
 
 
 def signals_interrupt() -> bool:
     """Return whether SIGINT and SIGTERM raise KeyboardInterrupt, as in a command and not in Blender's window."""
-    return all(signal.getsignal(number) is signal.default_int_handler for number in _SIGNALS)
+    return all(signal.getsignal(number) is signal.default_int_handler for number in SIGNALS)
 
 
 @contextmanager
@@ -36,7 +36,7 @@ def held_back() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         came = True
 
-    before = {number: signal.signal(number, note) for number in _SIGNALS}
+    before = {number: signal.signal(number, note) for number in SIGNALS}
     try:
         yield lambda: came
     finally:

@@ -41,5 +41,6 @@ def export(
         return write_page(result, out, photographs() if result.card else None, replace)
     if kind == "textures":
         return write_textures(result, out, convention, replace)
-    path = file_place(out, file_stem(result.name), [ONE_FILE[kind]], replace)
+    # A PTM's names have the numbers of UDIM tiles.
+    path = file_place(out, file_stem(result.name), [ONE_FILE[kind]], replace or kind == "ptm")
     return write_ptm(result, path, replace) if kind == "ptm" else write_gltf(result, path, subject())

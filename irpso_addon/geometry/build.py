@@ -12,7 +12,7 @@ import numpy as np
 
 from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
-from ..capture.noise import NoiseEstimate, images_read
+from ..capture.noise import NoiseEstimate
 from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
@@ -75,7 +75,7 @@ domain_from_card = at_once("domain_from_card", card_steps)
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
     """Return the number of steps of ``card_steps``, an upper bound for ``mesh_steps``, which adds one per camera."""
-    return len(capture.observations) + (len(capture.cameras) + images_read(capture) if on_mesh else 0)
+    return len(capture.observations) + (len(capture.cameras) if on_mesh else 0)
 
 
 def card_bake(capture: Capture) -> GeometryBake:

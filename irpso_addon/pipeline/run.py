@@ -94,7 +94,7 @@ class Run:
         self.doubts: tuple[str, ...] = ()
         self._plan: Plan | None = None
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
-        self._thrown: dict[int, np.ndarray | float] = {}  # the indirect light of photographs that are held out
+        self._thrown: Callable[[int], np.ndarray | float] = lambda held_out: 0.0  # on itself, in those held out
 
     def first_plan(self) -> Plan:
         """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
@@ -123,7 +123,7 @@ class Run:
         """Return the indirect light, (H, W, 3) or 0: what was taken off, or what ``relighting`` found."""
         if observation in self.job.fitted:
             return present(self.recovery).indirect(observation)
-        return self._thrown.get(observation, 0.0)
+        return self._thrown(observation - self.job.unseen.start) if observation in self.job.unseen else 0.0
 
     @property
     def indirect_share(self) -> np.ndarray | None:
@@ -137,8 +137,8 @@ class Run:
     def relighting(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
         domain, unseen, at = present(self.domain), self.job.unseen, present(self.progress).evaluations
-        if self.recovery is not None:
-            self._thrown = dict(zip(unseen, (yield from self.recovery.indirect_in(domain, unseen)), strict=True))
+        if self.recovery is not None and unseen:
+            self._thrown = yield from self.recovery.indirect_in(subset(domain, unseen, domain.solvable))
         steps = relit_steps(domain, maps, unseen, self.job.capture, self._elsewhere, self.indirect)
         self._relit = at, *(yield from steps)
 

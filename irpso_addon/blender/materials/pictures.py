@@ -52,7 +52,7 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[f
         for turn in turns
     ]
     found = []
-    temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # which is removed however the process ends
+    temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # which is removed where the process is ended, too
     with table_top.own_scene("IRPSO pictures") as scene, temporary as folder:
         scene.collection.objects.link(obj)
         corners = [_extent(obj, axes, place) for place in placed]

@@ -16,6 +16,7 @@ from ...core.errors import InputError
 from ..operators import quiet_operator
 
 # Custom property of a camera object: lens distortion, which Blender's cameras do not have.
+_OTHERS = {".obj", ".ply", ".stl", ".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".dae", ".3ds"}
 DISTORTION = "irpso_distortion"
 
 
@@ -26,7 +27,7 @@ def open_blend(path: str | Path) -> None:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"there is no Blender file '{path}'; check the path given to --blend")
-    if path.suffix.lower() not in ("", ".blend"):
+    if path.suffix.lower() in _OTHERS:
         raise InputError(f"'{path}' is no .blend file; import it in Blender, save the scene, and give that file")
     try:
         with quiet_operator():

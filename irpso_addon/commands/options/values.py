@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
 import sys
 from argparse import Namespace
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -26,6 +29,11 @@ LARGEST_SIDE = 16384
 def silent(options: Namespace) -> bool:
     """Return whether a command prints no progress: --quiet or --json."""
     return options.quiet or options.json
+
+
+def pasted(path: Path | str) -> str:
+    """Return a path as a shell of this system takes it, for a command that is printed."""
+    return subprocess.list2cmdline([str(path)]) if os.name == "nt" else quote(str(path))
 
 
 def warn_quietly(options: Namespace, warnings: Iterable[str]) -> None:

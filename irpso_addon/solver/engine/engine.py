@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -148,16 +148,14 @@ class RecoveryEngine(ABC):
         direct = SeparatedStack(self.domain.stack, self.domain.intensities, separation)
         return self.domain.stack.layer(observation)[..., :3] - direct.layer(observation)[..., :3]
 
-    def indirect_in(
-        self, domain: Domain, observations: Sequence[int]
-    ) -> Generator[None, None, list[np.ndarray | float]]:
-        """Yield often; return the light, (H, W, 3) or 0, that the maps make the subject throw on itself in each.
+    def indirect_in(self, domain: Domain) -> Generator[None, None, Callable[[int], np.ndarray | float]]:
+        """Yield often; return what gives the light that the maps make the subject throw on itself in an observation.
 
-        domain: of the same texels, with observations that need not be those that the maps were found from. 0 where such
-        light is not known from the maps.
+        domain: of the same texels, with observations that the maps need not have been found from. The light is
+        (H, W, 3), or 0 where the maps do not tell it.
         """
         yield from ()
-        return [0.0] * len(observations)
+        return lambda observation: 0.0
 
     @property
     def indirect_share(self) -> np.ndarray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -137,19 +137,22 @@ class InterreflectionRounds(Successive):
             return own
         return own + self.domain.stack.layer(observation)[..., :3] - self._samples.layer(observation)[..., :3]
 
-    def indirect_in(
-        self, domain: Domain, observations: Sequence[int]
-    ) -> Generator[None, None, list[np.ndarray | float]]:
-        if self._samples is None:
-            return [0.0] * len(observations)
-        found: list[np.ndarray | float] = []
-        with closing((yield from self._lighting(domain))) as light:
-            for observation in observations:
-                thrown = np.zeros((*domain.shape, 3), np.float32)
-                thrown[light.covered] = self._strengths[-1] * light.at_texels(light.of_elements(observation))
-                found.append(thrown)
+    def indirect_in(self, domain: Domain) -> Generator[None, None, Callable[[int], np.ndarray | float]]:
+        if self._at == 0 or self._samples is None:
+            return lambda observation: 0.0
+        number, radiance = self._at - 1, []  # of the light that the current maps were found without
+        light = yield from self._lighting(replace(domain, solvable=self.domain.solvable), self._bases[number])
+        with closing(light):
+            for observation in range(domain.observations):
+                radiance.append(self._strengths[number] * light.of_elements(observation))
                 yield
-        return found
+
+        def thrown(observation: int) -> np.ndarray:
+            found = np.zeros((*domain.shape, 3), np.float32)
+            found[light.covered] = light.at_texels(radiance[observation])
+            return found
+
+        return thrown
 
     @property
     def indirect_share(self) -> np.ndarray | None:
@@ -276,7 +279,7 @@ class InterreflectionRounds(Successive):
         """
         domain = self.domain
         first, relaxation = len(self._bases) == 1, 1.0 if self._holds else _RELAXATION
-        with closing((yield from self._lighting(domain))) as light:
+        with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
             exchange, covered = light.exchange, light.covered
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
             for observation in range(domain.observations):
@@ -313,10 +316,9 @@ class InterreflectionRounds(Successive):
                     self._stand_in[name][covered] = exchange.at_texels(value)
         return replace(domain, stack=samples)
 
-    def _lighting(self, domain: Domain) -> Generator[None, None, IndirectLight]:
-        """Return, yielding often, what finds the light of the last basis in the observations of a domain."""
-        basis, bounces = self._bases[-1], self.schedule.interreflection.bounces
-        steps = self._surroundings.steps(domain, basis)
+    def _lighting(self, domain: Domain, basis: Mapping[str, np.ndarray]) -> Generator[None, None, IndirectLight]:
+        """Return, yielding often, what finds the light of a basis in the observations of a domain."""
+        bounces, steps = self.schedule.interreflection.bounces, self._surroundings.steps(domain, basis)
         surface, exchange, values = yield from map_steps(steps, lambda part: None)
         known = domain.solvable & (values[_EXPLAINED][..., 0] > 0) & ~self._dominated
         return IndirectLight(surface, exchange, self.model, values, known if known.any() else domain.solvable, bounces)

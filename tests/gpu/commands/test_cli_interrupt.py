@@ -44,12 +44,15 @@ def interrupted(folder, number, words, delay=0.5):
     environment = {**os.environ, "TMPDIR": str(folder)}
     command = [sys.executable, "-c", PROGRAM, *map(str, words), "--quiet"]
     run = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True)
-    assert ENTERED in run.stderr.readline()
-    time.sleep(delay)
-    sent = time.monotonic()
-    run.send_signal(number)
-    said = run.stderr.read()
-    return run.wait(), said, time.monotonic() - sent
+    try:
+        assert any(ENTERED in line for line in run.stderr)
+        time.sleep(delay)
+        sent = time.monotonic()
+        run.send_signal(number)
+        said = run.stderr.read()
+        return run.wait(), said, time.monotonic() - sent
+    finally:
+        run.kill()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -59,7 +62,7 @@ def test_a_signal_while_a_sample_is_rendered_ends_it_and_leaves_nothing(number, 
     words = ("sample", "-o", tmp_path / "tile", "--photographs", 3, "--size", "1200x900")
     code, said, seconds = interrupted(tmp_path / "tmp", number, words)
     assert code == 130 and said.endswith("irpso: interrupted\n"), said
-    assert seconds < 15
+    assert seconds < 25
     assert list(tmp_path.rglob("*")) == [tmp_path / "tmp"]
 
 
@@ -78,5 +81,5 @@ def test_a_signal_ends_an_export_that_renders_or_bakes(words, leaf, tmp_path):
     words = ("export", leaf, *words, "-o", tmp_path / "out")
     code, said, seconds = interrupted(tmp_path / "tmp", signal.SIGTERM, words)
     assert code == 130 and said.endswith("irpso: interrupted\n"), said
-    assert seconds < 15
+    assert seconds < 25
     assert list(tmp_path.rglob("*")) == [tmp_path / "tmp"]

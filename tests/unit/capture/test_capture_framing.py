@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from irpso_addon.capture import framing
 from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.errors import CaptureError
@@ -100,6 +101,14 @@ def test_scale_that_divides_nothing_keeps_the_mean_and_the_camera():
     inner = slice(1, -1), slice(1, -1)
     np.testing.assert_allclose(found[inner][..., 0], np.broadcast_to(at_x, (height, width))[inner], atol=1e-4)
     np.testing.assert_allclose(found[inner][..., 1], np.broadcast_to(at_y[:, None], (height, width))[inner], atol=1e-4)
+
+
+@pytest.mark.parametrize("block", [1, 1000])
+def test_parts_are_resampled_in_blocks_of_any_size_to_the_same_bits(block, monkeypatch):
+    capture, part = capture_of(noise()), Framing(crop=(7, 5, 61, 43), scale=0.37)
+    whole = framed(capture, part).observations[0].read()
+    monkeypatch.setattr(framing, "_BLOCK", block)
+    np.testing.assert_array_equal(framed(capture, part).observations[0].read(), whole)
 
 
 def test_a_part_that_is_made_smaller_has_the_means_of_samples_between_its_pixels():
