@@ -1,0 +1,109 @@
+"""Light that a mesh throws on itself, where the answer is known: in hollow spheres."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.views.indirect import IndirectLight
+from tests.builders.cavity import cavity, cavity_mesh
+from tests.builders.rounds import ALBEDO, LAMBERT
+from tests.oracles.reflectance import metallic_roughness
+
+
+def exchange_of(mesh, domain, resolution=48, rays=64):
+    return run_steps(exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays))
+
+
+def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
+    values = {"base_color": albedo, "normal": (0, 0, 1), **{name: (value,) for name, value in numbers.items()}}
+    maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, len(value))) for name, value in values.items()}
+    exchange = exchange_of(mesh, domain, rays=rays)
+    with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
+        return light.at_texels(light.of_elements(0))
+
+
+@pytest.mark.parametrize("bounces", [1, 2, 4])
+def test_a_closed_sphere_sends_on_its_albedo_at_every_bounce(bounces):
+    # A light in the middle makes every place send its albedo ρ, and all of that meets others: bounce i adds ρ^(i + 1).
+    mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
+    found = indirect(mesh, cavity(mesh), albedo, bounces)
+    wanted = sum(albedo ** (i + 1) for i in range(1, bounces + 1))
+    np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=0.01)
+    np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.05)
+
+
+def test_half_a_sphere_keeps_half_of_it():
+    mesh = cavity_mesh(opening=0.0)
+    found = indirect(mesh, cavity(mesh), (0.6, 0.6, 0.6), 1, rays=256)
+    np.testing.assert_allclose(found.mean(), 0.5 * 0.6**2, rtol=0.01)
+
+
+def sent_on_in_a_sphere(material, bounces, steps=48):
+    """Return (3,): what a closed sphere sends to its middle, of a light of intensity 1 there, after some bounces.
+
+    A ray that leaves a place of a sphere at an angle arrives at another at the same angle, so the radiance L of that
+    angle becomes L′(v) = ∫ f(l, v) L(l) cos dω: by the midpoint rule over the projected hemisphere.
+    """
+    squared = (np.arange(steps) + 0.5) / steps
+    angle = 2 * np.pi * (np.arange(4 * steps) + 0.5) / (4 * steps)
+    slant, around = np.meshgrid(np.arcsin(np.sqrt(squared)), angle, indexing="ij")
+    light = np.stack([np.sin(slant) * np.cos(around), np.sin(slant) * np.sin(around), np.cos(slant)], axis=-1)
+    views = np.concatenate([np.array([[0.0, 0.0, 1.0]]), light[:, 0]])  # the middle, and every angle
+    up = {"normal": np.array([0.0, 0.0, 1.0])}
+    sent = metallic_roughness(material | up, up["normal"], views)
+    total = np.zeros(3)
+    for _ in range(bounces):
+        arriving = sent[1:, None]
+        shares = [metallic_roughness(material | up, light, view) / light[..., 2:] for view in views]
+        sent = np.stack([(share * arriving).mean(axis=(0, 1)) for share in shares])
+        total += sent[0]
+    return total
+
+
+# Between two bounces the program keeps the mean over all directions: a sphere, which sends lobes back and forth through
+# its middle, is the worst case.
+@pytest.mark.parametrize(("bounces", "tolerance"), [(1, 0.03), (3, 0.12)])
+def test_a_closed_sphere_of_metal_sends_on_what_its_lobe_reflects(bounces, tolerance):
+    mesh = cavity_mesh()
+    numbers = {"roughness": 0.5, "metallic": 1.0, "specular": 0.5}
+    model = load_model("metallic_roughness")
+    found = indirect(mesh, cavity(mesh), ALBEDO, bounces, rays=512, model=model, **numbers)
+    wanted = sent_on_in_a_sphere(
+        {"base_color": np.array(ALBEDO), **{n: np.array(v) for n, v in numbers.items()}}, bounces
+    )
+    np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=tolerance)
+
+
+@pytest.mark.parametrize(("shape", "cells"), [((24, 48), (24, 48)), ((40, 80), (32, 64)), ((64, 128), (32, 64))])
+def test_elements_are_as_fine_as_the_resolution_allows(shape, cells):
+    mesh = cavity_mesh()
+    exchange = exchange_of(mesh, cavity(mesh, shape), resolution=64, rays=1)
+    rows, columns = np.divmod(exchange.texels, shape[1])
+    # Each in a cell of its own, at the texel nearest to its middle.
+    for at, texels, count in ((rows, shape[0], cells[0]), (columns, shape[1], cells[1])):
+        place = (np.unique(at) + 0.5) * count / texels
+        assert (np.floor(place) == np.arange(count)).all()
+        assert np.abs(place - np.floor(place) - 0.5).max() <= 0.5 * count / texels
+    assert len(exchange.texels) == cells[0] * cells[1]
+
+
+def test_a_place_whose_material_is_not_known_has_that_of_the_nearest():
+    mesh = cavity_mesh()
+    domain = cavity(mesh)
+    known = np.zeros(domain.shape, bool)
+    known[:, ::2] = True
+    albedo = np.where(known[..., None], np.float32([0.8, 0.5, 0.1]), 0)
+    with closing(
+        IndirectLight(
+            domain, exchange_of(mesh, domain), LAMBERT,
+            {"base_color": albedo, "normal": np.broadcast_to(np.float32([0, 0, 1]), (*domain.shape, 3))}, known, 1,
+        )
+    ) as light:  # fmt: skip
+        np.testing.assert_allclose(
+            light.materials["base_color"], np.tile([[0.8, 0.5, 0.1]], (known.size, 1)), rtol=1e-6
+        )
