@@ -27,7 +27,7 @@ from .options.photographs import (
     patch_option,
     reflectance_of,
 )
-from .options.values import silent
+from .options.values import silent, warn
 
 _SHOWN = ("images", "warnings", "white_gains", "grey_card", "colour_chart", "shifts")
 
@@ -42,8 +42,7 @@ def run(options: Namespace) -> dict:
     bar = ProgressBar("develop", silent(options))
     settings = {k: v for k, v in vars(options).items() if k not in ("command", "json", "quiet") and v}
     report = bar.run(develop_steps(ImageStore(decode), source, wanted, out, settings), tuple)
-    for warning in report["warnings"]:
-        sys.stderr.write(f"irpso: warning: {warning}\n")
+    warn(report["warnings"])
     summary = {key: report[key] for key in _SHOWN if key in report}
     if options.bursts and not silent(options):
         taken = sum(len(shot.images) for shot in source.shots)

@@ -10,7 +10,7 @@ from ..blender.frames import COUNT, frame_steps
 from ..calibration.photographs import videos_of
 from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
-from .options.values import pasted, silent
+from .options.values import pasted, silent, warn
 
 
 def run(options: Namespace) -> dict:
@@ -21,8 +21,7 @@ def run(options: Namespace) -> dict:
     bar = ProgressBar("frames", silent(options))
     videos = [video for given in map(Path, options.videos) for video in videos_of(given) or [given]]
     found = bar.run(frame_steps(videos, out, count), tuple)
-    for warning in found.warnings:
-        sys.stderr.write(f"irpso: warning: {warning}\n")
+    warn(found.warnings)
     if not silent(options):
         next_one = f"irpso calibrate {pasted(out)}"
         sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_one}\n")

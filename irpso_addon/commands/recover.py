@@ -33,7 +33,7 @@ from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
-from .options.values import shelf_of, silent, warn_quietly
+from .options.values import shelf_of, silent, warn, warn_quietly
 
 PREVIEW = "preview"  # folder of a long recovery's preview, in the result's, and the setting that its report has
 _LONG = 1200  # foreseen seconds from which on there is one by itself
@@ -85,7 +85,7 @@ def _preview(options: Namespace, job: Job, work: float) -> bool:
     try:
         report, _, _ = _solved(options, run, folder, Saving(None), {PREVIEW: PART})
     except InputError as error:  # of a quarter alone, perhaps
-        sys.stderr.write(f"irpso: warning: no preview: {error}\n")
+        warn([f"no preview: {error}"])
         return False
     (folder / LIVE).unlink(missing_ok=True)
     if not silent(options):

@@ -22,7 +22,7 @@ from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.read import read_maps
 from ..solver.views.forward import camera_renderer, dome, rendered_capture, sample_maps
-from .options.values import silent, size_option
+from .options.values import silent, size_option, warn
 
 
 def run(options: Namespace) -> dict:
@@ -55,7 +55,7 @@ def run(options: Namespace) -> dict:
         renderer.close()
     if empty_at:
         share = empty_at / seen_at
-        sys.stderr.write(f"irpso: warning: the maps have no normal at {share:.1%} of what shows, which is black\n")
+        warn([f"the maps have no normal at {share:.1%} of what shows, which is black"])
     if not silent(options):
         sys.stdout.write(f"{len(capture.observations)} photographs written to {options.output}\n")
     return {"output": options.output, "images": len(capture.observations)}

@@ -19,7 +19,7 @@ from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
 from .options.photographs import exposure_list, greys_option
-from .options.values import silent
+from .options.values import silent, warn
 
 _SAMPLES = 4000  # pixels from all brackets
 _WIDE = 1.6  # stops: with wider steps only smoothness determines a part of the curve
@@ -37,8 +37,7 @@ def run(options: Namespace) -> dict:
         exposing = Exposing(options.brackets, True, exposure_list("--exposures", options.exposures))
         response, warnings = _from_brackets(path, exposing, store, options)
     write_response(options.output, response)
-    for warning in warnings:
-        sys.stderr.write(f"irpso: warning: {warning}\n")
+    warn(warnings)
     ends = {name: [round(float(v), 4) for v in response.used[c]] for c, name in enumerate(("red", "green", "blue"))}
     residual = float(response.residual) if np.isfinite(response.residual) else None
     if not options.json:

@@ -12,7 +12,7 @@ from ..calibration.rigs.rig import read_rig, save_rig
 from ..capture.read import read_spec
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
-from .options.values import pasted, silent
+from .options.values import pasted, silent, warn
 
 _USE = {"save": (1, "irpso rig save CAPTURE -o RIG"), "apply": (2, "irpso rig apply RIG PHOTOGRAPHS -o CAPTURE")}
 
@@ -46,8 +46,7 @@ def _apply(options: Namespace) -> dict:
         rig, Path(options.inputs[1]), Path(options.output), options.match, options.exposure, options.half, decode
     )
     applied = bar.run(steps, tuple)
-    for warning in (*applied.left_out, *applied.warnings):
-        sys.stderr.write(f"irpso: warning: {warning}\n")
+    warn([*applied.left_out, *applied.warnings])
     if not silent(options):
         out = pasted(options.output)
         sys.stdout.write(

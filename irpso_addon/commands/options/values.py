@@ -39,7 +39,12 @@ def pasted(path: Path | str) -> str:
 def warn_quietly(options: Namespace, warnings: Iterable[str]) -> None:
     """Print warnings where --quiet keeps back the lines that hold them; --json has its own."""
     if options.quiet and not options.json:
-        sys.stderr.write("".join(f"irpso: warning: {text}\n" for text in warnings))
+        warn(warnings)
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings on standard error, a line each."""
+    sys.stderr.write("".join(f"irpso: warning: {text}\n" for text in warnings))
 
 
 def shelf_of(options: Namespace, library: str) -> Shelf:

@@ -14,7 +14,7 @@ from ...calibration.photographs import videos_of
 from ...calibration.write import checked_output, frames_folder
 from ...core.errors import InputError
 from ...core.progress_bar import ProgressBar
-from .values import silent
+from .values import silent, warn
 
 
 @contextmanager
@@ -35,8 +35,7 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
     bar = ProgressBar("frames", silent(options))
     found = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
     try:
-        for warning in found.warnings:
-            sys.stderr.write(f"irpso: warning: {warning}\n")
+        warn(found.warnings)
         if not silent(options):
             shown = ", ".join(video.name for video in videos)
             sys.stdout.write(f"{len(found.files)} of {found.total} frames of {shown} written to {folder}\n")

@@ -63,9 +63,9 @@ def relit_steps(
     """Yield often; return pictures and figures, both {} without observations.
 
     domain: of all observations. threaded: runs a numpy function elsewhere and yields meanwhile. indirect: the light
-    that is added to the render of an observation. The figures are the
-    PSNR in dB of each observation and of its highlights alone, their means, and the factor over the diffuse reflection
-    that defines a highlight; None where there is nothing to compare.
+    that is added to the render of an observation. The figures are the PSNR in dB of each observation and of its
+    highlights alone, their means, and the factor over the diffuse reflection that defines a highlight; None where there
+    is nothing to compare.
     """
     if not held_out:
         return {}, {}
