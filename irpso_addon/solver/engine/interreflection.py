@@ -39,10 +39,9 @@ _BASIS = "interreflection_of_{}_"  # before the maps that a round's light was fo
 _RELAXATION = 0.75
 _LEAST_SHARE = 0.003  # of the light of the photographs: less is not worth a round
 _MOST_RESIDUAL = 0.5  # of a texel's light: where more is left, what was found is not the material
-# In a bowl of metal paint the maps of texels whose normals are off by 10° or more leave 0.18 to 0.36 of their light
-# (5th, 95th percentile), those of good ones at most 0.13 (99th). There the indirect light itself is found too small.
-_LEAST_UNEXPLAINED, _LEAST_INDIRECT = 0.15, 0.05
-_MOST_SHARE = 0.5  # of a texel's light: where more of it is indirect, what is left tells of the errors of that light
+# Of the light that a texel's material sends: what is left above this tells of the errors of the rest. Normals in a bowl
+# of metal paint are off by 1.6° where it is 0.5 to 0.7, and by 20° where it is more than 0.9.
+_MOST_INDIRECT = 2 / 3
 
 
 class InterreflectionRounds(Successive):
@@ -77,9 +76,7 @@ class InterreflectionRounds(Successive):
         super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, self._warm))
         self._surroundings, self._scratch, self._solve = surroundings, scratch, solve
         self._dominated = np.zeros(domain.shape, bool)  # texels that owe most of their light to others
-        self._unknown = self._dominated  # … or that the maps do not explain, as ``maps`` last found them
         self._stand_in: dict[str, np.ndarray] = {}  # maps in place of theirs
-        self._light = np.zeros(domain.shape)  # mean radiance of the photographs
         self._samples: SampleStack | None = None  # without indirect light
         self._share: np.ndarray | None = None  # (H, W) of the light of the photographs, as the last round found it
         self._mean_share = 0.0  # over the texels
@@ -92,21 +89,19 @@ class InterreflectionRounds(Successive):
     def maps(self, confidence: bool = True) -> Maps:
         """Return the maps of the current recovery, as RecoveryEngine.maps.
 
-        Where most light is indirect, or some is and the maps do not explain the photographs, those of the last have the
-        mesh's normals, the material of the nearest texels whose light is direct, and deviations as wide as can be.
+        Where most light is indirect, those of the last have the mesh's normals, the material of the nearest texels
+        whose light is direct, and deviations as wide as can be.
         """
         maps = self._live.maps(confidence)
         if self._held(self._at) or not self._stand_in:
             return maps
-        unexplained = present(maps.residual) > _LEAST_UNEXPLAINED * self._light
-        self._unknown = self._dominated | (unexplained & (present(self._share) > _LEAST_INDIRECT))
         values, deviations = dict(maps.values), maps.confidence and dict(maps.confidence)
         for p in self.model.parameters:
             if p.name not in self.fixed:
-                values[p.name] = np.where(self._unknown[..., None], self._stand_in[p.name], values[p.name])
+                values[p.name] = np.where(self._dominated[..., None], self._stand_in[p.name], values[p.name])
                 if deviations:
                     widest = np.float32(p.width)
-                    deviations[p.name] = np.where(self._unknown[..., None], widest, deviations[p.name])
+                    deviations[p.name] = np.where(self._dominated[..., None], widest, deviations[p.name])
         return replace(maps, values=values, confidence=deviations)
 
     @property
@@ -124,7 +119,7 @@ class InterreflectionRounds(Successive):
     @property
     def findings(self) -> dict[str, Any]:
         found = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
-        unknown = {"unknown_texels": int(np.count_nonzero(self._unknown))}
+        unknown = {"unknown_texels": int(np.count_nonzero(self._dominated))}
         return {**self._live.findings, "interreflection": found | unknown}
 
     @property
@@ -144,7 +139,7 @@ class InterreflectionRounds(Successive):
         light = yield from self._lighting(replace(domain, solvable=self.domain.solvable), self._bases[number])
         with closing(light):
             for observation in range(domain.observations):
-                radiance.append(self._strengths[number] * light.of_elements(observation))
+                radiance.append(self._strengths[number] * light.of_elements(observation)[0])
                 yield
 
         def thrown(observation: int) -> np.ndarray:
@@ -267,6 +262,7 @@ class InterreflectionRounds(Successive):
     def _without_rounds(self, last: int) -> Domain:
         """Make a recovery the last one, without anything of those before it; return its domain."""
         self._warm, self._samples, self._stand_in = False, None, {}
+        self._dominated = np.zeros(self.domain.shape, bool)
         self._take_share(np.zeros(self.domain.shape))
         self._schedules = _schedules(self.schedule, self._warm)[: last + 1]
         self._count()
@@ -282,8 +278,10 @@ class InterreflectionRounds(Successive):
         with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
             exchange, covered = light.exchange, light.covered
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
+            direct = np.zeros(len(exchange.texels))
             for observation in range(domain.observations):
-                radiance[observation] = light.of_elements(observation)
+                radiance[observation], own = light.of_elements(observation)
+                direct += own
                 yield
             strength = light.strength(radiance)
             self._strengths.append(strength)
@@ -292,7 +290,7 @@ class InterreflectionRounds(Successive):
                     self._take_share(np.zeros(domain.shape))
                 return None
             samples = self._samples = self._samples or domain.stack.another(self._scratch)
-            taken, shown, count = np.zeros((3, int(covered.sum())))
+            taken, shown = np.zeros((2, int(covered.sum())))
             for observation, (layer, indirect) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
                 sample = (layer if first else samples.layer(observation)).copy()
                 light_of_texels = strength * light.at_texels(indirect)
@@ -302,14 +300,14 @@ class InterreflectionRounds(Successive):
                 seen = layer[covered, 3] > 0
                 taken += seen * light_of_texels.mean(axis=-1)
                 shown += seen * layer[covered, :3].mean(axis=-1)
-                count += seen
                 yield
             share = np.zeros(domain.shape)
             share[covered] = np.divide(taken, shown, out=np.zeros_like(taken), where=shown > 0)
             self._take_share(share)
             if self._holds:
-                self._light[covered] = shown / np.maximum(count, 1)
-                self._dominated[covered] = taken > _MOST_SHARE * shown
+                indirect = strength * radiance.mean(axis=-1).sum(axis=0, dtype=np.float64)
+                part = indirect / np.maximum(indirect + direct, 1e-12)
+                self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > _MOST_INDIRECT
                 self._dominated &= domain.solvable
                 for name, value in light.materials.items():
                     self._stand_in[name] = np.zeros((*domain.shape, value.shape[-1]), np.float32)

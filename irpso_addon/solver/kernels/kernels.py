@@ -81,7 +81,7 @@ def exchange_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     samplers = {
         "u_estimate": packed(model), **OBSERVATIONS, "u_rays": LAYERS, "u_lit": FLOAT_2D, "u_received": FLOAT_2D
     }  # fmt: skip
-    constants = {"u_observation": "INT", "u_ray_count": "INT", "u_columns": "INT", "u_to_camera": "INT"}
+    constants = dict.fromkeys(("u_observation", "u_ray_count", "u_columns", "u_to_camera", "u_branches"), "INT")
     outputs = (Output("o_radiance"),)
     return Pass(Kernel("view/exchange.glsl", outputs, samplers, constants, domain_defines, model_includes(model)))
 

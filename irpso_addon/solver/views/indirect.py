@@ -23,6 +23,7 @@ _AWAY = -0.1  # cosine to a light from which on a normal that is off by 5° stil
 _LEAST_SHARE = 0.01  # of the brightness of the photographs: less tells nothing
 _LEAST_SAMPLES = 100
 _MOST_STRENGTH = 30.0
+_BRANCHES = 8  # rays of an element on the way to the camera that a ray meets
 
 
 class IndirectLight:
@@ -46,12 +47,16 @@ class IndirectLight:
         context.ensure()
         self._domain, self.exchange, self._bounces = domain, exchange, bounces
         self.covered = domain.bake.coverage
-        albedo = next((values[p.name] for p in model.parameters if p.is_albedo), None)
-        self._albedo = None if albedo is None else np.maximum(_flat(albedo), _LEAST_ALBEDO)
         count = len(exchange.texels)
         columns = math.isqrt(count - 1) + 1
         self._shape = -(-count // columns), columns
         self.materials = self._materials(model, values, known)
+        albedo = next((p.name for p in model.parameters if p.is_albedo), None)
+        self._detail: np.ndarray | None = None  # (T, 3) albedo of the covered texels
+        if albedo is not None:
+            self._albedo = np.maximum(self.materials[albedo], _LEAST_ALBEDO)
+            own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
+            self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
         materials = {name: self._laid(value) for name, value in self.materials.items()}
@@ -62,10 +67,9 @@ class IndirectLight:
 
     def at_texels(self, radiance: np.ndarray) -> np.ndarray:
         """Return (T, 3) float32 at the covered texels, row by row, of the radiance of elements (E, 3)."""
-        if self._albedo is None:
+        if self._detail is None:
             return self.exchange.at_texels(radiance)
-        detail = self._albedo[_flat(self.covered)]
-        return self.exchange.at_texels(radiance / self._albedo[self.exchange.texels]) * detail
+        return self.exchange.at_texels(radiance / self._albedo) * self._detail
 
     @cached_property
     def shown(self) -> np.ndarray:
@@ -96,25 +100,33 @@ class IndirectLight:
         counted = dark & seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _LEAST_SAMPLES:
             return 1.0
-        # A median: a lamp that reaches where it seemed not to is far brighter.
-        ratio, weight = shown[counted] / mine[counted], mine[counted]
+        # A median: a lamp that reaches where it seemed not to is far brighter. Weights of both: those of one alone draw
+        # the median to where noise makes that one brighter.
+        ratio, weight = shown[counted] / mine[counted], np.sqrt(shown[counted] * mine[counted])
         order = np.argsort(ratio)
         middle = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
         return float(min(ratio[order[middle]], _MOST_STRENGTH))
 
-    def of_elements(self, observation: int) -> np.ndarray:
-        """Return (E, 3) float32: the radiance of the elements in one observation."""
+    def of_elements(self, observation: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (E, 3) float32: the radiance of the elements in one observation, by the light of others.
+
+        And (E,), the mean of the channels of what the maps make them send of the lamp's own light.
+        """
         lit = self._laid(self.exchange.lit[observation].astype(np.float32))
         given = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
         received, target = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(2))
         constants = {
             "u_observation": observation, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
         }  # fmt: skip
-        for left in reversed(range(self._bounces)):
-            to_camera = {"u_to_camera": int(left == 0)}
-            self._pass.run([target], {**given, "u_received": received}, constants | to_camera)
+        branches = _BRANCHES if self._bounces > 1 else 0  # those of the last pass are a bounce of their own
+        passes = self._bounces - bool(branches)
+        for left in reversed(range(passes)):
+            last = left == 0
+            bounce = {"u_to_camera": int(last), "u_branches": branches if last else 0}
+            self._pass.run([target], {**given, "u_received": received}, constants | bounce)
             received, target = target, received
-        return textures.download(received).reshape(-1, 4)[: len(self.exchange.texels), :3]
+        found = textures.download(received).reshape(-1, 4)[: len(self.exchange.texels)]
+        return found[:, :3], found[:, 3]
 
     def close(self) -> None:
         """Free shader and textures."""

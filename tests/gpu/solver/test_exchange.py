@@ -24,7 +24,7 @@ def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
     maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, len(value))) for name, value in values.items()}
     exchange = exchange_of(mesh, domain, rays=rays)
     with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
-        return light.at_texels(light.of_elements(0))
+        return light.at_texels(light.of_elements(0)[0])
 
 
 @pytest.mark.parametrize("bounces", [1, 2, 4])
@@ -35,6 +35,15 @@ def test_a_closed_sphere_sends_on_its_albedo_at_every_bounce(bounces):
     wanted = sum(albedo ** (i + 1) for i in range(1, bounces + 1))
     np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=0.01)
     np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.05)
+
+
+def test_elements_say_what_the_light_itself_makes_them_send():
+    mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
+    domain = cavity(mesh)
+    maps = {"base_color": albedo, "normal": (0, 0, 1)}
+    maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, 3)) for name, value in maps.items()}
+    with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
+        np.testing.assert_allclose(light.of_elements(0)[1], albedo.mean(), rtol=0.02)
 
 
 def test_half_a_sphere_keeps_half_of_it():
@@ -65,9 +74,9 @@ def sent_on_in_a_sphere(material, bounces, steps=48):
     return total
 
 
-# Between two bounces the program keeps the mean over all directions: a sphere, which sends lobes back and forth through
-# its middle, is the worst case.
-@pytest.mark.parametrize(("bounces", "tolerance"), [(1, 0.03), (3, 0.12)])
+# Two bounces are followed ray by ray; at the third an element passes on the mean over all directions: a sphere, which
+# sends lobes back and forth through its middle, is the worst case.
+@pytest.mark.parametrize(("bounces", "tolerance"), [(1, 0.03), (2, 0.03), (3, 0.06)])
 def test_a_closed_sphere_of_metal_sends_on_what_its_lobe_reflects(bounces, tolerance):
     mesh = cavity_mesh()
     numbers = {"roughness": 0.5, "metallic": 1.0, "specular": 0.5}
