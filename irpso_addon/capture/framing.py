@@ -256,7 +256,7 @@ def _view(camera: Camera, framing: Framing) -> _View:
             "crop",
         )
     y = camera.height - top - height
-    size = _size(width * framing.scale, height * framing.scale)
+    size = _size(width, height, framing.scale)
     ratio = size[0] / width, size[1] / height
     centre = (camera.centre[0] - x) * ratio[0], (camera.centre[1] - y) * ratio[1]
     scale = camera.scale[0] * ratio[0], camera.scale[1] * ratio[1]
@@ -264,8 +264,15 @@ def _view(camera: Camera, framing: Framing) -> _View:
     return _View(seen, lambda at: at / ratio + (x, y), count, (x, y, width, height) if framing.scale == 1 else None)
 
 
-def _size(width: float, height: float) -> tuple[int, int]:
-    return max(_LEAST_SIDE, round(width)), max(_LEAST_SIDE, round(height))
+def _size(width: float, height: float, scale: float) -> tuple[int, int]:
+    longest = max(width, height)
+    if scale < 1 and round(scale * longest) < _LEAST_SIDE:
+        raise CaptureError(
+            f"scale is {scale:g}: that leaves less than {_LEAST_SIDE} of {longest:.0f} pixels; give"
+            f" {min(1.0, _LEAST_SIDE / longest):.2g} or more",
+            "value",
+        )
+    return max(_LEAST_SIDE, round(scale * width)), max(_LEAST_SIDE, round(scale * height))
 
 
 def _through(seen: Camera, camera: Camera, at: np.ndarray) -> np.ndarray:
@@ -303,10 +310,10 @@ def _facing(camera: Camera, framing: Framing) -> Camera:
         rays /= -(rays @ axes[:, 2:])  # onto the card's plane at distance 1
     flat = rays @ axes[:, :2]
     lengths = np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1)
-    finest = float((np.linalg.norm(sides, axis=1) / lengths).max()) * framing.scale
+    finest = float((np.linalg.norm(sides, axis=1) / lengths).max())
     low = flat[[0, 3], 0].mean(), flat[[2, 3], 1].mean()
     high = flat[[1, 2], 0].mean(), flat[[0, 1], 1].mean()
-    width, height = _size(finest * (high[0] - low[0]), finest * (high[1] - low[1]))
+    width, height = _size(finest * (high[0] - low[0]), finest * (high[1] - low[1]), framing.scale)
     scale = width / (high[0] - low[0]), height / (high[1] - low[1])
     matrix = np.array(camera.matrix, np.float64)
     matrix[:3, :3] = matrix[:3, :3] @ axes

@@ -223,6 +223,7 @@ def test_a_table_names_what_is_used_of_its_pictures(tmp_path):
         ({"corners": ((10, 10), (90, 10), (70, 50), (10, 50))}, "outside the picture"),
         ({"corners": ((10, 50), (70, 50), (70, 10), (10, 10))}, "clockwise"),
         ({"corners": ((10, 10), (70, 10), (40, 50), (5, 50))}, "right angle"),
+        ({"scale": 0.01}, "less than 4 of 80 pixels; give 0.05 or more"),
     ],
 )
 def test_a_part_that_is_none_is_refused(framing, said):
