@@ -23,6 +23,9 @@ _AWAY = -0.1  # cosine to a light from which on a normal that is off by 5° stil
 _LEAST_SHARE = 0.01  # of the brightness of the photographs: less tells nothing
 _LEAST_SAMPLES = 100
 _MOST_STRENGTH = 30.0
+# Lobes narrower than the rays stand apart are met by few of them, and those of elements miss one another: a wider one
+# sends as much. In a glazed mouth, of roughness 0.15, normals are off by 2.1 in place of 2.6°.
+_LEAST_ROUGHNESS = 0.3
 _BRANCHES = 8  # rays of an element on the way to the camera that a ray meets
 
 
@@ -59,7 +62,11 @@ class IndirectLight:
             self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
-        materials = {name: self._laid(value) for name, value in self.materials.items()}
+        rough = {p.name for p in model.parameters if "Roughness" in p.socket}
+        materials = {
+            name: self._laid(np.maximum(value, np.float32(_LEAST_ROUGHNESS)) if name in rough else value)
+            for name, value in self.materials.items()
+        }
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._laid(ray) for ray in rays]))

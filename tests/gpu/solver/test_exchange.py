@@ -88,6 +88,16 @@ def test_a_closed_sphere_of_metal_sends_on_what_its_lobe_reflects(bounces, toler
     np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=tolerance)
 
 
+def test_lobes_narrower_than_the_rays_stand_apart_are_widened():
+    mesh, model = cavity_mesh(opening=0.0), load_model("metallic_roughness")
+    smooth, wide, wider = (
+        indirect(mesh, cavity(mesh), ALBEDO, 2, model=model, roughness=roughness, metallic=1.0, specular=0.5)
+        for roughness in (0.05, 0.3, 0.4)
+    )
+    np.testing.assert_array_equal(smooth, wide)
+    assert not np.allclose(wide, wider, rtol=0.05)
+
+
 @pytest.mark.parametrize(("shape", "cells"), [((24, 48), (24, 48)), ((40, 80), (32, 64)), ((64, 128), (32, 64))])
 def test_elements_are_as_fine_as_the_resolution_allows(shape, cells):
     mesh = cavity_mesh()
