@@ -26,6 +26,7 @@ _MOST_STRENGTH = 30.0
 # Lobes narrower than the rays stand apart are met by few of them, and those of elements miss one another: a wider one
 # sends as much. In a glazed mouth, of roughness 0.15, normals are off by 2.1 in place of 2.6°.
 _LEAST_ROUGHNESS = 0.3
+_MOST_NOISE = 3.0  # factor by which a dark sample differs from the median of all, unless a lamp reaches it
 _BRANCHES = 8  # rays of an element on the way to the camera that a ray meets
 
 
@@ -107,12 +108,13 @@ class IndirectLight:
         counted = dark & seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _LEAST_SAMPLES:
             return 1.0
-        # A median: a lamp that reaches where it seemed not to is far brighter. Weights of both: those of one alone draw
-        # the median to where noise makes that one brighter.
-        ratio, weight = shown[counted] / mine[counted], np.sqrt(shown[counted] * mine[counted])
-        order = np.argsort(ratio)
-        middle = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
-        return float(min(ratio[order[middle]], _MOST_STRENGTH))
+        # Medians: a lamp that reaches where it seemed not to is far brighter. Weights of both in the second: those of
+        # one alone draw it to where noise makes that one brighter.
+        ratio, weight = shown[counted] / mine[counted], mine[counted]
+        middle = _weighted_median(ratio, weight)
+        near = (ratio >= middle / _MOST_NOISE) & (ratio <= middle * _MOST_NOISE)
+        weight = np.sqrt(shown[counted] * mine[counted])
+        return min(_weighted_median(ratio[near], weight[near]), _MOST_STRENGTH)
 
     def of_elements(self, observation: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (E, 3) float32: the radiance of the elements in one observation, by the light of others.
@@ -174,3 +176,8 @@ class IndirectLight:
 def _flat(values: np.ndarray) -> np.ndarray:
     """(H·W, …) of (H, W, …)."""
     return values.reshape(-1, *values.shape[2:])
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    return float(values[order[np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)]])

@@ -148,15 +148,18 @@ def test_a_wrong_material_does_not_hide_that_a_texel_owes_most_of_its_light_to_o
         np.testing.assert_allclose(recovery.indirect_share[spoiled], share[spoiled], rtol=0.15)
 
 
-def test_noise_in_the_light_that_is_found_does_not_change_its_strength(bowl):
+def test_neither_noise_nor_lamps_that_reach_dark_places_change_the_strength(bowl):
     domain, surroundings = bowl
     with rounds_of(bowl) as recovery:
         recovery.step()
         light = run_steps(recovery._lighting(domain, recovery._bases[-1]))
     with closing(light):
         radiance = np.stack([light.of_elements(k)[0] for k in range(domain.observations)])
-        noise = np.exp(np.random.default_rng(1).normal(-0.5 * 0.7**2, 0.7, radiance.shape[:2]))[..., None]
-        assert light.strength(radiance * noise) == pytest.approx(light.strength(radiance), rel=0.03)
+        wanted, rng = light.strength(radiance), np.random.default_rng(1)
+        noise = np.exp(rng.normal(-0.5 * 0.5**2, 0.5, radiance.shape[:2]))[..., None]  # with a mean of 1
+        assert light.strength(radiance * noise) == pytest.approx(wanted, rel=0.05)
+        light.shown = np.where(rng.random(light.shown.shape) < 0.1, 20 * light.shown, light.shown)
+        assert light.strength(radiance) == pytest.approx(wanted, rel=0.02)
 
 
 def test_the_share_of_indirect_light_is_that_of_the_half_sphere(bowl):
