@@ -79,7 +79,7 @@ bool texel_kernel(ivec2 texel)
         }
         vec3 share = share_of(s, to_local(f, ray.xyz), v);
         vec3 others = u_branches > 0 ? passed_on(other, -ray.xyz, r * u_branches) : texelFetch(u_received, other, 0).rgb;
-        sum += share * others + of_light(other, -ray.xyz, share);
+        sum += min(share * others, vec3(MOST)) + of_light(other, -ray.xyz, share);
     }
     vec3 direct = u_to_camera == 0 ? vec3(0.0) : of_light(texel, to_world(f, v), vec3(1.0));
     o_radiance = vec4(sum / float(u_ray_count), dot(direct, vec3(1.0 / 3.0)));

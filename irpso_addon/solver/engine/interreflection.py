@@ -31,7 +31,7 @@ from .successive import Successive
 
 _AT = "interreflection"  # in a checkpoint: the round, and the evaluations of those before it
 _ERRORS = "interreflection_errors"
-_EXPLAINED = "explained"  # beside the maps of a basis: (H, W, 1), 1 where they explain the photographs
+_EXPLAINED = "explained"  # beside the maps of a basis: (H, W, 1), 1 where they can be trusted
 _BASIS = "interreflection_of_{}_"  # before the maps that a round's light was found from
 # By how much the light that is taken off moves toward the new one. Too bright an albedo makes it too bright, and the
 # next albedo too dark: with 1 the rounds swing about the answer, with 0.75 two reach it. With held normals the first
@@ -240,7 +240,7 @@ class InterreflectionRounds(Successive):
             count += counted
         explained = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
         values = self._steadied(maps, explained) if self._holds else maps.values
-        return {**values, _EXPLAINED: explained[..., None].astype(np.float32)}
+        return {**values, _EXPLAINED: (explained & ~self._dominated)[..., None].astype(np.float32)}
 
     def _steadied(self, maps: Maps, explained: np.ndarray) -> dict[str, np.ndarray]:
         """Return the live maps with the gloss of texels that hardly show it drawn to that of texels of like colour.
@@ -278,10 +278,12 @@ class InterreflectionRounds(Successive):
         with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
             exchange, covered = light.exchange, light.covered
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
-            direct = np.zeros(len(exchange.texels))
+            direct, indirect = np.zeros((2, len(exchange.texels)))
             for observation in range(domain.observations):
                 radiance[observation], own = light.of_elements(observation)
-                direct += own
+                counted = light.photographed[observation]
+                direct += counted * own
+                indirect += counted * radiance[observation].mean(axis=-1)
                 yield
             strength = light.strength(radiance)
             self._strengths.append(strength)
@@ -291,9 +293,9 @@ class InterreflectionRounds(Successive):
                 return None
             samples = self._samples = self._samples or domain.stack.another(self._scratch)
             taken, shown = np.zeros((2, int(covered.sum())))
-            for observation, (layer, indirect) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
+            for observation, (layer, of_elements) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
                 sample = (layer if first else samples.layer(observation)).copy()
-                light_of_texels = strength * light.at_texels(indirect)
+                light_of_texels = strength * light.at_texels(of_elements)
                 off = np.maximum(layer[covered, :3] - light_of_texels, 0)
                 sample[covered, :3] += relaxation * (off - sample[covered, :3])
                 samples.put(observation, sample)
@@ -305,8 +307,7 @@ class InterreflectionRounds(Successive):
             share[covered] = np.divide(taken, shown, out=np.zeros_like(taken), where=shown > 0)
             self._take_share(share)
             if self._holds:
-                indirect = strength * radiance.mean(axis=-1).sum(axis=0, dtype=np.float64)
-                part = indirect / np.maximum(indirect + direct, 1e-12)
+                part = strength * indirect / np.maximum(strength * indirect + direct, 1e-12)
                 self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > _MOST_INDIRECT
                 self._dominated &= domain.solvable
                 for name, value in light.materials.items():
@@ -318,7 +319,7 @@ class InterreflectionRounds(Successive):
         """Return, yielding often, what finds the light of a basis in the observations of a domain."""
         bounces, steps = self.schedule.interreflection.bounces, self._surroundings.steps(domain, basis)
         surface, exchange, values = yield from map_steps(steps, lambda part: None)
-        known = domain.solvable & (values[_EXPLAINED][..., 0] > 0) & ~self._dominated
+        known = domain.solvable & (values[_EXPLAINED][..., 0] > 0)
         return IndirectLight(surface, exchange, self.model, values, known if known.any() else domain.solvable, bounces)
 
     def _take_share(self, share: np.ndarray) -> None:

@@ -36,7 +36,8 @@ class IndirectLight:
     domain: of the maps. exchange: its elements. bounces: between surfaces. The maps are values: parameter name →
     (H, W, components). known: (H, W) bool, where they tell the material; elsewhere elements have that of the nearest
     one where they do. Elements that are not solvable have the mesh's own normal. materials: those of the E elements,
-    parameter name → (E, components). covered: (H, W) bool, the texels of ``at_texels``.
+    parameter name → (E, components); the light is found from wider lobes. covered: (H, W) bool, the texels of
+    ``at_texels``.
     """
 
     def __init__(
@@ -63,9 +64,9 @@ class IndirectLight:
             self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
-        rough = {p.name for p in model.parameters if "Roughness" in p.socket}
+        least = _least(model)
         materials = {
-            name: self._laid(np.maximum(value, np.float32(_LEAST_ROUGHNESS)) if name in rough else value)
+            name: self._laid(np.maximum(value, np.float32(least[name])) if name in least else value)
             for name, value in self.materials.items()
         }
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
@@ -83,6 +84,11 @@ class IndirectLight:
     def shown(self) -> np.ndarray:
         """(K, E) what the photographs show of the elements, mean of the channels; 0 where nothing was photographed."""
         return self._domain.stack.texels(*self._places)[..., :3].mean(axis=-1)
+
+    @cached_property
+    def photographed(self) -> np.ndarray:
+        """(K, E) bool, whether an observation has a sample of an element."""
+        return self._domain.stack.texels(*self._places)[..., 3] > 0
 
     @property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -110,16 +116,18 @@ class IndirectLight:
             return 1.0
         # Medians: a lamp that reaches where it seemed not to is far brighter. Weights of both in the second: those of
         # one alone draw it to where noise makes that one brighter.
-        ratio, weight = shown[counted] / mine[counted], mine[counted]
-        middle = _weighted_median(ratio, weight)
+        shown, mine = shown[counted], mine[counted]
+        ratio = shown / mine
+        middle = _weighted_median(ratio, mine)
+        if middle <= 0:
+            return 0.0
         near = (ratio >= middle / _MOST_NOISE) & (ratio <= middle * _MOST_NOISE)
-        weight = np.sqrt(shown[counted] * mine[counted])
-        return min(_weighted_median(ratio[near], weight[near]), _MOST_STRENGTH)
+        return min(_weighted_median(ratio[near], np.sqrt(shown[near] * mine[near])), _MOST_STRENGTH)
 
     def of_elements(self, observation: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (E, 3) float32: the radiance of the elements in one observation, by the light of others.
 
-        And (E,), the mean of the channels of what the maps make them send of the lamp's own light.
+        And (E,), the mean of the channels of what the same materials send of the lamp's own light.
         """
         lit = self._laid(self.exchange.lit[observation].astype(np.float32))
         given = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
@@ -127,7 +135,7 @@ class IndirectLight:
         constants = {
             "u_observation": observation, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
         }  # fmt: skip
-        branches = _BRANCHES if self._bounces > 1 else 0  # those of the last pass are a bounce of their own
+        branches = _BRANCHES if self._bounces > 1 else 0  # by which the last pass is two bounces
         passes = self._bounces - bool(branches)
         for left in reversed(range(passes)):
             last = left == 0
@@ -176,6 +184,13 @@ class IndirectLight:
 def _flat(values: np.ndarray) -> np.ndarray:
     """(H·W, …) of (H, W, …)."""
     return values.reshape(-1, *values.shape[2:])
+
+
+def _least(model: ReflectanceModel) -> dict[str, float]:
+    """Return parameter name → the least value that light is found from."""
+    roughness = _LEAST_ROUGHNESS**2 if model.material.get("roughness") == "alpha" else _LEAST_ROUGHNESS
+    least = {p.name: roughness for p in model.parameters if "Roughness" in p.socket}
+    return least | {p.name: _LEAST_ALBEDO for p in model.parameters if p.is_albedo}
 
 
 def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

@@ -128,8 +128,9 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
 
 
 def test_a_wrong_material_does_not_hide_that_a_texel_owes_most_of_its_light_to_others(bowl, monkeypatch):
-    monkeypatch.setattr(interreflection, "_MOST_INDIRECT", 0.27)
-    with rounds_of(bowl) as recovery:
+    monkeypatch.setattr(interreflection, "_MOST_INDIRECT", 0.23)
+    schedule = ROUNDS.replaced(interreflection_rounds=3)  # the first finds the direct light too bright
+    with rounds_of(bowl, schedule) as recovery:
         recovery.step()
         share = recovery.indirect_share
         assert 0.2 < recovery._dominated[bowl[0].solvable].mean() < 0.8
@@ -138,11 +139,11 @@ def test_a_wrong_material_does_not_hide_that_a_texel_owes_most_of_its_light_to_o
 
     def spoiling(self, maps):
         basis = dict(found(self, maps))
-        basis["base_color"] = np.where(spoiled[..., None], np.float32(0.01), basis["base_color"])
+        basis["base_color"] = np.where(spoiled[..., None], np.float32(0), basis["base_color"])
         return basis
 
     monkeypatch.setattr(InterreflectionRounds, "_basis", spoiling)
-    with rounds_of(bowl) as recovery:
+    with rounds_of(bowl, schedule) as recovery:
         recovery.step()
         assert recovery._dominated[spoiled].mean() > 0.8
         np.testing.assert_allclose(recovery.indirect_share[spoiled], share[spoiled], rtol=0.15)
@@ -160,6 +161,8 @@ def test_neither_noise_nor_lamps_that_reach_dark_places_change_the_strength(bowl
         assert light.strength(radiance * noise) == pytest.approx(wanted, rel=0.05)
         light.shown = np.where(rng.random(light.shown.shape) < 0.1, 20 * light.shown, light.shown)
         assert light.strength(radiance) == pytest.approx(wanted, rel=0.02)
+        light.shown = np.where(light.shown < np.median(light.shown), -1e-4, light.shown)  # too bright a dark frame
+        assert light.strength(radiance) == 0
 
 
 def test_the_share_of_indirect_light_is_that_of_the_half_sphere(bowl):
