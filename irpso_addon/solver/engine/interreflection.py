@@ -281,7 +281,7 @@ class InterreflectionRounds(Successive):
             direct, indirect = np.zeros((2, len(exchange.texels)))
             for observation in range(domain.observations):
                 radiance[observation], own = light.of_elements(observation)
-                counted = light.photographed[observation]
+                counted = light.seen[observation]
                 direct += counted * own
                 indirect += counted * radiance[observation].mean(axis=-1)
                 yield

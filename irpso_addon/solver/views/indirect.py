@@ -86,9 +86,12 @@ class IndirectLight:
         return self._domain.stack.texels(*self._places)[..., :3].mean(axis=-1)
 
     @cached_property
-    def photographed(self) -> np.ndarray:
-        """(K, E) bool, whether an observation has a sample of an element."""
-        return self._domain.stack.texels(*self._places)[..., 3] > 0
+    def seen(self) -> np.ndarray:
+        """(K, E) bool, whether the camera of an observation sees an element, by any lamp; True where none does."""
+        views, camera = np.unique(self._domain.views, axis=0, return_inverse=True)
+        camera = camera.ravel()  # numpy 2.0 gives it another axis
+        seen = np.stack([(self.shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
+        return seen | ~seen.any(axis=0)
 
     @property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -105,10 +108,7 @@ class IndirectLight:
         domain, shown = self._domain, self.shown
         toward, _ = light_vectors(domain, self._places)
         cosine = (toward * self._normals).sum(axis=-1)
-        views, camera = np.unique(domain.views, axis=0, return_inverse=True)
-        camera = camera.ravel()  # numpy 2.0 gives it another axis
-        seen = np.stack([(shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
-        mine = radiance.mean(axis=-1)
+        seen, mine = self.seen & (shown > 0).any(axis=0), radiance.mean(axis=-1)
         dark = ~self.exchange.lit | (cosine < _AWAY)
         enough = mine > _LEAST_SHARE * np.percentile(shown[seen], 90)
         counted = dark & seen & enough & domain.solvable[self._places]
