@@ -258,7 +258,7 @@ def test_a_fresh_clone_stays_small():
     pack = ["git", "pack-objects", "--stdout", "-q"]
     history = len(subprocess.run(pack, cwd=ROOT, input=names.stdout.encode(), capture_output=True, check=True).stdout)
     # Sources, translations (0.4 MB), tests, benchmarks, and the pages, plots and pictures of docs/; no data.
-    assert files < 7_400_000
+    assert files < 7_500_000
     assert history < 7_000_000  # it grows by some 50 kB an issue
 
 
