@@ -1,4 +1,4 @@
-"""Filters of images (H, W): Gaussian blur, block means, samples between pixels."""
+"""Filters of images (H, W): Gaussian blur, block means, samples between pixels; and a median with weights."""
 
 from __future__ import annotations
 
@@ -43,3 +43,9 @@ def sampled(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     flat, at = image.ravel(), row * width + column
     low = flat[at] * (1 - x) + flat[at + 1] * x
     return low * (1 - y) + (flat[at + width] * (1 - x) + flat[at + width + 1] * x) * y
+
+
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    """Return the least of values (N,), N ≥ 1, that with the smaller ones has half of all weight (N,) or more."""
+    order = np.argsort(values)
+    return float(values[order[np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)]])

@@ -16,8 +16,8 @@ from ...core.errors import InputError
 from ..operators import quiet_operator
 
 # Custom property of a camera object: lens distortion, which Blender's cameras do not have.
-_OTHERS = {".obj", ".ply", ".stl", ".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".dae", ".3ds"}
 DISTORTION = "irpso_distortion"
+_OTHERS = {".obj", ".ply", ".stl", ".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".dae", ".3ds"}
 
 
 def open_blend(path: str | Path) -> None:

@@ -279,11 +279,11 @@ class InterreflectionRounds(Successive):
             exchange, covered = light.exchange, light.covered
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
             direct, indirect = np.zeros((2, len(exchange.texels)))
+            counted = light.seen | ~light.seen.any(axis=0)  # of an element that no photograph shows, all
             for observation in range(domain.observations):
                 radiance[observation], own = light.of_elements(observation)
-                counted = light.seen[observation]
-                direct += counted * own
-                indirect += counted * radiance[observation].mean(axis=-1)
+                direct += counted[observation] * own
+                indirect += counted[observation] * radiance[observation].mean(axis=-1)
                 yield
             strength = light.strength(radiance)
             self._strengths.append(strength)

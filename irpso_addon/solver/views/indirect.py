@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ...core.filters import weighted_median
 from ...geometry.domain import Domain
 from ...geometry.light.exchange import Exchange
 from ...gpu import context, textures
@@ -56,19 +57,20 @@ class IndirectLight:
         columns = math.isqrt(count - 1) + 1
         self._shape = -(-count // columns), columns
         self.materials = self._materials(model, values, known)
+        least = _least(model)
+        lighting = {
+            name: np.maximum(value, np.float32(least[name])) if name in least else value
+            for name, value in self.materials.items()
+        }
         albedo = next((p.name for p in model.parameters if p.is_albedo), None)
         self._detail: np.ndarray | None = None  # (T, 3) albedo of the covered texels
         if albedo is not None:
-            self._albedo = np.maximum(self.materials[albedo], _LEAST_ALBEDO)
+            self._albedo = lighting[albedo]
             own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
             self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
-        least = _least(model)
-        materials = {
-            name: self._laid(np.maximum(value, np.float32(least[name])) if name in least else value)
-            for name, value in self.materials.items()
-        }
+        materials = {name: self._laid(value) for name, value in lighting.items()}
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._laid(ray) for ray in rays]))
@@ -87,11 +89,10 @@ class IndirectLight:
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(K, E) bool, whether the camera of an observation sees an element, by any lamp; True where none does."""
+        """(K, E) bool, whether the camera of an observation sees an element, by any lamp."""
         views, camera = np.unique(self._domain.views, axis=0, return_inverse=True)
         camera = camera.ravel()  # numpy 2.0 gives it another axis
-        seen = np.stack([(self.shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
-        return seen | ~seen.any(axis=0)
+        return np.stack([(self.shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
 
     @property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -108,21 +109,21 @@ class IndirectLight:
         domain, shown = self._domain, self.shown
         toward, _ = light_vectors(domain, self._places)
         cosine = (toward * self._normals).sum(axis=-1)
-        seen, mine = self.seen & (shown > 0).any(axis=0), radiance.mean(axis=-1)
+        mine = radiance.mean(axis=-1)
         dark = ~self.exchange.lit | (cosine < _AWAY)
-        enough = mine > _LEAST_SHARE * np.percentile(shown[seen], 90)
-        counted = dark & seen & enough & domain.solvable[self._places]
+        enough = mine > _LEAST_SHARE * np.percentile(shown[self.seen], 90)
+        counted = dark & self.seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _LEAST_SAMPLES:
             return 1.0
         # Medians: a lamp that reaches where it seemed not to is far brighter. Weights of both in the second: those of
         # one alone draw it to where noise makes that one brighter.
         shown, mine = shown[counted], mine[counted]
         ratio = shown / mine
-        middle = _weighted_median(ratio, mine)
+        middle = weighted_median(ratio, mine)
         if middle <= 0:
             return 0.0
         near = (ratio >= middle / _MOST_NOISE) & (ratio <= middle * _MOST_NOISE)
-        return min(_weighted_median(ratio[near], np.sqrt(shown[near] * mine[near])), _MOST_STRENGTH)
+        return min(weighted_median(ratio[near], np.sqrt(shown[near] * mine[near])), _MOST_STRENGTH)
 
     def of_elements(self, observation: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (E, 3) float32: the radiance of the elements in one observation, by the light of others.
@@ -191,8 +192,3 @@ def _least(model: ReflectanceModel) -> dict[str, float]:
     roughness = _LEAST_ROUGHNESS**2 if model.material.get("roughness") == "alpha" else _LEAST_ROUGHNESS
     least = {p.name: roughness for p in model.parameters if "Roughness" in p.socket}
     return least | {p.name: _LEAST_ALBEDO for p in model.parameters if p.is_albedo}
-
-
-def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    order = np.argsort(values)
-    return float(values[order[np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)]])

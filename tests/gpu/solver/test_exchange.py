@@ -19,9 +19,13 @@ def exchange_of(mesh, domain, resolution=48, rays=64):
     return run_steps(exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays))
 
 
+def maps_of(domain, **values):
+    values["normal"] = 0, 0, 1
+    return {name: np.broadcast_to(np.float32(value), (*domain.shape, len(value))) for name, value in values.items()}
+
+
 def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
-    values = {"base_color": albedo, "normal": (0, 0, 1), **{name: (value,) for name, value in numbers.items()}}
-    maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, len(value))) for name, value in values.items()}
+    maps = maps_of(domain, base_color=albedo, **{name: (value,) for name, value in numbers.items()})
     exchange = exchange_of(mesh, domain, rays=rays)
     with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
         return light.at_texels(light.of_elements(0)[0])
@@ -40,8 +44,7 @@ def test_a_closed_sphere_sends_on_its_albedo_at_every_bounce(bounces):
 def test_elements_say_what_the_light_itself_makes_them_send():
     mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
     domain = cavity(mesh)
-    maps = {"base_color": albedo, "normal": (0, 0, 1)}
-    maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, 3)) for name, value in maps.items()}
+    maps = maps_of(domain, base_color=albedo)
     with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
         np.testing.assert_allclose(light.of_elements(0)[1], albedo.mean(), rtol=0.02)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.errors import InputError
-from ....core.filters import sampled
+from ....core.filters import sampled, weighted_median
 from ..ball import Ball, fit_ball, tukey
 from .pictures import Pictures
 
@@ -106,7 +106,5 @@ def _agreed(design: np.ndarray, shifts: np.ndarray, weights: np.ndarray) -> np.n
             return None
         step = np.linalg.solve(square, weighted.T @ shift)
         rest = np.abs(shift - design @ step)
-        order = np.argsort(rest)
-        half = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
-        sure = tukey(rest, max(1.4826 * float(rest[order][half]), _LEAST_SCALE))
+        sure = tukey(rest, max(1.4826 * weighted_median(rest, weight), _LEAST_SCALE))
     return step
