@@ -32,6 +32,7 @@ from benchmarks import (
     recovery_scaling,
     report,
     road,
+    roofline,
     scenes_table,
     seams,
     separation,
@@ -43,7 +44,7 @@ from benchmarks import (
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
     swarm_scaling, recovery_scaling, killed, window, road, interreflection, separation, balls,
-    seams, full_size,
+    seams, full_size, roofline,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {

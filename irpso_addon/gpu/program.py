@@ -103,8 +103,7 @@ class KeptPrograms:
 
 def program_of(kernel: Kernel, entry: Entry) -> Program:
     """Return the program of a kernel: one that is alive, where all that it is made of is equal, or a new one."""
-    source = read_source(kernel.source, kernel.given)
-    source = _packed_functions(kernel, source) + source
+    source = source_of(kernel)
     made_of = (entry, source, repr((kernel.outputs, kernel.samplers, kernel.constants, kernel.defines)))
     program = _alive.get(made_of)
     if program is None:
@@ -112,6 +111,12 @@ def program_of(kernel: Kernel, entry: Entry) -> Program:
     for keeper in _keepers:
         keeper.add(program)
     return program
+
+
+def source_of(kernel: Kernel) -> str:
+    """Return the GLSL of a kernel with all that it includes, without what Blender declares and without an entry."""
+    source = read_source(kernel.source, kernel.given)
+    return _packed_functions(kernel, source) + source
 
 
 def _packed_functions(kernel: Kernel, source: str) -> str:

@@ -110,7 +110,7 @@ def measure_speed(side: int | None = None) -> Speed:
     context.ensure()
     side = side or _SIDE[context.is_software(str(context.describe()["renderer"]))]
     model, schedule = load_model(DEFAULT_MODEL), load_schedule(_PRESET)
-    domain = _card(model, side)
+    domain = make_card(model, side)
     with closing(KeptPrograms()):
         middle = (side - min(side, _WARM)) // 2
         small = tile(domain, middle, middle, min(side, _WARM), min(side, _WARM))
@@ -129,7 +129,7 @@ def measure_speed(side: int | None = None) -> Speed:
     return Speed(texels, domain.observations, compiling, phases, *_transfers(), captures)
 
 
-def _card(model: ReflectanceModel, side: int) -> Domain:
+def make_card(model: ReflectanceModel, side: int) -> Domain:
     """Return a card with bumps, colours, gloss and metal, lit by the upper half of a sphere of lights."""
     across = (np.arange(side) + 0.5) / side - 0.5
     x, y = np.meshgrid(across, across)

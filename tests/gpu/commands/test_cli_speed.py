@@ -16,7 +16,7 @@ SIDE = 24
 
 @pytest.fixture(scope="module")
 def card():
-    return speed._card(load_model("metallic_roughness"), SIDE)
+    return speed.make_card(load_model("metallic_roughness"), SIDE)
 
 
 def test_the_card_can_be_recovered(card):
