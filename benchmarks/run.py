@@ -38,13 +38,14 @@ from benchmarks import (
     separation,
     swarm_quality,
     swarm_scaling,
+    uncalibrated,
     window,
 )
 
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
     swarm_scaling, recovery_scaling, killed, window, road, interreflection, separation, balls,
-    seams, full_size, roofline,
+    seams, full_size, roofline, uncalibrated,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {
