@@ -1,6 +1,5 @@
 // Over W×H texels: where the prefit with sheen replaces the first one. There the first explains a texel and its neighbours
 // badly, and the second by SHEEN_GAIN better. Reads u_measured (both fitnesses, 1 where both are measures) and the packing.
-// With 0 for the second one: where a second prefit is tried at all.
 // Writes o_chosen: there 1, 0 elsewhere.
 
 #include "prefit/around.glsl"

@@ -18,19 +18,18 @@ from ..settings.resolve import (
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
-    ResolvedSheenCandidates,
     ResolvedSurface,
 )
 from ..settings.schedule import Schedule
 from ..state.textures import DomainTextures, Estimates
 from .indirect import SHADOW, IndirectPhase
 from .phase import Phase
-from .prefit import CANDIDATES, EVIDENCE, FITNESS, SHEEN, AcceptanceTest, PrefitPhase
+from .prefit import EVIDENCE, FITNESS, SHEEN, AcceptanceTest, PrefitPhase
 from .refinement import RefinementPhase
 from .separation import SEPARATION, SeparationPhase
 from .sequential_swarm import SequentialSwarmPhase
 from .shared_materials import SharedMaterialsPhase
-from .sheen import SheenCandidatesPhase, SheenPhase
+from .sheen import SheenPhase
 from .spatial_prior import SpatialPriorPhase
 from .surface import SurfacePhase
 from .synchronous_swarm import SynchronousSwarmPhase
@@ -39,8 +38,8 @@ _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 # What prefits and the phases between them measure, by name, and the kind of stage that does.
 MEASURED = {
-    FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, CANDIDATES: ResolvedSheenCandidates,
-    SHADOW: ResolvedIndirect, SEPARATION: ResolvedSeparation,
+    FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, SHADOW: ResolvedIndirect,
+    SEPARATION: ResolvedSeparation,
 }  # fmt: skip
 
 
@@ -78,8 +77,6 @@ def begin_phase(
         return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedPrefit):
         return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, prefit)
-    if isinstance(stage, ResolvedSheenCandidates):
-        return SheenCandidatesPhase(stage, model, schedule, domain, estimates, entry, prefit)
     if isinstance(stage, ResolvedSheen):
         return SheenPhase(stage, model, schedule, domain, estimates, entry, prefit)
     if isinstance(stage, ResolvedIndirect):

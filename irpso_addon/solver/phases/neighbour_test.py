@@ -13,7 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..kernels.spatial_prior import taps_of
 from ..settings.groups import Prior
-from ..settings.resolve import ResolvedIndirect, ResolvedSheen, ResolvedSheenCandidates
+from ..settings.resolve import ResolvedIndirect, ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, TextureTable
 from ..state.textures import DomainTextures, Estimates
@@ -34,7 +34,7 @@ class NeighbourTest(TexturePhase):
 
     def __init__(
         self,
-        resolved: ResolvedIndirect | ResolvedSheenCandidates | ResolvedSheen,
+        resolved: ResolvedIndirect | ResolvedSheen,
         model: ReflectanceModel,
         schedule: Schedule,
         domain: DomainTextures,

@@ -1,7 +1,4 @@
-"""The choice between the first prefit and the one with sheen, by what both leave unexplained around a texel.
-
-Before the second one a look at the first alone tells where it can be chosen at all.
-"""
+"""The choice between the first prefit and the one with sheen, by what both leave unexplained around a texel."""
 
 from __future__ import annotations
 
@@ -12,52 +9,19 @@ import numpy as np
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
-from ..settings.resolve import ResolvedSheen, ResolvedSheenCandidates
+from ..settings.resolve import ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import sheen_table
 from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import CANDIDATES, FITNESS, SHEEN, UNFIT, adopt_pass, adopt_where
+from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, adopt_where
 
 # On a bunny whose base only darkens toward the terminator the prefit with sheen fits by a third better, and turns the
 # normals by 2.7°. There the mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
 _LEAST_FITNESS = 0.37
-# Of a candidate's neighbourhood: lower, since the fits of the second prefit around a texel count in its choice, too.
-_CANDIDATE_FITNESS = 0.25
 # Of a texel's misfit. Where sheen lowers it so, the recovery's model, which has none, turns the normal for the worse.
 # On a rendered head of velvet their mean error falls from 14.9 to 14.6°; on metal paint it rises from 3.34 to 3.36°.
 _MUCH = 0.1
-
-
-class SheenCandidatesPhase(NeighbourTest):
-    """A NeighbourTest of the first prefit."""
-
-    def __init__(
-        self,
-        resolved: ResolvedSheenCandidates,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        measured: Mapping[str, np.ndarray],
-    ):
-        self._prefit = dict(measured)
-        first = measured[FITNESS]
-        super().__init__(
-            resolved, model, schedule, domain, estimates, entry, sheen_table(), "prefit/sheen.glsl",
-            limits(schedule, _CANDIDATE_FITNESS), fits_of(first, np.zeros_like(first)),
-        )  # fmt: skip
-
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Leave the estimates as they are: what is accepted twice is as it was."""
-        yield
-        self.estimates.accept()
-
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what the prefit has measured, and the candidates (h, w), packed."""
-        yield
-        return {**self._prefit, CANDIDATES: self.read(self.decided)[..., 0]}
 
 
 class SheenPhase(NeighbourTest):
@@ -110,6 +74,6 @@ def fits_of(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.where(counted[..., None], fits, 0).astype(np.float32)
 
 
-def limits(schedule: Schedule, least: float = _LEAST_FITNESS) -> dict[str, float]:
-    """Return the limits of a test. least: fitness of the first prefit around a texel."""
-    return {"LEAST_FITNESS": least, "SHEEN_GAIN": schedule.prefit.sheen_gain}
+def limits(schedule: Schedule) -> dict[str, float]:
+    """Return the limits of the test."""
+    return {"LEAST_FITNESS": _LEAST_FITNESS, "SHEEN_GAIN": schedule.prefit.sheen_gain}

@@ -21,7 +21,6 @@ from ..settings.resolve import (
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
-    ResolvedSheenCandidates,
     ResolvedSurface,
     ResolvedSwarm,
     resolve,
@@ -47,9 +46,9 @@ LOOKS = 10.0  # of a prior, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
 INDIRECT = 0.1  # share of the texels whose light is indirect
-BADLY = 0.3  # share of those where sheen is tried: of glazed and matt subjects 0 to 0.1, of metal and velvet 0.7 to 0.9
+BADLY = 0.5  # share of those that the first prefit fits badly
 _FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
-_Tests = ResolvedIndirect | ResolvedSheenCandidates | ResolvedSheen
+_Tests = ResolvedIndirect | ResolvedSheen
 _Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedSeparation | _Tests
 
 
@@ -178,7 +177,7 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
         return TextureTable({})
     if isinstance(resolved, ResolvedSurface):
         return surface_table()
-    if isinstance(resolved, ResolvedSheenCandidates | ResolvedSheen):
+    if isinstance(resolved, ResolvedSheen):
         return sheen_table()
     kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
     return kind(-(-model.components // 4))

@@ -98,14 +98,6 @@ class ResolvedPrefit:
 
 
 @dataclass(frozen=True)
-class ResolvedSheenCandidates:
-    """Finds where the first prefit leaves so much unexplained that one with sheen is tried."""
-
-    title = "where sheen may be"
-    iterations = 1
-
-
-@dataclass(frozen=True)
 class ResolvedSheen:
     """Finds where the prefit with sheen replaces the first one."""
 
@@ -166,7 +158,6 @@ class ResolvedSurface:
 
 Resolved = (
     ResolvedPrefit
-    | ResolvedSheenCandidates
     | ResolvedSheen
     | ResolvedIndirect
     | ResolvedSeparation
@@ -187,8 +178,7 @@ def _resolve_prefit(prefit: Prefit) -> list[Resolved]:
     first = _prefit_by(prefit_model(), prefit)
     resolved: list[Resolved] = [replace(first, seeks=prefit.indirect_shadow > 0)]
     if prefit.sheen_gain:
-        second = replace(_prefit_by(prefit_model(sheen=True), prefit, _ROUNDS), sheen=True)
-        resolved += [ResolvedSheenCandidates(), second, ResolvedSheen()]
+        resolved += [replace(_prefit_by(prefit_model(sheen=True), prefit, _ROUNDS), sheen=True), ResolvedSheen()]
     if prefit.indirect_shadow:
         separation = [ResolvedSeparation()] if prefit.indirect_share else []
         resolved += [ResolvedIndirect(), *separation, replace(first, indirect=True)]

@@ -30,7 +30,6 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
-    ResolvedSheenCandidates,
     ResolvedSurface,
     resolve,
 )
@@ -73,7 +72,7 @@ def make_passes(resolved, model, schedule):
         surface_kernels.build_surface_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedIndirect):
         decision_pass("prefit/indirect.glsl", "shadow", indirect.limits(schedule), DOMAIN)
-    elif isinstance(resolved, ResolvedSheenCandidates | ResolvedSheen):
+    elif isinstance(resolved, ResolvedSheen):
         decision_pass("prefit/sheen.glsl", "chosen", sheen.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedSeparation):
         prefit.adopt_pass(model, DOMAIN)

@@ -32,8 +32,7 @@ def test_placing_counts_as_many_renders_as_there_are_particles():
     schedule = load_schedule("swarm")
     particles = particle_count(schedule, stage.dimensions(schedule.swarm.normal))
     assert particles > 1 and work == (10.0,) * (particles + stage.iterations)
-    stages, works_of = works("standard")
-    prefit, swarm = works_of[0], works_of[[isinstance(stage, ResolvedSwarm) for stage in stages].index(True)]
+    prefit, swarm = (works("standard")[1][i] for i in (0, 5))
     assert swarm[0] == swarm[1] and prefit[0] == prefit[1]  # all are placed at once, and all are moved
 
 

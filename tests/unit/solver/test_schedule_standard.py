@@ -18,7 +18,6 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
-    ResolvedSheenCandidates,
     ResolvedSurface,
     ResolvedSwarm,
     resolve,
@@ -43,12 +42,12 @@ def test_the_standard_preset_moves_whole_swarms_solves_prefits_and_refines():
     assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
     assert [type(stage) for stage in stages] == [
-        ResolvedPrefit, ResolvedSheenCandidates, ResolvedPrefit, ResolvedSheen, ResolvedIndirect, ResolvedSeparation,
-        ResolvedPrefit, ResolvedSwarm, ResolvedRefinement, ResolvedRefinement, ResolvedMaterials, ResolvedSurface,
+        ResolvedPrefit, ResolvedPrefit, ResolvedSheen, ResolvedIndirect, ResolvedSeparation, ResolvedPrefit,
+        ResolvedSwarm, ResolvedRefinement, ResolvedRefinement, ResolvedMaterials, ResolvedSurface,
     ]  # fmt: skip
     assert [stage.indirect for stage in stages if isinstance(stage, ResolvedPrefit)] == [False, False, True]
     assert [stage.sheen for stage in stages if isinstance(stage, ResolvedPrefit)] == [False, True, False]
-    swarm = stages[7]
+    swarm = stages[6]
     assert [p.name for p in swarm.parameters] == ["roughness", "specular"]
     assert [p.name for p in swarm.solved] == ["base_color"]
     assert particle_count(standard, swarm.dimensions("hemisphere")) <= MAX_PARTICLES
