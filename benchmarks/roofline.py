@@ -30,7 +30,6 @@ from irpso_addon.gpu.program import KeptPrograms
 from irpso_addon.pipeline.speed import make_card
 from irpso_addon.reflectance.model import ReflectanceModel, load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
 _SIDE, _SMALL, _REPEATS = 192, 16, 5
@@ -88,11 +87,7 @@ def measure(quick: bool) -> dict[str, Any]:
         recorded(make_card(model, _SMALL), model, schedule)  # compiles
         domain = make_card(model, side)
         phases, passes = recorded(domain, model, schedule)
-    texels, most = int(domain.solvable.sum()), recovery_cost(model, schedule, (), domain.observations).phases
-    for phase, cost in zip(phases, most, strict=True):
-        possible = cost.evaluations * texels
-        phase["moving"] = phase.pop("evaluations") / possible if possible else 1.0
-    found = [row(each, texels, domain.observations) for each in passes]
+    found = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
     return {"side": side, "observations": domain.observations, "phases": phases, "passes": found, "here": ceilings()}
 
 
@@ -133,12 +128,10 @@ def recorded(
     with patch.object(Pass, "run", recording), Recovery(domain, model, schedule, entry="fragment") as recovery:
         progress = recovery.progress
         while not progress.done:
-            stage, before, started = progress.stage, progress.evaluations, time.perf_counter()
-            title = progress.title
+            stage, title, started = progress.stage, progress.title, time.perf_counter()
             while progress.stage == stage and not progress.done:
                 progress = recovery.step(1)
-            spent = time.perf_counter() - started
-            phases.append({"title": title, "seconds": spent, "evaluations": progress.evaluations - before})
+            phases.append({"title": title, "seconds": time.perf_counter() - started})
     return phases, list(found.values())
 
 
@@ -227,12 +220,12 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         "## This machine",
         "",
         f"Its ceilings, found by two kernels ([ceilings](../../benchmarks/ceilings)): {here['operations'] / 1e9:.1f} G"
-        f" operations/s, {here['bytes'] / 1e9:.1f} GB/s. *Moving*: the renders that were made, of those that there"
-        " would be if no texel were done early; rates are of these. The step that ends a phase also places the next"
-        " one's swarms.",
+        f" operations/s, {here['bytes'] / 1e9:.1f} GB/s. Rates are those that it would need if all texels were active:"
+        " above the ceiling most are skipped, since they are done or the phase does not concern them. The step that ends"
+        " a phase also places the next one's swarms.",
         "",
         *report.table(
-            ["phase", "seconds", "moving", "G operations/s", "of the ceiling", "GB/s fetched"], _reached(data)
+            ["phase", "seconds", "G operations/s", "of the ceiling", "GB/s fetched"], _reached(data)
         ),
         "",
         *_by_hand(data),
@@ -281,10 +274,10 @@ def _reached(data: dict[str, Any]) -> Iterator[list[str]]:
     """Yield the rows of this machine's table."""
     for number, phase in enumerate(data["phases"]):
         cost = _sums(data["passes"], number)
-        rate = data["side"] ** 2 * phase["moving"] / phase["seconds"]
+        rate = data["side"] ** 2 / phase["seconds"]
         operations = rate * cost["operations"]
         yield [
-            phase["title"], f"{phase['seconds']:.2f}", f"{phase['moving']:.0%}", f"{operations / 1e9:.1f}",
+            phase["title"], f"{phase['seconds']:.2f}", f"{operations / 1e9:.1f}",
             f"{operations / data['here']['operations']:.0%}", f"{rate * cost['fetched'] / 1e9:.1f}",
         ]  # fmt: skip
 
