@@ -221,8 +221,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         "",
         f"Its ceilings, found by two kernels ([ceilings](../../benchmarks/ceilings)): {here['operations'] / 1e9:.1f} G"
         f" operations/s, {here['bytes'] / 1e9:.1f} GB/s. Rates are those that it would need if all texels were active:"
-        " above the ceiling most are skipped, since they are done or the phase does not concern them. The step that ends"
-        " a phase also places the next one's swarms.",
+        " above the ceiling most are skipped, since they are done or the phase does not concern them. The step that"
+        " ends a phase also places the next one's swarms.",
         "",
         *report.table(
             ["phase", "seconds", "G operations/s", "of the ceiling", "GB/s fetched"], _reached(data)
