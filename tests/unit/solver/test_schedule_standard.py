@@ -148,7 +148,7 @@ def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
     assert stages[0].iterations == 11
     assert [p.name for p in stages[-3].parameters] == ["base_color", "normal", "roughness", "specular"]
     assert [p.name for p in stages[-2].parameters] == ["base_color", "roughness", "specular"]
-    assert stages[-2].iterations == 5 + 2 * 4 and stages[-2].starts == ()
+    assert stages[-2].iterations == 3 + 2 * 4 and stages[-2].starts == ()
     assert [p.name for p in stages[-1].parameters] == ["base_color", "normal", "roughness", "specular"]
     matt = resolve(standard, load_model("lambert"), set(), observations=50)
     assert [stage.title for stage in matt][-2:] == ["base_color", "refinement"]
