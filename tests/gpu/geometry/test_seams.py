@@ -1,6 +1,7 @@
 """Recoveries over UV seams: neighbours on the surface are neighbours, in tiles as in the whole, and in margins."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -203,6 +204,7 @@ def test_a_margin_past_an_unsolved_seam_comes_from_its_own_side():
     assert not written.margin.any()
 
 
+SEEDS = 1, 2, 3  # the steps at the cut of one run are few and scatter
 ACROSS, ALONG, PLACE = 16, 44, (40, 3)  # texels of either part of a larger sheet, and the right part's corner, mirrored
 ROWS, COLUMNS = 50, 44
 PRINCIPLED = load_model("principled")
@@ -241,9 +243,10 @@ def noisy():
 
 def test_errors_near_a_seam_are_no_larger_than_elsewhere(noisy):
     domain, s, t, truth = noisy
-    steps, lines = {}, []
-    for name, subject in (("off", replace(domain, seams=None)), ("on", domain)):
-        with Recovery(subject, PRINCIPLED, load_schedule("standard"), 1, entry="fragment") as recovery:
+    steps, lines = {"off": 0.0, "on": 0.0}, []
+    subjects = {"off": replace(domain, seams=None), "on": domain}
+    for name, seed in product(subjects, SEEDS):
+        with Recovery(subjects[name], PRINCIPLED, load_schedule("standard"), seed, entry="fragment") as recovery:
             recovery.step()
             found = recovery.maps(confidence=False).values
         inner = domain.bake.coverage & (np.abs(t - ALONG / 2) < ALONG / 2 - 5) & (np.abs(s) < ACROSS - 5)
@@ -255,5 +258,5 @@ def test_errors_near_a_seam_are_no_larger_than_elsewhere(noisy):
         # Within 3 texels of the cut, row by row: the gloss is the same all over.
         mean = [[found["specular"][(np.floor(t) == row) & inner & (side * s > 0) & (np.abs(s) < 3)].mean()
                  for row in range(5, ALONG - 5)] for side in (-1, 1)]  # fmt: skip
-        steps[name] = np.abs(np.subtract(*mean)).mean()
+        steps[name] += np.abs(np.subtract(*mean)).mean()
     assert steps["on"] < 0.8 * steps["off"], steps

@@ -62,7 +62,7 @@ def test_an_unseen_lobe_is_recovered_from_texels_of_the_same_material(card):
     domain, smooth, sees = card
     alone, shared = roughness(domain, materials_rounds=0), roughness(domain)
     unseen = smooth & ~sees
-    assert np.mean(np.abs(alone[unseen] - SMOOTH) > 0.2) > 0.08
+    assert np.mean(np.abs(alone[unseen] - SMOOTH) > 0.2) > 0.05
     assert np.mean(np.abs(shared[unseen] - SMOOTH) > 0.2) < 0.02
     # Who tells its own is left alone, and so is the other material.
     assert np.median(np.abs(shared[sees] - SMOOTH)) < 0.01
