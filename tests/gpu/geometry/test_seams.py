@@ -1,5 +1,6 @@
 """Recoveries over UV seams: neighbours on the surface are neighbours, in tiles as in the whole, and in margins."""
 
+from collections import Counter
 from dataclasses import replace
 from itertools import product
 
@@ -243,20 +244,23 @@ def noisy():
 
 def test_errors_near_a_seam_are_no_larger_than_elsewhere(noisy):
     domain, s, t, truth = noisy
-    steps, lines = {"off": 0.0, "on": 0.0}, []
+    steps, errors = Counter(), Counter()
     subjects = {"off": replace(domain, seams=None), "on": domain}
+    inner = domain.bake.coverage & (np.abs(t - ALONG / 2) < ALONG / 2 - 5) & (np.abs(s) < ACROSS - 5)
     for name, seed in product(subjects, SEEDS):
         with Recovery(subjects[name], PRINCIPLED, load_schedule("standard"), seed, entry="fragment") as recovery:
             recovery.step()
             found = recovery.maps(confidence=False).values
-        inner = domain.bake.coverage & (np.abs(t - ALONG / 2) < ALONG / 2 - 5) & (np.abs(s) < ACROSS - 5)
         for map_name, value in found.items():
             error = np.linalg.norm(value - truth[map_name], axis=-1)
-            near, far = error[inner & (np.abs(s) <= 4)].mean(), error[inner & (np.abs(s) > 4)].mean()
-            lines.append(f"{name} {map_name}: {near:.4f} near, {far:.4f} elsewhere")
-            assert name == "off" or near <= 1.1 * far, lines
+            errors[name, map_name, "near"] += error[inner & (np.abs(s) <= 4)].mean()
+            errors[name, map_name, "elsewhere"] += error[inner & (np.abs(s) > 4)].mean()
         # Within 3 texels of the cut, row by row: the gloss is the same all over.
         mean = [[found["specular"][(np.floor(t) == row) & inner & (side * s > 0) & (np.abs(s) < 3)].mean()
                  for row in range(5, ALONG - 5)] for side in (-1, 1)]  # fmt: skip
         steps[name] += np.abs(np.subtract(*mean)).mean()
+    for map_name in truth:
+        # Six lights tell little of the specular: over seeds its error near the cut scatters by 0.2, with seams or without.
+        assert errors["on", map_name, "near"] <= 1.3 * errors["on", map_name, "elsewhere"], errors
+        assert errors["on", map_name, "near"] <= 1.1 * errors["off", map_name, "near"], errors
     assert steps["on"] < 0.8 * steps["off"], steps
