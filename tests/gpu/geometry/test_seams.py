@@ -260,7 +260,7 @@ def test_errors_near_a_seam_are_no_larger_than_elsewhere(noisy):
                  for row in range(5, ALONG - 5)] for side in (-1, 1)]  # fmt: skip
         steps[name] += np.abs(np.subtract(*mean)).mean()
     for map_name in truth:
-        # Six lights tell little of the specular: over seeds its error near the cut scatters by 0.2, with seams or without.
+        # Six lights tell little of the specular: its error near the cut scatters by a fifth, with seams or without.
         assert errors["on", map_name, "near"] <= 1.3 * errors["on", map_name, "elsewhere"], errors
         assert errors["on", map_name, "near"] <= 1.1 * errors["off", map_name, "near"], errors
     assert steps["on"] < 0.8 * steps["off"], steps
