@@ -64,7 +64,7 @@ def _present(name: str) -> Path | None:
 
 
 def _row(name: str, given: Path, *lens: object) -> dict[str, Any]:
-    """Return what JSON holds of a capture. lens: options of its camera."""
+    """Return what JSON holds of a capture. lens: of its camera, for the calibration, which writes it down."""
     bare, found = (_CACHE / f"{given.name}-{what}" for what in ("bare", "found"))
     shutil.rmtree(bare, ignore_errors=True)
     shutil.copytree(given, bare, ignore=shutil.ignore_patterns(*_LIGHT_FILES))
@@ -72,8 +72,7 @@ def _row(name: str, given: Path, *lens: object) -> dict[str, Any]:
     runs = {"given": given} if "refused" in row else {"given": given, "found": found}
     for run, folder in runs.items():
         out = _CACHE / f"{given.name}-recovered-{run}"
-        options = lens if run == "given" else ()  # what is found has the lens in its capture.toml
-        row[f"{run}_seconds"] = recover(folder, out, *options)
+        row[f"{run}_seconds"] = recover(folder, out)
         row[run] = _normal_error(given, out)
     if "found" in runs:
         row |= light_errors(_lights(given), _lights(found))
