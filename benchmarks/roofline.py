@@ -38,7 +38,6 @@ _CHAINS, _TURNS = 32, 256  # operations of a turn of the loop for the other ceil
 _TEXELS = 12 * 10**6
 _STACK = "u_stack"
 _SHOWN = 0.01  # of all operations or of all bytes: passes of less are one row
-_BYTES = {"R32F": 4, "RG32F": 8, "RGBA32F": 16, "RGBA16F": 8}
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ _DEVICES = (
 
 @dataclass
 class Recorded:
-    """All runs of one pass in one phase, over the whole card. runs: of all rows. seconds: until the device was done.
+    """All runs of one pass in one phase, over the whole card. runs: of all rows.
 
     targets: texels that it writes. read: sampler → texels of what it reads, tables left out, which caches hold. each:
     sampler → bytes of a texel. written: bytes. known: what its loops may end at.
@@ -73,7 +72,6 @@ class Recorded:
     written: int
     known: Mapping[str, int | float]
     runs: float = 0.0
-    seconds: float = 0.0
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -105,10 +103,8 @@ def recorded(
         constants: Mapping[str, int | float] = {},
         rows: tuple[int, int] | None = None,
     ) -> None:
-        started = time.perf_counter()
         run(self, targets, read, constants, rows)
-        self.fence(targets)
-        seconds = time.perf_counter() - started
+        self.fence(targets)  # so that a phase's seconds are its own
         key = stage, str(self.kernel.source), repr(sorted(self.kernel.defines.items()))
         if key not in found:
             names = self.compile().samplers
@@ -116,13 +112,12 @@ def recorded(
             found[key] = Recorded(
                 stage, self.kernel, _area(targets[0]),
                 {name: _area(read[name]) * (domain.observations if name == _STACK else 1) for name in large},
-                {name: _BYTES[read[name].format] for name in large},
-                sum(_area(target) * _BYTES[target.format] for target in targets),
+                {name: _bytes(read[name]) for name in large},
+                sum(_area(target) * _bytes(target) for target in targets),
                 {**constants, **{name: read[name].width for name in names}},
             )  # fmt: skip
         first, last = rows or (0, targets[0].height)
         found[key].runs += (last - first) / targets[0].height
-        found[key].seconds += seconds
 
     phases = []
     with patch.object(Pass, "run", recording), Recovery(domain, model, schedule, entry="fragment") as recovery:
@@ -140,14 +135,13 @@ def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
     known = {"u_observations": observations, **recorded.known}
     whole, fixed = counts(recorded.kernel, known, {**known, "u_observations": 0})
     scale = recorded.targets / texels
-
     fetched, fixed_fetched = (
         {name: scale * times * recorded.each[name] for name, times in found.fetches.items() if name in recorded.each}
         for found in (whole, fixed)
     )
     return {
         "phase": recorded.phase, "source": str(recorded.kernel.source), "runs": recorded.runs,
-        "seconds": recorded.seconds, "written": recorded.written / texels,
+        "written": recorded.written / texels,
         "once": sum(count * recorded.each[name] for name, count in recorded.read.items()) / texels,
         "fetched": sum(fetched.values()), "fixed_fetched": sum(fixed_fetched.values()), "stack": fetched.get(_STACK, 0),
         "operations": scale * whole.operations, "fixed_operations": scale * fixed.operations,
@@ -180,6 +174,11 @@ def ceilings() -> dict[str, float]:
 
 def _area(texture: Any) -> int:
     return int(texture.width * texture.height)
+
+
+def _bytes(texture: Any) -> int:
+    """Return the bytes of a texel, whose channels are 32 bits wide wherever the solver reads or writes."""
+    return 4 * textures.CHANNELS[texture.format]
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:

@@ -44,7 +44,7 @@ def _row(name: str, scene: Scene, size: tuple[int, int]) -> dict[str, Any]:
     row: dict[str, Any] = {"subject": name, "runs": {}}
     for run, arguments in _RUNS.items():
         bounces = 0 if run == _ORACLE else _BOUNCES
-        folder = _CACHE / f"{name.replace(', ', '-').replace(' ', '-')}-{size[0]}-{bounces}"
+        folder = _CACHE / f"{capture.folder_name(name)}-{size[0]}-{bounces}"
         row["texels"] = capture.make(name, scene, size, _CACHE / "pictures", folder, bounces)
         out = folder / f"recovered-{run}"
         seconds = recover(folder, out, *arguments)
@@ -58,8 +58,8 @@ def _errors(folder: Path, out: Path) -> dict[str, Any]:
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     (deviation,) = read_exr(out / "maps.exr")["confidence_normal"].values()
     seen, unknown = coverage > 0, deviation > _WIDEST
-    error = angles(found["normal"], _truth(folder, "normal"))
-    colour = np.abs(_chroma(found["base_color"]) - _chroma(_truth(folder, "base_color"))).sum(axis=-1)
+    error = angles(found["normal"], capture.read_truth(folder, "normal"))
+    colour = np.abs(_chroma(found["base_color"]) - _chroma(capture.read_truth(folder, "base_color"))).sum(axis=-1)
     return {
         "normal": asdict(Errors.of(error[seen])),
         "known": float(error[seen & ~unknown].mean()),
@@ -67,11 +67,6 @@ def _errors(folder: Path, out: Path) -> dict[str, Any]:
         "chroma": float(colour[seen].mean()),
         "separated": json.loads((out / "report.json").read_text()).get("separation", {"texels": 0})["texels"],
     }
-
-
-def _truth(folder: Path, name: str) -> np.ndarray:
-    (channels,) = read_exr(folder / f"{name}_gt.exr").values()
-    return np.stack([channels[c] for c in "RGB"], axis=-1)
 
 
 def _chroma(colour: np.ndarray) -> np.ndarray:

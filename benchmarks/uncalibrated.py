@@ -47,7 +47,7 @@ def measure(quick: bool) -> dict[str, Any]:
     scenes = catalogue(_present(_SCAN)) | {name: hollow_scenes()[name] for name in _HOLLOWS}
     rows = []
     for name, scene in list(scenes.items())[: 1 if quick else None]:
-        folder = _CACHE / f"{name.replace(', ', '-').replace(' ', '-')}-{size[0]}"
+        folder = _CACHE / f"{capture.folder_name(name)}-{size[0]}"
         capture.make(name, scene, size, _CACHE / "pictures", folder)
         rows.append(_row(name, folder))
     for name in () if quick else _BUNNIES:
@@ -121,8 +121,7 @@ def light_errors(given: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, 
 
 
 def _normal_error(given: Path, out: Path) -> float:
-    (channels,) = read_exr(given / "normal_gt.exr").values()
-    truth = np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64)
+    truth = capture.read_truth(given, "normal").astype(np.float64)
     length = np.linalg.norm(truth, axis=-1)
     normal = read_maps(out, load_model(DEFAULT_MODEL))["normal"]
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
@@ -135,14 +134,15 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     width, height = data["size"]
     lines = []
     for row in data["rows"]:
-        name = row["subject"] + (" †" if row["subject"] in _UNSEEN else "")
         if "refused" in row:
-            lines.append([name, f"refused: {row['refused']}", "", "", "", f"–, {row['given']:.1f}°", row["seconds"]])
-            continue
-        lines.append([
-            name, f"{row['agree']:.1f}°", f"{row['lights']:.1f}°", f"{row['turned']:.1f}°", f"{row['strengths']:.1%}",
-            f"{row['found']:.1f}°, {row['given']:.1f}°", row["seconds"],
-        ])  # fmt: skip
+            cells = [f"refused: {row['refused']}", "", "", "", f"–, {row['given']:.1f}°"]
+        else:
+            cells = [
+                f"{row['agree']:.1f}°", f"{row['lights']:.1f}°", f"{row['turned']:.1f}°", f"{row['strengths']:.1%}",
+                f"{row['found']:.1f}°, {row['given']:.1f}°",
+            ]  # fmt: skip
+        name = row["subject"] + (" †" if row["subject"] in _UNSEEN else "")
+        lines.append([name, *cells, f"{row['seconds']:.0f}"])
     return [
         f"Captures whose light files were taken away: subjects photographed by Cycles ({width} × {height} pixels, four"
         " bounces) under 96 lamps whose strengths differ by 36 %, and the three bunnies of the shared data under 50"
@@ -152,7 +152,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         *report.table(
             ["subject", "parts agree to", "lights off by", "their common rotation taken off", "strengths",
              "normals: lights found, given", "s of calibrate"],
-            [[*line[:-1], f"{line[-1]:.0f}"] for line in lines],
+            lines,
         ),
     ]  # fmt: skip
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.images.exr import read_exr, write_exr
 from irpso_addon.core.png import encode_png
 from irpso_addon.sample.sensor import Sensor
 
@@ -65,6 +65,17 @@ def _write_truth(maps: dict[str, np.ndarray], mask: np.ndarray, plain: bool, out
     if plain:
         kept = np.where(mask, maps["roughness"], 0).astype(np.float32)
         write_exr(out / "roughness_gt.exr", {"": {"Y": kept}})
+
+
+def read_truth(folder: Path, name: str) -> np.ndarray:
+    """Return (H, W, 3) a capture's true normals or colours, row 0 at the bottom."""
+    (channels,) = read_exr(folder / f"{name}_gt.exr").values()
+    return np.stack([channels[c] for c in "RGB"], axis=-1)
+
+
+def folder_name(title: str) -> str:
+    """Return a subject's title as the name of its folder."""
+    return title.replace(", ", "-").replace(" ", "-")
 
 
 def _digest(*settings) -> str:
