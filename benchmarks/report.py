@@ -70,6 +70,8 @@ def run(program: Program, arguments: Sequence[str] | None = None) -> None:
     wanted = digest(program.source)
     if options.draw and kept is None:
         parser.error(f"{path} is not there; measure first")
+    if output.exists() and not output.is_dir():
+        parser.error(f"--output {output}: is a file; give a folder")
     if not options.draw and (options.again or kept is None or kept["digest"] != wanted):
         load, start = os.getloadavg()[0], time.perf_counter()
         data = program.measure(options.quick)
