@@ -145,10 +145,10 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     spec, keys = _photographs(options, keys, [])
     steps = uncalibrated_steps(_capture(spec), load_model(DEFAULT_MODEL), inside_out=options.inside_out)
     found = _without_ball(options, steps)
-    turned = f"; its material then turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
+    turned = f"; it turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
     line = (
-        f"{len(found.lights)} distant lights by shading; parts of the subject agree to"
-        f" {found.first.errors.mean():.1f}°{turned}"
+        f"{len(found.lights)} distant lights by shading; parts of the subject agree to {found.errors.mean():.1f}°,"
+        f" before its material is known to {found.first.errors.mean():.1f}°{turned}"
     )
     return _written_without_ball(options, spec, keys, found, line)
 

@@ -16,7 +16,7 @@ from .factors import factored, scaled_normals, usable_samples
 FEWEST = 10  # photographs
 _GOOD = 0.5  # part of the pixels that the lights explain best, which tell the surface
 _LIT = 0.3  # least part of a pixel's samples that are neither in shadow nor in a highlight
-_PARTS = 4  # of the subject: each is left out once, for the error
+PARTS = 4  # of the subject: each is left out once, for the error
 _BLOCKS = 8  # of pixels along the subject's larger side, which go to a part together
 _FEWEST_PIXELS, _FEWEST_LIT = 500, 50  # lit pixels, and those that one photograph lights
 _ROUNDS = 40  # of a factorisation, for the progress
@@ -66,9 +66,9 @@ def shading_steps(
             f"photograph {int(lit_by.argmin()) + 1} of {len(values)} lights only {int(lit_by.min())} pixels of the"
             f" subject without a highlight, {_FEWEST_LIT} are needed to find its light; leave it out"
         )
-    part_of = _parts(mask, seed)
+    part_of = parts_of(mask, seed)
     found = []
-    for part in range(_PARTS + 1):  # the last leaves nothing out
+    for part in range(PARTS + 1):  # the last leaves nothing out
         chosen = lit[part_of[lit] != part]
         steps = _lights(scaled, usable, chosen, mask, np.random.default_rng(seed))
         found.append((yield from _counted(steps, part)))
@@ -80,10 +80,15 @@ def shading_steps(
     if not solid:  # a part may have found the inverse
         same = (others[..., :2] * directions[:, :2]).sum(axis=(1, 2)) > 0
         others[~same] *= (-1, -1, 1)
-    cosine = np.clip((others * directions).sum(axis=-1), -1, 1)
-    errors = np.degrees(np.sqrt((_PARTS - 1) / _PARTS * (np.arccos(cosine) ** 2).sum(axis=0)))
     intensities = strength / np.exp(np.log(strength).mean())
-    return ShadingLights(directions, intensities, errors, solid)
+    return ShadingLights(directions, intensities, errors_of(others, directions), solid)
+
+
+def errors_of(others: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return (K,) standard deviations in degrees of directions (K, 3) by those (PARTS, K, 3) without one part each."""
+    cosine = np.clip((others * directions).sum(axis=-1), -1, 1)
+    errors: np.ndarray = np.degrees(np.sqrt((PARTS - 1) / PARTS * (np.arccos(cosine) ** 2).sum(axis=0)))
+    return errors
 
 
 def _counted(
@@ -91,15 +96,15 @@ def _counted(
 ) -> Generator[float, None, tuple[np.ndarray, float]]:
     """Yield the fraction done of all parts."""
     made = count(1)
-    return (yield from map_steps(steps, lambda _: (part + min(next(made) / _ROUNDS, 1.0)) / (_PARTS + 1)))
+    return (yield from map_steps(steps, lambda _: (part + min(next(made) / _ROUNDS, 1.0)) / (PARTS + 1)))
 
 
-def _parts(mask: np.ndarray, seed: int) -> np.ndarray:
+def parts_of(mask: np.ndarray, seed: int) -> np.ndarray:
     """Return (P,) the part, 0 to 3, of each pixel of a mask: by blocks, drawn at random."""
     rows, columns = np.nonzero(mask)
     side = max(np.ptp(rows), np.ptp(columns)) / _BLOCKS + 1
     block = (rows - rows.min()) // side * _BLOCKS + (columns - columns.min()) // side
-    drawn: np.ndarray = np.random.default_rng(seed).integers(_PARTS, size=_BLOCKS**2 + _BLOCKS)
+    drawn: np.ndarray = np.random.default_rng(seed).integers(PARTS, size=_BLOCKS**2 + _BLOCKS)
     return drawn[block.astype(int)]
 
 

@@ -1,11 +1,17 @@
 """``calibrate --ball none``: lights of a subject from itself, through the public command."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from irpso_addon.capture.read import read_capture
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.build import card_steps
+from irpso_addon.pipeline import uncalibrated
+from irpso_addon.reflectance.model import load_model
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import angle, run_cli
 from tests.builders.relief import ball, lamps
@@ -45,6 +51,36 @@ def test_lights_without_a_ball(solid, tmp_path):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["kind"] == "shading"
     assert report["warnings"] == []
+    stated = np.mean([light["error_degrees"] for light in report["lights"]])
+    assert off.mean() / 3 < stated < 3.0
+
+
+def test_a_surface_that_contradicts_the_lights_is_refused(solid, monkeypatch):
+    angle = np.radians(15)
+    turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    monkeypatch.setattr(uncalibrated, "surface_rotation", lambda *_: turn)
+    capture = read_capture(solid[0])
+    with pytest.raises(InputError, match="turned by 15° against those of the surface"):
+        run_steps(uncalibrated.uncalibrated_steps(capture, load_model("metallic_roughness")))
+
+
+def test_texels_in_a_hollow_are_left_out(tmp_path):
+    """A pit sees less of the sky, a bump of the same shape and the plane around them all of it, or nearly."""
+    y, x = np.mgrid[:60, :60] / 30 - 1
+    bump, pit = (np.exp(-((x - middle) ** 2 + y**2) / 0.04) for middle in (-0.4, 0.4))
+    slopes = np.gradient(4 * (bump - pit), axis=(1, 0))
+    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    directions, _ = lamps(16)
+    images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps(x.shape, {}, 2) | {"normal": normals}, directions)
+    capture = read_capture(cli_maker.write_card(tmp_path / "pit", images, directions))
+    domain = run_steps(card_steps(replace(capture, card_distance=1.0)))
+    kept = uncalibrated.open_texels(domain, capture.cameras[0]).solvable
+    pits, bumps = kept[pit > 0.5], kept[bump > 0.5]
+    print(f"kept: {kept.mean():.0%}, of the pit {pits.mean():.0%}, of the bump {bumps.mean():.0%}")
+    assert not pits.any()
+    assert bumps.all()
+    assert kept.mean() > 0.8
 
 
 @pytest.mark.parametrize(
