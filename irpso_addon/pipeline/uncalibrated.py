@@ -119,14 +119,7 @@ def uncalibrated_steps(
     lit = _with_lights(small, first.directions, np.repeat(strength[:, None], 3, axis=1))
     domain = yield from map_steps(card_steps(lit), lambda _: _SHADED)
     pixels = _Pixels(values, weight, small, seed)
-    for number in range(_ROUNDS):
-        part = partial(_fraction, number / _ROUNDS, 1 / _ROUNDS)
-        refined = yield from map_steps(pixels.refinement(domain, model), part)
-        kept = _spread(refined.intensities.mean(axis=-1)) <= _MORE * _spread(first.intensities) + _ROUGHLY
-        if not kept:
-            break
-        refined = pixels.turned(refined, domain, check=True)
-        domain = refined.applied(domain)
+    refined, kept, domain = yield from pixels.refined(domain, model, _spread(first.intensities))
     if not kept:
         if disagreement > _MOST_UNFIT:
             raise InputError(f"{apart}, and its material none that explains them; put a ball into the photographs")
@@ -164,6 +157,22 @@ class _Pixels:
     weight: np.ndarray
     capture: Capture
     seed: int
+
+    def refined(
+        self, domain: Domain, model: ReflectanceModel, spread: float
+    ) -> Generator[float, None, tuple[Lights, bool, Domain]]:
+        """Yield the fraction done; return the lights after all rounds, whether the model fits, and the domain.
+
+        spread: of the intensities before. Where the model does not fit, the domain has the lights before that round.
+        """
+        for number in range(_ROUNDS):
+            part = partial(_fraction, number / _ROUNDS, 1 / _ROUNDS)
+            lights = yield from map_steps(self.refinement(domain, model), part)
+            if _spread(lights.intensities.mean(axis=-1)) > _MORE * spread + _ROUGHLY:
+                return lights, False, domain
+            lights = self.turned(lights, domain, check=True)
+            domain = lights.applied(domain)
+        return lights, True, domain
 
     def refinement(
         self, domain: Domain, model: ReflectanceModel, left_out: np.ndarray | None = None
