@@ -90,6 +90,8 @@ def _calibrated(folder: Path, out: Path, *lens: object) -> dict[str, Any]:
         [*map(str, command), "--json", "--quiet"], cwd=report.ROOT, stdout=subprocess.PIPE, text=True
     )
     seconds = time.perf_counter() - started
+    if ended.returncode and not ended.stdout:
+        raise RuntimeError(f"{folder}: calibrate ended with {ended.returncode}, without an answer")
     if ended.returncode:
         return {"refused": json.loads(ended.stdout)["error"].rpartition(": ")[2], "seconds": seconds}
     found = json.loads((out / "report.json").read_text(encoding="utf-8"))
