@@ -167,26 +167,14 @@ class _Pixels:
         """
         for number in range(_ROUNDS):
             part = partial(_fraction, number / _ROUNDS, 1 / _ROUNDS)
-            lights = yield from map_steps(self.refinement(domain, model), part)
+            texels = open_texels(domain, self.capture.cameras[0])
+            steps = light_steps(texels, model, seed=self.seed, refine_degrees=_ERROR)
+            lights = yield from map_steps(steps, part)
             if _spread(lights.intensities.mean(axis=-1)) > _MORE * spread + _ROUGHLY:
                 return lights, False, domain
             lights = self.turned(lights, domain, check=True)
             domain = lights.applied(domain)
         return lights, True, domain
-
-    def refinement(
-        self, domain: Domain, model: ReflectanceModel, left_out: np.ndarray | None = None
-    ) -> Generator[float, None, Lights]:
-        """Yield the fraction done; return the lights refined by recoveries of open texels.
-
-        left_out: (H, W) bool, texels of a part. Then fewer are recovered.
-        """
-        texels = open_texels(domain, self.capture.cameras[0])
-        sample = None
-        if left_out is not None:
-            texels = replace(texels, solvable=texels.solvable & ~left_out)
-            sample = draw(texels, self.seed, np.arange(domain.observations), _FEW)
-        return (yield from light_steps(texels, model, seed=self.seed, refine_degrees=_ERROR, sample=sample))
 
     def turned(
         self, refined: Lights, domain: Domain, left_out: np.ndarray | None = None, check: bool = False
@@ -221,9 +209,11 @@ class _Pixels:
         mask = self.capture.masks[0]
         part_of = np.full(mask.shape, -1)
         part_of[mask] = parts_of(mask, self.seed)
-        found = []
+        texels, found = open_texels(domain, self.capture.cameras[0]), []
         for part in range(PARTS):
-            steps = self.refinement(domain, model, part_of == part)
+            rest = replace(texels, solvable=texels.solvable & (part_of != part))
+            few = draw(rest, self.seed, np.arange(domain.observations), _FEW)
+            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_ERROR, sample=few)
             refined = yield from map_steps(steps, partial(_fraction, 1 + part / PARTS, 1 / PARTS))
             found.append(self.turned(refined, domain, part_of == part).lights[:, :3])
         return np.stack(found).astype(np.float64)
