@@ -45,6 +45,7 @@ PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is
     "fewer texels than ranks want": ((5,), None),
     "rounds of interreflection": ((2,), 17),  # the last of three recoveries
     "rounds on a card": ((2,), None),
+    "indirect light separated by its colour": ((4,), 9),  # found, and the second prefit is still to come
 }
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
@@ -59,6 +60,7 @@ THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, ne
 def cases():
     """Return name → (domain, model, schedule), and the surroundings of the last."""
     from tests.gpu.geometry.test_seams import observed, sheet
+    from tests.gpu.solver import test_indirect_colour as colour
 
     near, _ = subject(23, 19, near=True, perspective=True, colored=True, observations=9)
     rows, columns = np.indices(near.shape)
@@ -82,6 +84,7 @@ def cases():
             MeshSurroundings(mesh, ray_caster, 24, 16),
         ),
         "rounds on a card": (cap, LAMBERT, ROUNDS, CardSurroundings(camera, "normal", ray_caster, 19, 16)),
+        "indirect light separated by its colour": (colour.corner()[0], LAMBERT, colour.SHORT),
     }
 
 

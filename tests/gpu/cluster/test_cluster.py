@@ -111,14 +111,14 @@ def alone(card, tmp_path_factory):
 
 
 def test_any_number_of_ranks_gives_the_bits_of_one_process(tmp_path):
-    """Prime sizes, empty ranks, near lights, wide windows, seams, interreflection; other ranks after a checkpoint."""
+    """Prime sizes, empty ranks, near lights, wide windows, seams, indirect light; other ranks after a checkpoint."""
     mpi_maker.start(5, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
     found = json.loads((tmp_path / "digests.json").read_text())
-    assert len(found) == 7 and sum(len(reply) for reply in found.values()) == 26
+    assert len(found) == 8 and sum(len(reply) for reply in found.values()) == 31
     assert {name: set(reply.values()) - {reply["one process"]} for name, reply in found.items()} == dict.fromkeys(
         found, set()
     )
-    assert len({reply["one process"] for reply in found.values()}) == 7
+    assert len({reply["one process"] for reply in found.values()}) == 8
 
 
 def test_a_mesh_with_seams_over_ranks_gives_the_files_of_one_process(ball, tmp_path):
