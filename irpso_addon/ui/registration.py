@@ -16,6 +16,7 @@ MODULES = (
     "properties.schedule_settings",
     "properties.scene_settings",
     "operators.capture_import",
+    "operators.video",
     "operators.find_lights",
     "operators.sample",
     "operators.develop",

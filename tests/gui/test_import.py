@@ -11,6 +11,7 @@ from irpso_addon.capture.read import read_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from tests.builders import command_line as cli_maker
+from tests.builders import video
 from tests.builders.near_card import DISTANCE, write_near_card, write_unlit_card
 from tests.builders.relief import write_ball
 from tests.builders.sphere import LAMPS, SIDE, sphere_photographs
@@ -243,6 +244,16 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     assert not (tmp_path / "capture_1.toml").exists()
 
 
+def choose_in_browser(ready, folder):
+    """Lead the file browser, which opens in the same window, to a folder and press Return there."""
+    ready.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    ready.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{folder}/'.encode()!r}", area="")
+    ready.settle()
+    ready.move(*ready.region("FILE_BROWSER").centre)
+    ready.key("Return")
+    ready.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+
+
 def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
     ready.open_sidebar("IRPSO")
@@ -252,12 +263,7 @@ def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(
     ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
     ready.expect("no ball was found")
     ready.click(*ready.find_button("irpso.choose_photographs"))
-    ready.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
-    ready.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{tmp_path}/'.encode()!r}", area="")
-    ready.settle()
-    ready.move(*ready.region("FILE_BROWSER").centre)
-    ready.key("Return")
-    ready.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    choose_in_browser(ready, tmp_path)
     ready.run("redrawn()", area="")
     ready.screenshot("finding lights: photographs are chosen")
     ready.key("Return")
@@ -266,6 +272,26 @@ def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(
     ready.screenshot("finding lights: refused")
     assert "no ball was found" in message and "From: Relief" in message and "--" not in message
     ready.run("bpy.ops.irpso.dismiss_failures()")
+
+
+def test_a_folder_with_a_video_gives_photographs_and_the_dialog_of_their_lights(ready, tmp_path):
+    pytest.importorskip("cv2", reason="OpenCV, which writes the video, is not installed")
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    normals, albedo = video.scene(64, 96)
+    lights = [video.direction(np.pi * k / 6, 0.5 + 0.04 * k) for k in range(12)]
+    video.write_video(
+        tmp_path / "lamp.mkv", [video.rec709(video.lit(normals, albedo, light)) for light in lights], "FFV1"
+    )
+    ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
+    ready.click(*ready.find_button("irpso.choose_photographs"))
+    choose_in_browser(ready, tmp_path)
+    photographs = str(tmp_path / "lamp_photographs")
+    ready.wait(f"__import__('os').path.isdir({photographs!r})", timeout=120)
+    ready.settle()
+    ready.screenshot("finding lights: photographs of a video")
+    assert len(list((tmp_path / "lamp_photographs").glob("*.png"))) == 12
+    ready.key("Escape")
 
 
 def test_the_dialog_finds_near_lamps_over_a_flat_card(ready, tmp_path):

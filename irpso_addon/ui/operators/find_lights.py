@@ -29,6 +29,7 @@ from ..session import session
 from ..session.scene_capture import knows_distance, spec_of
 from ..session.shading_lights import WAYS, ShadingRequest, known_mesh, shading_light_steps
 from .capture_import import begin_check, capture_at
+from .video import is_video
 
 _KINDS = (
     ("auto", "Automatic", "Mirror balls if any are found, else matte ones. For a mask or a circle choose the kind"),
@@ -79,7 +80,8 @@ def _camera_names(operator, context, text: str) -> tuple[str, ...]:
 
 
 class ChoosePhotographs(bpy.types.Operator):
-    """Choose the folder of photographs of one subject, each under another lamp; their lights are found next"""
+    """Choose the folder of photographs of one subject, each under another lamp, or a video of a lamp that is carried
+    around it; their lights are found next"""
 
     bl_idname = "irpso.choose_photographs"
     bl_label = "Choose Photographs"
@@ -88,6 +90,7 @@ class ChoosePhotographs(bpy.types.Operator):
     filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     filter_image: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_movie: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
@@ -101,12 +104,15 @@ class ChoosePhotographs(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context):
-        """Open the dialog of Find Lights for the chosen folder."""
+        """Open the dialog of Find Lights for the chosen folder; make photographs of a video first."""
         try:
-            path = capture_at(absolute(self.filepath or self.directory, "Photographs"))
+            chosen = absolute(self.filepath or self.directory, "Photographs")
         except InputError as error:
             return failures.refused(self, error)
-        bpy.ops.irpso.find_lights("INVOKE_DEFAULT", photographs=str(path))
+        if is_video(chosen):
+            bpy.ops.irpso.photographs_of_video(filepath=str(chosen))
+        else:
+            bpy.ops.irpso.find_lights("INVOKE_DEFAULT", photographs=str(capture_at(chosen)))
         return {"FINISHED"}
 
 
@@ -272,6 +278,8 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         source = absolute(self.photographs, "Photographs")
         if not source.exists():
             raise InputError(f"{source}: does not exist; choose the folder of the photographs")
+        if is_video(source):
+            raise InputError(f"{source}: is no folder of photographs; choose Photographs of a Video first")
         self._same = settings.capture_path != "" and absolute(settings.capture_path, "Capture") == source
         return source, spec_of(settings) if self._same else read_photographs(source, settings.colour_space, masks)
 

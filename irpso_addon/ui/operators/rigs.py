@@ -133,6 +133,8 @@ class IRPSO_MT_photographs(bpy.types.Menu):
     def draw(self, context) -> None:
         """Draw the entries."""
         layout = self.layout
+        layout.operator("irpso.photographs_of_video", text="Photographs of a Video…", icon="FILE_MOVIE")
+        layout.separator()
         layout.operator("irpso.develop", text="Develop…", icon="IMAGE_DATA")
         layout.operator("irpso.mark_chart", icon="EYEDROPPER")
         layout.separator()
