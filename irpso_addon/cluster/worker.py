@@ -186,7 +186,7 @@ class Worker:
         return Maps(self.model, values, self.domain.solvable, whole["residual"], deviations, alternatives=alternatives)
 
     def separation(self) -> np.ndarray | None:
-        """Return the separation of indirect light by its colour, as RecoveryEngine.separation."""
+        """Return the separation of indirect light, as RecoveryEngine.separation."""
         found = None if self._pool is None else self._pool.active.separation
         own = {} if self._pool is None or found is None else {"own": found[own_of(self._pool.tiles[0].domain)]}
         return self._pasted(own if self._pool is not None else None).get("own")

@@ -135,7 +135,7 @@ class RecoveryEngine(ABC):
 
     @property
     def separation(self) -> np.ndarray | None:
-        """(H, W, 5) float32 by which indirect light was separated by its colour (state/separation.py); None: nowhere.
+        """(H, W, SEPARATED) float32 by which indirect light was separated (state/separation.py); None: nowhere.
 
         The same array as long as it is.
         """
@@ -145,7 +145,7 @@ class RecoveryEngine(ABC):
         """Return the light that was taken off a photograph before the maps were found, (H, W, 3) or 0."""
         if (separation := self.separation) is None:
             return 0.0
-        direct = SeparatedStack(self.domain.stack, self.domain.intensities, separation)
+        direct = SeparatedStack(self.domain, separation)
         return self.domain.stack.layer(observation)[..., :3] - direct.layer(observation)[..., :3]
 
     def indirect_in(self, domain: Domain) -> Generator[None, None, Callable[[int], np.ndarray | float]]:

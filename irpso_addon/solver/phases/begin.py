@@ -29,7 +29,7 @@ from .refinement import RefinementPhase
 from .separation import SEPARATION, SeparationPhase
 from .sequential_swarm import SequentialSwarmPhase
 from .shared_materials import SharedMaterialsPhase
-from .sheen import SheenPhase
+from .sheen import CHOSEN, SheenPhase
 from .spatial_prior import SpatialPriorPhase
 from .surface import SurfacePhase
 from .synchronous_swarm import SynchronousSwarmPhase
@@ -39,7 +39,7 @@ _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2
 # What prefits and the phases between them measure, by name, and the kind of stage that does.
 MEASURED = {
     FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, SHADOW: ResolvedIndirect,
-    SEPARATION: ResolvedSeparation,
+    SEPARATION: ResolvedSeparation, CHOSEN: ResolvedSheen,
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The separation of direct from indirect light by its colour, where a subject of one colour throws light on itself."""
+"""The separation of direct from indirect light: by colour where a subject has one, else by what shadows show."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.prepare import lambert_steps
-from ..state.separation import SeparatedStack, direct_chroma, evidence_of, separation_steps
+from ..state.separation import SeparatedStack, by_shadows, direct_chroma, evidence_of, separation_steps
+from ..state.shadow_light import shadow_light_steps
 from ..state.textures import SEPARATED, SOLVED, DomainTextures, Estimates, texel_states
 from .indirect import SHADOW
 from .mixture import sampled
 from .phase import Phase
 from .prefit import adopt_pass, adopt_where
+from .sheen import CHOSEN
 
 SEPARATION = "prefit_separation"
 REACH = 1  # an iteration that needs the whole domain's sample has a reach
@@ -27,8 +29,9 @@ REACH = 1  # an iteration that needs the whole domain's sample has a reach
 class SeparationPhase(Phase):
     """A Phase of one iteration: the chroma of direct light from a sample of the domain, then each texel's own two.
 
-    Its result is the estimates with the normals of a Lambertian fit to the direct light where it is separated: those
-    that the light of other surfaces led astray are no begin for the prefit that follows. measured: by prefits before.
+    Where these do not tell, the texel's shadows are asked. Its result is the estimates with the normals of a Lambertian
+    fit to the direct light where it is separated: those that the light of other surfaces led astray are no begin for
+    the prefit that follows. measured: by prefits before.
     """
 
     placed = False  # until it has ended: it shows nothing of its own
@@ -47,6 +50,8 @@ class SeparationPhase(Phase):
         self._model, self._least, self._domain = model, schedule.prefit.indirect_share, domain
         self._estimates, self._known = estimates, measured
         self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
+        # Of velvet, lit from the side, a badly fit normal would take the lit half for the shadow.
+        self._sheen = domain.packing.unpack(measured.get(CHOSEN, np.zeros_like(domain.scale))) > 0
         self._sample: np.ndarray | None = None
         self._separation = np.zeros((*domain.domain.shape, SEPARATED), np.float32)
         self._adopt = adopt_pass(model, domain.defines)
@@ -83,7 +88,16 @@ class SeparationPhase(Phase):
         if direct is not None:
             steps = separation_steps(self._domain.domain, self._indirect, direct, self._least)
             self._separation = yield from map_steps(steps, lambda part: None)
+        told = self._separation[..., 0] > 0
+        asked = shadow_light_steps(self._domain.domain, self._normals(), ~(told | self._sheen), self._least)
+        shown = by_shadows(*(yield from map_steps(asked, lambda part: None)))
+        self._separation = np.where(told[..., None], self._separation, shown)
         self.iteration += 1
+
+    def _normals(self) -> np.ndarray:
+        """(H, W, 3) the estimates' normals."""
+        values = self._estimates.values(resolved=False)
+        return self._domain.packing.unpack(next(values[p.name] for p in self._model.parameters if p.is_normal))
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals of the direct light into the resolved estimates."""
@@ -92,17 +106,18 @@ class SeparationPhase(Phase):
             self._estimates.accept()  # what is accepted twice is as it was
             return
         domain, packing = self._domain.domain, self._domain.packing
-        chosen = domain.solvable & (self._separation[..., 0] > 0)
-        separated = SeparatedStack(domain.stack, domain.intensities, self._separation)
+        chosen = domain.solvable & (self._separation[..., 2] > 0)
+        separated = SeparatedStack(domain, self._separation)
         steps = lambert_steps(replace(domain, stack=separated, solvable=chosen))
         normal, _ = yield from map_steps(steps, lambda part: None)
         held = self._domain, self._estimates, self._model
         yield from adopt_where(self._adopt, bands, *held, packing.pack(chosen), packing.pack(normal))
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what is known by name, packed: with (h, w, 5) of ``separation_of``."""
+        """Return what is known by name, packed: with (h, w, SEPARATED) by which light was separated, if any was."""
         yield
-        return {**self._known, SEPARATION: self._domain.packing.pack(self._separation)}
+        found = {SEPARATION: self._domain.packing.pack(self._separation)} if self._separation.any() else {}
+        return {**self._known, **found}
 
     def halo(self) -> np.ndarray:
         """Return (H, W, 1) zeros: neighbours read nothing of each other."""

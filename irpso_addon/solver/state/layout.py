@@ -11,7 +11,7 @@ from .packing import Packing
 from .phase_textures import Atlas, plan_atlas
 from .textures import SOLVED, packed_states
 
-_FLAT = frozenset({"prefit_fitness", "prefit_shadow"})  # arrays without channels
+_FLAT = frozenset({"prefit_fitness", "prefit_shadow", "prefit_sheen_chosen"})  # arrays without channels
 _TABLE = "phase_materials"  # no rows of texels; a phase without it computes it again
 
 # SplitMix64 (Steele, Lea and Flood 2014, Fast Splittable Pseudorandom Number Generators).

@@ -125,7 +125,7 @@ def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, in
         return sums, int(np.count_nonzero(counted))
     for _, texels in chunks(domain):
         mean = _irradiance(domain, texels).mean(axis=-1)
-        values = (_over_lights(mean) / len(mean)).astype(np.float32)[counted[texels]]
+        values = (over_lights(mean) / len(mean)).astype(np.float32)[counted[texels]]
         mantissa, exponent = np.frexp(values)
         np.add.at(sums, exponent - _LEAST_EXPONENT, (mantissa * 2.0**24).astype(np.int64))
         count += len(values)
@@ -249,7 +249,7 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
         kept = np.where(count >= 3, kept, lit)
         count = kept.sum(axis=0)
     kept = kept.astype(np.float64)
-    gram, right = _normal_equations(vectors, kept, grey)
+    gram, right = normal_equations(vectors, kept, grey)
     # 1e-9 of the trace: an answer for lights in a plane too, where it is the shortest of many.
     gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
     scaled = np.linalg.solve(gram, right[..., None])[..., 0]
@@ -264,8 +264,8 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
         every = lights[..., channel].all()
         shading = cosine if every else cosine * lights[..., channel]
         if squares is None or not every:
-            squares = _over_lights(shading**2)
-        albedo[:, channel] = _over_lights(shading * shade) / np.maximum(squares, 1e-8)
+            squares = over_lights(shading**2)
+        albedo[:, channel] = over_lights(shading * shade) / np.maximum(squares, 1e-8)
         squares = squares if every else None
     return normal.astype(np.float32), albedo
 
@@ -280,15 +280,18 @@ def _shade(samples: np.ndarray, seen: np.ndarray, channel: int, irradiance: np.n
     return np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=lights)
 
 
-def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 3, 3) Σ w l lᵀ and (T, 3) Σ w l v over K lights."""
-    sums, right = np.zeros((6, weight.shape[1])), np.zeros((3, weight.shape[1]))
-    columns = vectors.transpose(0, 2, 1)
-    first, second = np.triu_indices(3)
+def normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (T, n, n) Σ w l lᵀ and (T, n) Σ w l v over K lights.
+
+    vectors: (K, T or 1, n). weight, values: (K, T).
+    """
+    columns, size = vectors.transpose(0, 2, 1), vectors.shape[-1]
+    first, second = np.triu_indices(size)
+    sums, right = np.zeros((len(first), weight.shape[1])), np.zeros((size, weight.shape[1]))
     for vector, w, v in zip(columns, weight, weight * values, strict=True):
         sums += vector[first] * vector[second] * w
         right += vector * v
-    gram = np.empty((weight.shape[1], 3, 3))
+    gram = np.empty((weight.shape[1], size, size))
     gram[:, first, second] = gram[:, second, first] = sums.T
     return gram, right.T
 
@@ -298,8 +301,8 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
 
 
-def _over_lights(values: np.ndarray) -> np.ndarray:
-    """(T,) sums of (K, T) over the lights."""
+def over_lights(values: np.ndarray) -> np.ndarray:
+    """Return (T,) sums of (K, T) over the lights, one after another."""
     total = np.zeros(values.shape[1], np.float64)
     for value in values:
         total += value

@@ -1,4 +1,4 @@
-"""Direct and indirect light, separated by their colour.
+"""Direct and indirect light, separated by their colour, or by what shadows show (shadow_light.py).
 
 Light that one coloured surface throws on another of its kind is coloured twice: of brass whose direct light has the
 chroma u, it has about u², after more bounces u³ and so on. So a sample in a hollow is a mixture of u, u² and u⁴
@@ -17,12 +17,13 @@ import numpy as np
 
 from ...core.optional import present
 from ...core.steps import at_once
-from ...geometry.domain import Domain
+from ...geometry.domain import Domain, subset, with_lights
 from ...geometry.samples import SampleStack
 from ...gpu.library import defined
 from ..settings.schedule import Schedule
-from .prepare import Prepared, Texels, chunk_steps, percentiles, scale_steps
-from .textures import SEPARATED, DomainTextures
+from .prepare import Prepared, Texels, chunk_steps, light_vectors, over_lights, percentiles, scale_steps
+from .shadow_light import light_of
+from .textures import HARMONICS_AT, SEPARATED, DomainTextures
 
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
@@ -75,8 +76,8 @@ def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None
 def separation_steps(
     domain: Domain, indirect: np.ndarray, direct: np.ndarray, least: float
 ) -> Generator[float, None, np.ndarray]:
-    """Return (H, W, 5) float32: red and green of the chroma of a texel's direct light, the same of its light after one
-    bounce more, and the part of the texel's light that is indirect by them.
+    """Return (H, W, SEPARATED) float32: red and green of the chroma of a texel's direct light, the same of its light
+    after one bounce more, and the part of the texel's light that is indirect by them; then zeros.
 
     0 where neither the shading tells of indirect light nor the colour of the part ``least`` of it. indirect: (H, W)
     bool by the shading. direct: (3,) from ``direct_chroma``. Yields the part that is done.
@@ -92,9 +93,9 @@ def separation_steps(
         own = np.where(hollow | ~known, 1.0, np.maximum(own, 1.0))[:, None]
         pair = np.concatenate([_chroma(direct**power)[:, :2] for power in (own, own + 1)], axis=-1, dtype=np.float32)
         light = _radiance(samples, domain.intensities) * (samples[..., 3:] > 0)
-        left = _over_lights(_without(light, pair)) / np.maximum(_over_lights(light), 1e-30)
+        left = _all_light(_without(light, pair)) / np.maximum(_all_light(light), 1e-30)
         chosen = known & (hollow | (1 - left >= least))
-        result[texels] = np.where(chosen[:, None], np.column_stack([pair, 1 - left]), 0)
+        result[(*texels, slice(HARMONICS_AT))] = np.where(chosen[:, None], np.column_stack([pair, 1 - left]), 0)
 
     yield from chunk_steps(domain, work)
     return result
@@ -103,28 +104,39 @@ def separation_steps(
 separation_of = at_once("separation_of", separation_steps)
 
 
+def by_shadows(coefficients: np.ndarray, chroma: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return (H, W, SEPARATED) float32 of what ``shadow_light`` returns.
+
+    Red and green of the light's chroma, zeros in place of a second one, its share, and the coefficients.
+    """
+    told = share > 0
+    ends = np.where(told[..., None], np.maximum(chroma[..., :2], 1e-6), 0), np.zeros((*told.shape, 2))
+    return np.concatenate([*ends, share[..., None], coefficients], axis=-1, dtype=np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class SeparatedStack:
-    """A ``SampleStack`` of the direct light in another. Bounds, and samples of no weight, stay.
+    """A ``SampleStack`` of the direct light in a domain's. Bounds, and samples of no weight, stay.
 
-    separation: (H, W, 5) as from ``separation_of``. intensities: (K, 3) of the lights.
+    separation: (H, W, SEPARATED) as from ``separation_of`` or ``by_shadows``.
     """
 
-    stack: SampleStack
-    intensities: np.ndarray
+    domain: Domain
     separation: np.ndarray
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(K, H, W)."""
-        return self.stack.shape
+        return self.domain.stack.shape
 
     def layer(self, observation: int) -> np.ndarray:
         """Return (H, W, 4) the samples of one observation."""
         rows, columns = np.nonzero(self.separation[..., 0])
-        layer = self.stack.layer(observation).copy()
-        part = self.separation[rows, columns]
-        layer[rows, columns] = _direct(layer[rows, columns][None], self.intensities[observation][None], part)[0]
+        layer = self.domain.stack.layer(observation).copy()
+        one = slice(observation, observation + 1)
+        domain = with_lights(self.domain, self.domain.lights[one], self.domain.intensities[one])
+        samples, separation = layer[rows, columns][None], self.separation[rows, columns]
+        layer[rows, columns] = _direct(domain, (rows, columns), samples, separation)[0]
         return layer
 
     def layers(self) -> Iterator[np.ndarray]:
@@ -133,7 +145,7 @@ class SeparatedStack:
 
     def another(self, scratch: Path | None = None) -> SampleStack:
         """Return a stack of zeros of its shape, in a store of its kind."""
-        return self.stack.another(scratch)
+        return self.domain.stack.another(scratch)
 
     def put(self, observation: int, layer: np.ndarray) -> None:
         """Raise TypeError: it is a view."""
@@ -141,44 +153,65 @@ class SeparatedStack:
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (K, N, 4) the samples at N texels."""
-        return _direct(self.stack.texels(rows, columns), self.intensities, self.separation[rows, columns])
+        samples = self.domain.stack.texels(rows, columns)
+        return _direct(self.domain, (rows, columns), samples, self.separation[rows, columns])
 
     def subset(self, observations: np.ndarray) -> SeparatedStack:
         """Return the stack of some observations."""
-        return SeparatedStack(self.stack.subset(observations), self.intensities[observations], self.separation)
+        return SeparatedStack(subset(self.domain, observations, self.domain.solvable), self.separation)
 
     def window(self, rows: slice, columns: slice) -> SeparatedStack:
         """Return the texels of a window."""
-        return SeparatedStack(self.stack.window(rows, columns), self.intensities, self.separation[rows, columns])
+        part = rows, columns
+        domain = replace(
+            self.domain, bake=self.domain.bake.each(lambda values: values[part]), stack=self.domain.stack.window(*part)
+        )
+        return SeparatedStack(domain, self.separation[part])
 
     def lit(self, coverage: np.ndarray) -> np.ndarray:
         """Return (H, W) bool: covered texels that at least one observation sees lit, directly or not."""
-        return self.stack.lit(coverage)
+        return self.domain.stack.lit(coverage)
 
 
 def separated_steps(
     domain: Domain, held: DomainTextures, separation: np.ndarray, schedule: Schedule
 ) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
-    """Return textures, and the stack to give to them, of a domain's direct light by (h, w, 5); of all light by 0.
+    """Return textures, and the stack to give to them, of a domain's direct light by (h, w, n); of all light by 0.
 
     held: textures of the domain, by another separation. Yields the part that is done of one sweep after another.
     """
     if separation.any():
         unpacked = held.packing.unpack(separation)
-        domain = replace(domain, stack=SeparatedStack(domain.stack, domain.intensities, unpacked))
+        domain = replace(domain, stack=SeparatedStack(domain, unpacked))
     scale = yield from scale_steps(domain, schedule.fitness.percentile)
     prepared = yield from Prepared(scale, {}, held.brightness).packing_steps(domain, schedule)
     numbers = held.packing.pack(scale), held.brightness, prepared.arrays
     return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)
 
 
-def _direct(samples: np.ndarray, intensities: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return samples (K, T, 4) without the indirect light. intensities: (K, 3); separation: (T, 4 or 5)."""
-    separated = (separation[:, 0] > 0) & (samples[..., 3] > 0)
-    direct = _without(_radiance(samples, intensities), separation) * intensities[:, None]
-    result = samples.copy()
-    result[..., :3] = np.where(separated[..., None], direct, samples[..., :3])
+def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
+    """Return samples (K, T, 4) of a domain's T texels without the indirect light. separation: (T, SEPARATED)."""
+    result, coloured = samples.copy(), separation[:, 2] > 0
+    for chosen, without in ((coloured, _without_bounces), (~coloured & (separation[:, 0] > 0), _without_sent)):
+        if chosen.any():
+            rows, columns = texels
+            part = samples[:, chosen]
+            direct = without(domain, (rows[chosen], columns[chosen]), part, separation[chosen])
+            result[:, chosen, :3] = np.where(part[..., 3:] > 0, direct, part[..., :3])
     return result
+
+
+def _without_bounces(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
+    """Return (K, T, 3) radiance without light of the chromas of indirect light."""
+    return _without(_radiance(samples, domain.intensities), separation) * domain.intensities[:, None]
+
+
+def _without_sent(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
+    """Return (K, T, 3) radiance without the light that shadows show."""
+    vectors, irradiance = light_vectors(domain, texels)
+    chroma = _completed(separation[:, :2].astype(np.float64))
+    sent = light_of(vectors, separation[:, HARMONICS_AT:].astype(np.float64), chroma) * irradiance
+    return np.maximum(np.nan_to_num(samples[..., :3]) - sent, 0)
 
 
 def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
@@ -277,9 +310,6 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
 
 
-def _over_lights(light: np.ndarray) -> np.ndarray:
+def _all_light(light: np.ndarray) -> np.ndarray:
     """Return (T,) sums of (K, T, 3) over lights and channels, one light after another."""
-    total = np.zeros(light.shape[1])
-    for each in light:
-        total += (each[:, 0] + each[:, 1]) + each[:, 2]
-    return total
+    return over_lights((light[..., 0] + light[..., 1]) + light[..., 2])

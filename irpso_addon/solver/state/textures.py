@@ -17,7 +17,7 @@ from .packing import Packing
 
 UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # the fitness of what was never evaluated
 OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
-SEPARATED = 5  # numbers of a texel's separation (separation.py)
+HARMONICS_AT, SEPARATED = 5, 14  # numbers of a texel's separation (separation.py): before the harmonics, and all
 
 
 class DomainTextures:
@@ -26,7 +26,7 @@ class DomainTextures:
     stack: (K, h, w, 4) the packed sample stack to use, weights and all; None where ``give_stack`` brings it later: that
     alone takes 0.1 s for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default
     the lights' mean intensity. arrays: of ``domain_arrays``, where they have been found already.
-    separation: (h, w, 5) by which its samples are of direct light alone (separation.py); 0 where of all.
+    separation: (h, w, SEPARATED) by which its samples are of direct light alone (separation.py); 0 where of all.
     """
 
     def __init__(

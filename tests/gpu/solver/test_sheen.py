@@ -101,7 +101,8 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     ratio = np.where(second < 0.9 * first, np.float32(SHEEN.prefit.acceptance_ratio), 1)
     wanted = np.where(chosen, second / ratio, first)
     np.testing.assert_allclose(known["prefit_fitness"][inside], wanted[inside], rtol=1e-6)
-    assert set(known) == {"prefit_fitness"}
+    np.testing.assert_array_equal(known["prefit_sheen_chosen"][inside], chosen[inside])
+    assert set(known) == {"prefit_fitness", "prefit_sheen_chosen"}
 
 
 SHORT = SHEEN.replaced(iterations=2, prefit_iterations=4, prefit_refinement_iterations=3, prefit_indirect_shadow=0.5)

@@ -8,6 +8,7 @@ from scipy.optimize import nnls
 
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.solver.state.separation import SeparatedStack, direct_chroma, evidence_of, separation_of
+from irpso_addon.solver.state.textures import SEPARATED
 from tests.builders.domains import make_domain
 
 BRASS = np.array([0.5, 0.33, 0.17])
@@ -50,7 +51,7 @@ def test_a_hollow_of_brass_is_left_with_its_direct_light():
     chroma, separation = found(domain, where)
     np.testing.assert_allclose(chroma, BRASS, atol=2e-3)
     np.testing.assert_array_equal(separation[..., 0] > 0, where)
-    left = SeparatedStack(domain.stack, domain.intensities, separation)
+    left = SeparatedStack(domain, separation)
     for observation in range(LIGHTS):
         light = left.layer(observation)[..., :3] / domain.intensities[observation]
         np.testing.assert_allclose(light, direct[observation], atol=0.004)
@@ -63,8 +64,8 @@ def test_samples_match_non_negative_least_squares():
     domain = seen(rng.uniform(0, 1, (LIGHTS, 3, 5, 3)) ** 2)
     own = chroma_of(rng.uniform(0.1, 1, (3, 5, 3)))
     chromas = np.stack([own, chroma_of(own * BRASS), chroma_of(own * BRASS**3)], axis=-2)
-    separation = np.float32(chromas[..., :2, :2].reshape(3, 5, 4))
-    left = SeparatedStack(domain.stack, domain.intensities, separation)
+    separation = np.pad(np.float32(chromas[..., :2, :2].reshape(3, 5, 4)), ((0, 0), (0, 0), (0, SEPARATED - 4)))
+    left = SeparatedStack(domain, separation)
     light, some = domain.stack.values[..., :3] / domain.intensities[:, None, None].astype(np.float64), 0
     for k, y, x in np.ndindex(LIGHTS, 3, 5):
         parts, _ = nnls(chromas[y, x].T, light[k, y, x])
@@ -82,7 +83,7 @@ def test_bounds_and_samples_of_no_weight_stay():
     values = domain.stack.values.copy()
     values[0, ..., 3], values[1, ..., 3], values[1, ..., :3] = -2.5, 0, np.nan
     domain = with_samples(domain, values)
-    left = SeparatedStack(domain.stack, domain.intensities, found(domain, where)[1])
+    left = SeparatedStack(domain, found(domain, where)[1])
     for observation in (0, 1):
         np.testing.assert_array_equal(left.layer(observation), domain.stack.layer(observation))
     assert (left.layer(2)[where] != domain.stack.layer(2)[where]).any()

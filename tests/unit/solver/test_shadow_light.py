@@ -1,0 +1,122 @@
+"""Light that a texel is sent, told by its shadows: against the light that was put there, and scipy's fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from irpso_addon.geometry.domain import with_samples
+from irpso_addon.solver.state.separation import SeparatedStack, by_shadows
+from irpso_addon.solver.state.shadow_light import harmonics, light_of, shadow_light
+from tests.builders.domains import make_domain, unit
+
+LIGHTS, SHAPE = 96, (3, 8)
+CHROMA = np.array([0.5, 0.3, 0.2])
+
+
+def hollow(near=False, card=True, noise=0.0, strength=1.0):
+    """Return (domain, normals, direct light, sent light): the left half of matt texels stands beside a wall.
+
+    The wall hides them from lamps of one side, and sends them light that changes with the lamp's direction.
+    """
+    rng = np.random.default_rng(6)
+    domain = make_domain(*SHAPE, observations=LIGHTS, near=near, card=card, colored=True, holes=False)
+    toward = domain.lights[:, None, None, :3] - near * domain.bake.position
+    squared = (toward**2).sum(axis=-1, keepdims=True) if near else 1
+    toward, frame = unit(toward), domain.bake.frames().swapaxes(-1, -2)
+    local = np.einsum("khwi,hwij->khwj", toward, frame)
+    normal = unit(rng.normal(size=(*SHAPE, 3)) * 0.3 + (0, 0, 1))
+    inside = np.broadcast_to(np.arange(SHAPE[1]) < SHAPE[1] // 2, SHAPE)
+    direct = np.maximum((local * normal).sum(axis=-1), 0) * ~(inside & (local[..., 0] > 0.3))
+    sent = strength * inside * (0.03 + 0.015 * local[..., 0] + 0.01 * local[..., 0] * local[..., 1])
+    direct = direct[..., None] * rng.uniform(0.5, 0.9, (*SHAPE, 3))
+    sent = sent[..., None] * 3 * CHROMA
+    irradiance = domain.intensities[:, None, None] / squared
+    stack = np.ones((LIGHTS, *SHAPE, 4))
+    stack[..., :3] = (direct + sent) * irradiance * (1 + noise * rng.normal(size=(LIGHTS, *SHAPE, 1)))
+    return with_samples(domain, np.float32(stack)), normal, direct * irradiance, sent * irradiance, inside
+
+
+def found(domain, normal, sought=None, least=0.05):
+    return shadow_light(domain, normal, np.ones(domain.shape, bool) if sought is None else sought, least)
+
+
+@pytest.mark.parametrize(("near", "card"), [(False, True), (True, True), (False, False), (True, False)])
+def test_what_is_left_is_the_direct_light(near, card):
+    domain, normal, direct, sent, inside = hollow(near, card)
+    coefficients, chroma, share = found(domain, normal)
+    told = share > 0.05  # on a bumpy mesh the wall hides some texels from few lamps
+    assert told[inside].mean() >= (1 if card else 0.75) and not share[~inside].any() and not coefficients[~told].any()
+    np.testing.assert_allclose(chroma[told], np.broadcast_to(CHROMA, (told.sum(), 3)), atol=1e-3)
+    left, errors = SeparatedStack(domain, by_shadows(coefficients, chroma, share)), []
+    for observation in range(LIGHTS):
+        errors.append(left.layer(observation)[..., :3] - direct[observation])
+        np.testing.assert_array_equal(left.layer(observation)[~inside], domain.stack.layer(observation)[~inside])
+    # Where lamps reach, the light is extrapolated: what is left of it there is most of the error.
+    assert np.abs(np.stack(errors)[:, told]).mean() < 0.35 * sent[:, told].mean()
+    rows, columns = np.nonzero(inside)
+    layers = np.stack([left.layer(k)[rows, columns] for k in range(LIGHTS)])
+    np.testing.assert_array_equal(left.texels(rows, columns), layers)
+    np.testing.assert_array_equal(left.subset(np.array([3, 5])).layer(1), left.layer(5))
+    part = slice(1, 3), slice(2, 6)
+    np.testing.assert_array_equal(left.window(*part).layer(7), left.layer(7)[part])
+
+
+def test_the_fit_is_that_of_scipy():
+    domain, normal, _, _, inside = hollow(noise=0.05)
+    coefficients, chroma, _ = found(domain, normal)
+    vectors = domain.lights[:, :3].astype(np.float64)
+    basis = harmonics(vectors)
+    for row, column in np.argwhere(inside)[::3]:
+        grey = (domain.stack.values[:, row, column, :3] / domain.intensities).mean(axis=-1).astype(np.float64)
+        lit = (vectors @ normal[row, column] >= 0) & (vectors[:, 0] <= 0.3)
+        dark, bright = ~lit, np.percentile(grey, 95)
+
+        def errors(x, dark=dark, grey=grey, bright=bright):
+            ridge = np.sqrt(np.array([1e-3, *[0.1] * 8]) * 0.02 * bright) * x
+            return np.concatenate([np.sqrt(np.abs(grey - basis @ x)[dark] + 1e-12), ridge])
+
+        best = least_squares(errors, coefficients[row, column], loss="linear").x
+        mine, other = (light_of(vectors[:, None], x[None], np.full((1, 3), 1 / 3))[dark, 0, 0]
+                       for x in (coefficients[row, column].astype(np.float64), best))  # fmt: skip
+        assert np.abs(mine - other).mean() < 0.05 * grey[dark].mean()
+
+
+@pytest.mark.parametrize("why", ["no shadows", "noise", "a light lacks a channel", "too little", "not sought"])
+def test_where_shadows_do_not_tell_nothing_is_taken_off(why):
+    domain, normal, _, _, inside = hollow(strength=0.05 if why == "too little" else 1.0)
+    sought, values = np.ones(SHAPE, bool), domain.stack.values.copy()
+    if why == "no shadows":
+        values[(domain.lights[:, 0] > 0.3) | (domain.lights[:, 2] < 0.75), ..., 3] = 0
+    elif why == "noise":
+        values[..., :3] *= np.random.default_rng(1).lognormal(0, 2, (LIGHTS, *SHAPE, 1))
+    elif why == "a light lacks a channel":
+        domain = replace(domain, intensities=domain.intensities * (np.arange(LIGHTS) != 4)[:, None].astype(np.float32))
+    elif why == "not sought":
+        sought = ~inside
+    _, _, share = found(with_samples(domain, values), normal, sought, 0.05)
+    assert not share.any()
+
+
+def test_bounds_and_samples_of_no_weight_neither_tell_nor_change():
+    domain, normal, _, _, inside = hollow()
+    values = domain.stack.values.copy()
+    values[0, ..., 3], values[1, ..., 3], values[1, ..., :3] = -2.5, 0, np.nan
+    domain = with_samples(domain, values)
+    coefficients, chroma, share = found(domain, normal)
+    assert (share[inside] > 0.05).all() and np.isfinite(coefficients).all()
+    left = SeparatedStack(domain, by_shadows(coefficients, chroma, share))
+    for observation in (0, 1):
+        np.testing.assert_array_equal(left.layer(observation), domain.stack.layer(observation))
+    assert (left.layer(2)[inside] != domain.stack.layer(2)[inside]).any()
+
+
+def test_a_texel_is_told_by_itself_alone():
+    domain, normal, _, _, _ = hollow()
+    whole = found(domain, normal)
+    for column in range(SHAPE[1]):
+        sought = np.zeros(SHAPE, bool)
+        sought[1, column] = True
+        for part, all_of_it in zip(found(domain, normal, sought), whole, strict=True):
+            np.testing.assert_array_equal(part[1, column], all_of_it[1, column])
