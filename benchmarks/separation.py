@@ -1,10 +1,10 @@
-"""Hollows of one colour, recovered with and without separating their indirect light by its colour.
+"""Hollows, recovered with and without separating their indirect light, by its colour or by what shadows show.
 
 Usage: python -m benchmarks.separation [--quick] [--again] [--output FOLDER]
 
 Cycles photographs each subject (benchmarks/scenes/catalogue.py) under 96 lights with four bounces, and with none, from
 which the oracle is recovered. The mesh is not given. The limits of the separation were set with all subjects in view
-but two, which are marked; its chromas were chosen on the goblet of brass.
+but four, which are marked; its chromas were chosen on the goblet of brass.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from irpso_addon.results.read import read_maps
 _SIZE, _QUICK = (160, 134), (40, 34)
 _BOUNCES = 4
 _CACHE = report.CACHE.parent / "separation"
-_UNSEEN = "goblet, rose, matt", "fruits, bronze"
+_UNSEEN = "goblet, rose, matt", "goblet, two glazes", "fruits, bronze", "fruits, marble"
 _ORACLE = "oracle"
 _RUNS = {"off": ("--set", "prefit_indirect_share=0"), "standard": (), _ORACLE: ()}  # name → arguments
 _WIDEST = 0.999 * np.pi / 2  # deviations of normals that no photograph tells
@@ -94,8 +94,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " known. Cells: *standard* with `prefit_indirect_share=0` → *standard* (oracle: *standard*, from pictures"
         " without bounces). *Separated*: texels whose indirect light was separated. *Unknown*: texels"
         " whose normal the maps call unknown. Chroma: the sum of the differences of red, green and blue over their sum."
-        " † looked at only here; with the others in view the limits were set. Where nothing is separated, the subject"
-        " shows several colours, or what its shading calls indirect light is not coloured twice.",
+        " † looked at only here; with the others in view the limits were set. Where a subject shows its one colour"
+        " twice, colour separates; elsewhere a texel's own shadows tell its indirect light.",
         "",
         *report.table(heads, lines),
     ]
@@ -113,7 +113,9 @@ def headline(data: dict[str, Any]) -> str:
     return f"{first['subject']}: {', '.join(tilts)} (without, with, oracle)"
 
 
-PROGRAM = report.Program("separation", "Indirect light separated by its colour", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "separation", "Indirect light separated by colour and by shadows", __file__, measure, write, headline
+)
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

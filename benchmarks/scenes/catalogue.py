@@ -51,18 +51,20 @@ def _made_scenes() -> dict[str, Scene]:
 
 
 def hollow_scenes() -> dict[str, Scene]:
-    """Return name → scene: hollows of one colour, and such as only look so."""
+    """Return name → scene: hollows of one colour, of several, and of none."""
     brass, mixed = (_made_scenes()[name] for name in ("goblet_satin", "harvest_concave"))
     goblets = {
         "copper": Finish(((0.95, 0.6, 0.5), (0.8, 0.45, 0.35)), (0.35, 0.35), 1.0),
         "rose, matt": Finish(((0.8, 0.4, 0.4), (0.7, 0.3, 0.32)), (0.7, 0.7)),
         "green enamel": Finish(((0.1, 0.45, 0.2), (0.15, 0.35, 0.15)), (0.15, 0.15)),
         "patina": Finish(((0.6, 0.42, 0.22), (0.2, 0.35, 0.28)), (0.5, 0.5), 0.8),
+        "two glazes": Finish(((0.1, 0.25, 0.5), (0.75, 0.65, 0.45)), (0.25, 0.25), specular=0.7),
     }
     fruits = {
         "gold": Finish(((0.85, 0.6, 0.25), (0.7, 0.48, 0.2)), (0.4, 0.4), 1.0),
         "bronze": Finish(((0.6, 0.38, 0.2), (0.5, 0.3, 0.15)), (0.3, 0.3), 0.9),
         "terracotta": Finish(((0.7, 0.35, 0.22), (0.55, 0.25, 0.15)), (0.6, 0.6), specular=0.3),
+        "marble": Finish(((0.7, 0.7, 0.7), (0.45, 0.45, 0.46)), (0.4, 0.4)),
     }
     return {
         "goblet, brass": brass,
