@@ -235,12 +235,25 @@ def _few_ticks(axis: Any) -> None:
         axis.set_major_formatter(FormatStrFormatter("%g"))
 
 
+def _without_bare_groups(svg: str) -> str:
+    """Return a picture without groups that have no attributes."""
+    kept: list[bool] = []  # of each open group
+
+    def tag(found: re.Match[str]) -> str:
+        if found[0] != "</g>":
+            kept.append(found[0] != "<g>")
+            return found[0] if kept[-1] else ""
+        return found[0] if kept.pop() else ""
+
+    return re.sub(r"<g>|<g [^>]*[^/>]>|</g>", tag, svg)
+
+
 def _minified(svg: str) -> str:
     """Return the text of an SVG without what no one sees: comments, unused names, blanks, digits below a tenth."""
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"(\d+\.\d)\d+", r"\1", svg)
-    svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
+    svg = _without_bare_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
     svg = re.sub(r"\s*\n\s*", " ", svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 

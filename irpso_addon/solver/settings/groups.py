@@ -146,8 +146,8 @@ class Prefit:
         " more, to the brightest samples. 0 is off", 0.0, soft_max=1,
     )  # fmt: skip
     indirect_share: float = setting(
-        "Least Indirect Share", "Where a subject of one colour lights itself, light that is coloured twice is taken off"
-        " texels of whose light it is at least this part. 0 is off; needs Shadow Where Indirect", 0.0, most=1,
+        "Least Indirect Share", "Light of other surfaces, told by its double colour or by a texel's own shadows, is"
+        " taken off texels of whose light it is at least this part. 0 is off; needs Shadow Where Indirect", 0.0, most=1,
     )  # fmt: skip
     sheen_gain: float = setting(
         "Sheen Gain", "Where the prefit fits badly, a second prefit has sheen, bright at grazing angles like velvet."

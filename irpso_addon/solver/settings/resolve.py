@@ -115,9 +115,9 @@ class ResolvedIndirect:
 
 @dataclass(frozen=True)
 class ResolvedSeparation:
-    """Separates direct from indirect light by its colour, before the second of these prefits."""
+    """Separates direct from indirect light, by its colour or by shadows, before the second of these prefits."""
 
-    title = "colour of indirect light"
+    title = "separation of indirect light"
     iterations = 1
 
 

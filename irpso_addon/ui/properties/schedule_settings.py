@@ -161,8 +161,7 @@ def _declare() -> None:
         "interreflection": BoolProperty(
             name="Interreflection", get=_has_rounds, set=_switch_rounds,
             description="Find the light that the subject throws on itself, as in a bowl or a fold, take it off the"
-            " photographs, and recover again. On a mesh it takes two to three times the time, on a card four times."
-            " Refused with Levels above 1",
+            " photographs, and recover again. It takes three to six times the time. Refused with Levels above 1",
         ),
         **declared,
     }  # fmt: skip

@@ -192,7 +192,7 @@ def test_changed_constants_apply_from_the_next_iteration(recover):
 
 def test_finished_stages_do_not_run_again(recover):
     first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
-    before = 6  # the prefit, with sheen, two tests, the colour of indirect light, the prefit in it
+    before = 6  # the prefit, with sheen, two tests, the separation of indirect light, the prefit in it
     first.step(iterations=sum(stage.iterations for stage in first._stages[:before]) + 2)
     assert first.progress.stage == before
     second = first.reconfigure(STANDARD.replaced(prefit_iterations=50, iterations=20))
