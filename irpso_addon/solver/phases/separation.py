@@ -29,9 +29,9 @@ REACH = 1  # an iteration that needs the whole domain's sample has a reach
 class SeparationPhase(Phase):
     """A Phase of one iteration: the chroma of direct light from a sample of the domain, then each texel's own two.
 
-    Where these do not tell, the texel's shadows are asked. Its result is the estimates with the normals of a Lambertian
-    fit to the direct light where it is separated: those that the light of other surfaces led astray are no begin for
-    the prefit that follows. measured: by prefits before.
+    Where these do not tell, the shadows of a card's texel are asked. Its result is the estimates with the normals of a
+    Lambertian fit to the direct light where colour separates it: those that the light of other surfaces led astray are
+    no begin for the prefit that follows. measured: by prefits before.
     """
 
     placed = False  # until it has ended: it shows nothing of its own
@@ -89,9 +89,11 @@ class SeparationPhase(Phase):
             steps = separation_steps(self._domain.domain, self._indirect, direct, self._least)
             self._separation = yield from map_steps(steps, lambda part: None)
         told = self._separation[..., 0] > 0
-        asked = shadow_light_steps(self._domain.domain, self._normals(), ~(told | self._sheen), self._least)
-        shown = by_shadows(*(yield from map_steps(asked, lambda part: None)))
-        self._separation = np.where(told[..., None], self._separation, shown)
+        # A mesh casts its shadows itself: what lies in them has no weight, and nothing tells of its light.
+        if self._domain.domain.card:
+            asked = shadow_light_steps(self._domain.domain, self._normals(), ~(told | self._sheen), self._least)
+            shown = by_shadows(*(yield from map_steps(asked, lambda part: None)))
+            self._separation = np.where(told[..., None], self._separation, shown)
         self.iteration += 1
 
     def _normals(self) -> np.ndarray:
