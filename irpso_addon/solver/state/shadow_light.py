@@ -27,6 +27,7 @@ _RIDGE = np.array([1e-3, *[0.1] * (HARMONICS - 1)])
 # What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain.
 _FEWEST = 10  # shadows
 _MOST_UNEXPLAINED = 0.3  # of the light in them
+_MOST_GLOSS = 0.25  # of the light beside them, unlike a matt surface's: metal is dark beside its highlight, too
 
 
 def harmonics(vectors: np.ndarray) -> np.ndarray:
@@ -93,7 +94,11 @@ def _found(domain: Domain, texels: Texels, normal: np.ndarray) -> tuple[np.ndarr
     colour = np.stack([over_lights(weight * light[..., channel]) for channel in range(3)], axis=-1)
     chroma = colour / np.maximum((colour[:, :1] + colour[:, 1:2]) + colour[:, 2:], 1e-30)
     share = over_lights(sent) / np.maximum(over_lights(grey), 1e-30)
+    lit = facing & ~cast
+    (albedo,) = percentiles(np.where(lit, (grey - sent) / np.where(lit, cosine, 1), np.nan), [50.0])
+    gloss = over_lights(np.where(lit, np.abs(grey - sent - np.nan_to_num(albedo) * cosine), 0))
     told = (shadow.sum(axis=0) >= _FEWEST) & (unexplained < _MOST_UNEXPLAINED * dark)
+    told &= gloss < _MOST_GLOSS * over_lights(np.where(lit, grey - sent, 0))
     return coefficients, chroma, np.where(told, share, 0)
 
 

@@ -83,7 +83,7 @@ def test_the_fit_is_that_of_scipy():
         assert np.abs(mine - other).mean() < 0.05 * grey[dark].mean()
 
 
-@pytest.mark.parametrize("why", ["no shadows", "noise", "a light lacks a channel", "too little", "not sought"])
+@pytest.mark.parametrize("why", ["no shadows", "noise", "metal", "a light lacks a channel", "too little", "not sought"])
 def test_where_shadows_do_not_tell_nothing_is_taken_off(why):
     domain, normal, _, _, inside = hollow(strength=0.05 if why == "too little" else 1.0)
     sought, values = np.ones(SHAPE, bool), domain.stack.values.copy()
@@ -91,6 +91,9 @@ def test_where_shadows_do_not_tell_nothing_is_taken_off(why):
         values[(domain.lights[:, 0] > 0.3) | (domain.lights[:, 2] < 0.75), ..., 3] = 0
     elif why == "noise":
         values[..., :3] *= np.random.default_rng(1).lognormal(0, 2, (LIGHTS, *SHAPE, 1))
+    elif why == "metal":  # dark beside its highlight, as if a wall stood there
+        half = unit(domain.lights[:, None, None, :3] + (0, 0, 1))
+        values[..., :3] = 0.02 + ((half * normal).sum(axis=-1, keepdims=True) ** 60) * domain.intensities[:, None, None]
     elif why == "a light lacks a channel":
         domain = replace(domain, intensities=domain.intensities * (np.arange(LIGHTS) != 4)[:, None].astype(np.float32))
     elif why == "not sought":
