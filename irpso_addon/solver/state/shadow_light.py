@@ -81,14 +81,17 @@ def _found(domain: Domain, texels: Texels, normal: np.ndarray) -> tuple[np.ndarr
     grey, basis = ((light[..., 0] + light[..., 1]) + light[..., 2]) / 3, harmonics(vectors)
     cosine = (vectors[..., 0] * normal[:, 0] + vectors[..., 1] * normal[:, 1]) + vectors[..., 2] * normal[:, 2]
     facing, bright = counted & (cosine > _FACING), percentiles(np.where(counted, grey, np.nan), [_BRIGHT])[0]
-    sent = np.zeros_like(grey)
+    sent, weight = np.zeros_like(grey), np.zeros_like(grey)
+    coefficients = np.zeros((grey.shape[1], HARMONICS))
     for _ in range(_ROUNDS):
         left = grey - sent
         (albedo,) = percentiles(np.where(facing, left / np.where(facing, cosine, 1), np.nan), [_LIT])
         cast = facing & (left < _DARK * np.nan_to_num(albedo) * cosine)
         shadow = counted & ((cosine < 0) | cast)
-        coefficients, weight = _fitted(basis, shadow, grey, bright)
-        sent = np.minimum(_mean_of(basis, coefficients), grey)
+        asked = shadow.sum(axis=0) >= _FEWEST
+        own = basis if basis.shape[1] == 1 else basis[:, asked]
+        coefficients[asked], weight[:, asked] = _fitted(own, shadow[:, asked], grey[:, asked], bright[asked])
+        sent[:, asked] = np.minimum(_mean_of(own, coefficients[asked]), grey[:, asked])
     dark = over_lights(np.where(shadow, grey, 0))
     unexplained = over_lights(np.where(shadow, np.abs(grey - sent), 0))
     colour = np.stack([over_lights(weight * light[..., channel]) for channel in range(3)], axis=-1)
@@ -97,7 +100,7 @@ def _found(domain: Domain, texels: Texels, normal: np.ndarray) -> tuple[np.ndarr
     lit = facing & ~cast
     (albedo,) = percentiles(np.where(lit, (grey - sent) / np.where(lit, cosine, 1), np.nan), [50.0])
     gloss = over_lights(np.where(lit, np.abs(grey - sent - np.nan_to_num(albedo) * cosine), 0))
-    told = (shadow.sum(axis=0) >= _FEWEST) & (unexplained < _MOST_UNEXPLAINED * dark)
+    told = asked & (unexplained < _MOST_UNEXPLAINED * dark)
     told &= gloss < _MOST_GLOSS * over_lights(np.where(lit, grey - sent, 0))
     return coefficients, chroma, np.where(told, share, 0)
 
