@@ -149,7 +149,7 @@ def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.
 
     def work(start: int, texels: Texels) -> None:
         samples = domain.stack.texels(*texels)
-        grey = _mean(samples) / _irradiance(domain, texels).mean(axis=-1)
+        grey = grey_of(samples) / _irradiance(domain, texels).mean(axis=-1)
         with np.errstate(all="ignore"):
             (found,) = percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
             scale[texels] = np.where(found > 0, found, 1.0)
@@ -175,7 +175,7 @@ def drop_shadow(
     """
     if fitness.loss != "robust" or fitness.shadow == 0:
         return
-    brightness = _mean(stack)
+    brightness = grey_of(stack)
     for layer in np.flatnonzero(lights[:, 3] > 0):
         brightness[layer] *= ((lights[layer, :3] - position) ** 2).sum(axis=-1)
     brightness /= intensities.mean(axis=-1)[:, None, None]
@@ -218,7 +218,7 @@ def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarra
     toward[near] -= position
     squared = np.where(near[:, None], (toward**2).sum(axis=-1), 1.0)
     toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
-    local = [_dot(toward, frame[..., axis]) for axis in range(3)]
+    local = [dot(toward, frame[..., axis]) for axis in range(3)]
     return np.stack(local, axis=-1), domain.intensities[:, None, :] / squared[..., None]
 
 
@@ -257,7 +257,7 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
     usable = (count >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
-    cosine = np.maximum(_dot(vectors, normal), 0)
+    cosine = np.maximum(dot(vectors, normal), 0)
     cosine *= kept
     albedo, squares = np.empty(normal.shape, np.float32), None
     for channel, shade in enumerate(shades):
@@ -296,8 +296,8 @@ def normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray
     return gram, right.T
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(…) products of vectors (…, 3)."""
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return (…) products of vectors (…, 3)."""
     return (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
 
 
@@ -319,8 +319,8 @@ def _irradiance(domain: Domain, texels: Texels) -> np.ndarray:
     return domain.intensities[:, None] / np.where(near[:, None], squared, 1.0)[..., None]
 
 
-def _mean(samples: np.ndarray) -> np.ndarray:
-    """Mean of RGB, as numpy's over an axis of three, which is ten times slower."""
+def grey_of(samples: np.ndarray) -> np.ndarray:
+    """Return the mean of RGB, as numpy's over an axis of three, which is ten times slower."""
     return ((samples[..., 0] + samples[..., 1]) + samples[..., 2]) / samples.dtype.type(3)
 
 

@@ -21,7 +21,7 @@ from ...geometry.domain import Domain, subset, with_lights
 from ...geometry.samples import SampleStack
 from ...gpu.library import defined
 from ..settings.schedule import Schedule
-from .prepare import Prepared, Texels, chunk_steps, light_vectors, over_lights, percentiles, scale_steps
+from .prepare import Prepared, Texels, chunk_steps, dot, light_vectors, over_lights, percentiles, scale_steps
 from .shadow_light import light_of
 from .textures import HARMONICS_AT, SEPARATED, DomainTextures
 
@@ -222,16 +222,16 @@ def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
     """
     u, v = (_completed(separation[:, 2 * i : 2 * i + 2].astype(np.float64)) for i in range(2))
     w = _chroma(v**3 / np.maximum(u, 1e-9) ** 2)  # if v has one bounce more than u, this has three
-    volume = _dot(u, np.cross(v, w))
+    volume = dot(u, np.cross(v, w))
     volume = np.where(np.abs(volume) > 1e-15, volume, 1e-15)[:, None]
-    parts = [_dot(light, np.cross(*others) / volume) for others in ((v, w), (w, u), (u, v))]
+    parts = [dot(light, np.cross(*others) / volume) for others in ((v, w), (w, u), (u, v))]
     inside = (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
     least = np.where(inside, 0.0, np.inf)
     once, often = (np.where(inside, part, 0.0) for part in parts[1:])
     for first, second, is_once, is_often in ((u, v, (0, 1), (0, 0)), (u, w, (0, 0), (0, 1)), (v, w, (1, 0), (0, 1))):
         two = _two_parts(light, first, second)
         left = light - two[0][..., None] * first - two[1][..., None] * second
-        error = _dot(left, left)
+        error = dot(left, left)
         nearer = error < least
         least = np.where(nearer, error, least)
         once, often = (
@@ -243,10 +243,10 @@ def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
 
 def _two_parts(light: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (K, T) each: the parts of two chromas (T, 3) in light by non-negative least squares."""
-    ff, ss, fs = _dot(first, first), _dot(second, second), _dot(first, second)
+    ff, ss, fs = dot(first, first), dot(second, second), dot(first, second)
     determinant = ff * ss - fs * fs
     determinant = np.where(determinant > 0, determinant, 1.0)
-    along_f, along_s = _dot(light, first), _dot(light, second)
+    along_f, along_s = dot(light, first), dot(light, second)
     a, b = (along_f * ss - along_s * fs) / determinant, (along_s * ff - along_f * fs) / determinant
     return (
         np.where(b < 0, np.maximum(along_f / ff, 0), np.maximum(a, 0)),
@@ -295,19 +295,15 @@ def _logarithm(chroma: np.ndarray) -> np.ndarray:
 def _along(chroma: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the saturations of chromas (…, 3), as exponents of the direct one, and how far they lie off its powers."""
     axis, logarithm = _logarithm(direct), _logarithm(chroma)
-    saturation = _dot(logarithm, axis) / _dot(axis, axis)
+    saturation = dot(logarithm, axis) / dot(axis, axis)
     aside = logarithm - saturation[..., None] * axis
-    return saturation, np.sqrt(_dot(aside, aside))
+    return saturation, np.sqrt(dot(aside, aside))
 
 
 def _doubly_coloured(chroma: np.ndarray, direct: np.ndarray) -> np.ndarray:
     """Return bool: whether chromas (…, 3) are powers of the direct one that tell of one or more further bounces."""
     saturation, aside = _along(chroma, direct)
     return (saturation >= _LEAST_SATURATION) & (saturation <= _MOST_SATURATION) & (aside <= _MOST_ASIDE)
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
 
 
 def _all_light(light: np.ndarray) -> np.ndarray:

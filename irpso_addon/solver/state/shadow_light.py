@@ -14,9 +14,9 @@ import numpy as np
 
 from ...core.steps import at_once
 from ...geometry.domain import Domain
-from .prepare import Texels, chunk_steps, light_vectors, normal_equations, over_lights, percentiles
+from .prepare import Texels, chunk_steps, dot, grey_of, light_vectors, normal_equations, over_lights, percentiles
+from .textures import HARMONICS
 
-HARMONICS = 9
 _FACING = 0.2  # cosine to a light from which on its light is sought, or missed where a cast shadow lies
 _DARK = 0.15  # of the light that a texel would send without a cast shadow
 _ROUNDS = 3  # shadows by the light that is left, then the light by them
@@ -78,8 +78,7 @@ def _found(domain: Domain, texels: Texels, normal: np.ndarray) -> tuple[np.ndarr
     samples = domain.stack.texels(*texels)
     counted = samples[..., 3] > 0
     light = np.where(counted[..., None], np.maximum(samples[..., :3], 0) / irradiance, 0).astype(np.float64)
-    grey, basis = ((light[..., 0] + light[..., 1]) + light[..., 2]) / 3, harmonics(vectors)
-    cosine = (vectors[..., 0] * normal[:, 0] + vectors[..., 1] * normal[:, 1]) + vectors[..., 2] * normal[:, 2]
+    grey, basis, cosine = grey_of(light), harmonics(vectors), dot(vectors, normal)
     facing, bright = counted & (cosine > _FACING), percentiles(np.where(counted, grey, np.nan), [_BRIGHT])[0]
     sent, weight = np.zeros_like(grey), np.zeros_like(grey)
     coefficients = np.zeros((grey.shape[1], HARMONICS))

@@ -17,7 +17,8 @@ from .packing import Packing
 
 UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # the fitness of what was never evaluated
 OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
-HARMONICS_AT, SEPARATED = 5, 14  # numbers of a texel's separation (separation.py): before the harmonics, and all
+HARMONICS_AT, HARMONICS = 5, 9  # numbers of a texel's separation (separation.py): before the harmonics, and of them
+SEPARATED = HARMONICS_AT + HARMONICS
 
 
 class DomainTextures:

@@ -55,17 +55,21 @@ def corner(shape=(20, 36), colour=None):
     direct[np.ix_(lights @ (1, 0, 0.2) > 0, *map(range, shape))] *= ~between
     thrown = (0.5 if colour is None else 1.5) * np.maximum(lights @ (0, -0.8, 0.6), 0)[:, None, None] ** 4
     thrown = thrown * between * np.maximum(normal @ (0.9, 0, 0.44), 0)
-    stack = np.ones((OBSERVATIONS, *shape, 4), np.float32)
     if colour is None:
-        stack[..., :3] = (direct + thrown)[..., None] * rng.uniform(0.3, 0.8, (*shape, 3))
+        light = (direct + thrown)[..., None] * rng.uniform(0.3, 0.8, (*shape, 3))
     else:
         once = np.array(colour)
-        stack[..., :3] = direct[..., None] * once + thrown[..., None] * once**2 * once.sum() / (once**2).sum()
-    made = make_domain(*shape, observations=OBSERVATIONS, holes=False)
+        light = direct[..., None] * once + thrown[..., None] * once**2 * once.sum() / (once**2).sum()
+    return card_of(lights, light), normal, between
+
+
+def card_of(lights, light):
+    """Return the domain of a card that sends (K, H, W, 3) light under distant lights (K, 3) of intensity 1."""
+    made = make_domain(*light.shape[1:3], observations=len(lights), holes=False)
     made = replace(
-        made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((OBSERVATIONS, 3), np.float32)
+        made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((len(lights), 3), np.float32)
     )
-    return with_samples(made, stack), normal, between
+    return with_samples(made, np.pad(np.float32(light), [(0, 0)] * 3 + [(0, 1)], constant_values=1))
 
 
 def raised(recovery):

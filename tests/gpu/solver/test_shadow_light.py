@@ -1,23 +1,16 @@
 """A matt corner of many colours, recovered without the light that it sends itself, as its shadows tell it."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from irpso_addon.geometry.domain import with_samples
-from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from tests.builders.domains import bits_of, degrees, make_domain, recoveries, resumed, unit
-from tests.gpu.solver.test_indirect_shadow import RAISED
-from tests.gpu.solver.test_indirect_shadow import SHORT as RAISED_SHORT
+from tests.builders.domains import bits_of, degrees, recoveries, resumed, unit
+from tests.gpu.solver.test_indirect_colour import LAMBERT, OFF, SEPARATED, SHORT
+from tests.gpu.solver.test_indirect_shadow import OBSERVATIONS, card_of
 
-LAMBERT = load_model("lambert")
-OBSERVATIONS = 96
-SHORT, SEPARATED = (schedule.replaced(prefit_indirect_share=0.05) for schedule in (RAISED_SHORT, RAISED))
-OFF = RAISED.replaced(prefit_indirect_share=0.0)
 recover = pytest.fixture(recoveries)
 
 
@@ -36,13 +29,7 @@ def corner(shape=(20, 36)):
     albedo = rng.uniform(0.3, 0.8, (*shape, 3))
     sent = 0.25 * np.maximum(lights @ unit(np.array([-1.0, 0, 0.6])), 0)[:, None, None] + 0.05
     sent = (sent * beside * np.maximum(normal @ (0.8, 0, 0.6), 0))[..., None] * albedo * (0.9, 0.6, 0.4)
-    stack = np.ones((OBSERVATIONS, *shape, 4), np.float32)
-    stack[..., :3] = direct[..., None] * albedo + sent
-    made = make_domain(*shape, observations=OBSERVATIONS, holes=False)
-    made = replace(
-        made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((OBSERVATIONS, 3), np.float32)
-    )
-    return with_samples(made, stack), normal, sent, beside
+    return card_of(lights, direct[..., None] * albedo + sent), normal, sent, beside
 
 
 def test_the_normals_beside_a_wall_are_nearer_to_those_of_direct_light(recover):
