@@ -121,6 +121,15 @@ class Window:
         self.run(f"open_sidebar({tab!r}, {area!r})", area="")
         return self.region(area, "UI")
 
+    def choose_in_browser(self, folder: Path) -> None:
+        """Lead the file browser, which opens in the same window, to a folder; press Return, and wait till it closes."""
+        self.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+        self.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{folder}/'.encode()!r}", area="")
+        self.settle()
+        self.move(*self.region("FILE_BROWSER").centre)
+        self.key("Return")
+        self.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+
     def find_button(self, wanted: str, area: str = "VIEW_3D", region: str = "UI") -> tuple[int, int]:
         """Return a pixel of a button in a region, found by leading the mouse over it (some seconds).
 

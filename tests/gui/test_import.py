@@ -244,16 +244,6 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     assert not (tmp_path / "capture_1.toml").exists()
 
 
-def choose_in_browser(ready, folder):
-    """Lead the file browser, which opens in the same window, to a folder and press Return there."""
-    ready.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
-    ready.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{folder}/'.encode()!r}", area="")
-    ready.settle()
-    ready.move(*ready.region("FILE_BROWSER").centre)
-    ready.key("Return")
-    ready.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
-
-
 def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
     ready.open_sidebar("IRPSO")
@@ -263,7 +253,7 @@ def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(
     ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
     ready.expect("no ball was found")
     ready.click(*ready.find_button("irpso.choose_photographs"))
-    choose_in_browser(ready, tmp_path)
+    ready.choose_in_browser(tmp_path)
     ready.run("redrawn()", area="")
     ready.screenshot("finding lights: photographs are chosen")
     ready.key("Return")
@@ -285,7 +275,7 @@ def test_a_folder_with_a_video_gives_photographs_and_the_dialog_of_their_lights(
     )
     ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
     ready.click(*ready.find_button("irpso.choose_photographs"))
-    choose_in_browser(ready, tmp_path)
+    ready.choose_in_browser(tmp_path)
     photographs = str(tmp_path / "lamp_photographs")
     ready.wait(f"__import__('os').path.isdir({photographs!r})", timeout=120)
     ready.settle()

@@ -44,15 +44,6 @@ def artist(window):
     return window
 
 
-def choose_in_browser(artist, folder):
-    """Wait for the file browser, lead it to a folder, and press Return."""
-    artist.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
-    artist.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{folder}/'.encode()!r}", area="")
-    artist.settle()
-    artist.move(*artist.region("FILE_BROWSER").centre)
-    artist.key("Return")
-
-
 def test_a_new_file_gets_the_tab_by_n(artist):
     artist.move(*artist.region().centre)
     artist.key("n")
@@ -62,7 +53,7 @@ def test_a_new_file_gets_the_tab_by_n(artist):
 
 def test_the_capture_is_imported_and_checked(artist, capture):
     artist.click(*artist.find_button("irpso.import_capture"))
-    choose_in_browser(artist, capture)
+    artist.choose_in_browser(capture)
     artist.wait("settings().checked_path != ''", timeout=120)
     artist.screenshot("journey 2: imported")
     assert artist.run("[settings().subject, [item.severity for item in settings().findings]]") == ["CARD", []]
@@ -109,7 +100,7 @@ def test_keep_makes_the_material_that_the_rendered_view_shows(artist):
 
 def test_the_exported_maps_are_those_of_the_leaf(artist, truth, tmp_path):
     artist.click(*artist.find_button("irpso.export"))
-    choose_in_browser(artist, tmp_path)
+    artist.choose_in_browser(tmp_path)
     artist.wait("any('files written' in line for line in reports())", 120, area="")
     (written,) = tmp_path.glob("**/maps.exr")
     found = read_exr(written)["normal"]
