@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 
-_SIZE, _SMALL, _LIGHTS = (4000, 3000), (200, 150), 24
+SIZE, SMALL = (4000, 3000), (200, 150)
+_LIGHTS = 24
 _MEMORY = "device=6.4G,host=6.4G"  # what is planned where 16 GiB are free
 _EXPOSURE, _NOISE, _QUALITY = 0.8, 0.003, 95
 _ROWS = 20  # shaded at once
@@ -39,18 +41,22 @@ _TRUTH = "truth.exr"
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Make the card, unless it is there, and recover it."""
-    size = _SMALL if quick else _SIZE
+    """Recover the card within the memory of a small machine."""
+    return recovered(SMALL if quick else SIZE, _MEMORY)
+
+
+def recovered(size: tuple[int, int], memory: str) -> dict[str, Any]:
+    """Make the card, unless it is there, and recover it with so much ``--memory``."""
     capture = report.CACHE / "full_size" / "{}x{}".format(*size)
     if not (capture / "filenames.txt").is_file():
         make_card(capture, size)
     out = capture.with_name(f"{capture.name}-recovered")
     command = [sys.executable, "-m", "irpso_addon", "recover", str(capture), "-o", str(out)]
     plan = subprocess.run(
-        [*command, "--memory", _MEMORY, "--dry-run"], cwd=report.ROOT, check=True, capture_output=True, text=True
+        [*command, "--memory", memory, "--dry-run"], cwd=report.ROOT, check=True, capture_output=True, text=True
     ).stdout.splitlines()
-    found = watched([*command, "--memory", _MEMORY, "--checkpoint-every", "60"], out)
-    return {"size": size, "lights": _LIGHTS, "memory": _MEMORY, "plan": plan, **found, "errors": errors(capture, out)}
+    found = watched([*command, "--memory", memory, "--checkpoint-every", "60"], out)
+    return {"size": size, "lights": _LIGHTS, "memory": memory, "plan": plan, **found, "errors": errors(capture, out)}
 
 
 def make_card(folder: Path, size: tuple[int, int]) -> None:
@@ -67,9 +73,10 @@ def make_card(folder: Path, size: tuple[int, int]) -> None:
     colour = (share * _COLOURS[0] + (1 - share) * _COLOURS[1]) * (1 + 0.12 * _noise(size, 30, 4)[..., None])
     colour = np.clip(colour, 0.02, 0.9).astype(np.float32)
     rough = np.clip(0.28 + 0.3 / (1 + np.exp(-4 * _noise(size, 120, 5))) + 0.03 * _noise(size, 16, 6), 0.12, 0.95)
-    lights, rng = spiral_lights(_LIGHTS), np.random.default_rng(7)
+    lights = spiral_lights(_LIGHTS)
     codes = np.empty((_LIGHTS, height, width, 3), np.uint8)
-    for first in range(0, height, _ROWS):
+
+    def shade(first: int) -> None:
         rows = np.s_[first : first + _ROWS]
         maps = {
             "normal": normal[rows].reshape(-1, 3).astype(float), "base_color": colour[rows].reshape(-1, 3),
@@ -83,11 +90,18 @@ def make_card(folder: Path, size: tuple[int, int]) -> None:
         )  # fmt: skip
         diffuse, specular = radiance(np, "principled", maps, geometry_of(problem))
         light = _EXPOSURE * (diffuse[..., None] * maps["base_color"] + specular[..., None])
-        light = np.clip(light + _NOISE * rng.normal(size=light.shape), 0, 1)
+        noise = np.random.default_rng((7, first)).normal(size=light.shape)
+        light = np.clip(light + _NOISE * noise, 0, 1)
         codes[:, rows] = np.rint(255 * srgb_from_linear(light)).reshape(_LIGHTS, -1, width, 3)
+
     names = [f"photo_{number:02}.jpg" for number in range(_LIGHTS)]
-    for name, image in zip(names, codes, strict=True):
-        Image.fromarray(image[::-1]).save(folder / name, quality=_QUALITY)
+
+    def save(number: int) -> None:
+        Image.fromarray(codes[number, ::-1]).save(folder / names[number], quality=_QUALITY)
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(shade, range(0, height, _ROWS)))
+        list(pool.map(save, range(_LIGHTS)))
     parts = {"normal": normal, "base_color": colour * np.float32(_EXPOSURE), "roughness": rough[..., None]}
     write_exr(folder / _TRUTH, {
         name: {c: np.ascontiguousarray(value[..., i], np.float32) for i, c in enumerate("RGB"[: value.shape[-1]])}

@@ -123,14 +123,14 @@ def _finished(run: subprocess.Popen) -> float:
     return time.monotonic() - began
 
 
-def write_card(folder: Path, shape: tuple[int, int], lights: int) -> Path:
-    """Write the capture of a card of (H, W) texels and return its folder."""
+def write_card(folder: Path, shape: tuple[int, int], lights: int, model: str = "lambert") -> Path:
+    """Write the capture of a noisy card of (H, W) texels, as subjects.make_card has it, and return its folder."""
     from benchmarks.subjects import NOISY, make_card
     from irpso_addon.capture.camera import Camera
     from irpso_addon.capture.types import Capture, Light, Observation
     from irpso_addon.capture.write import write_capture
 
-    domain = make_card(shape, lights, NOISY, model="lambert").domain
+    domain = make_card(shape, lights, NOISY, model=model).domain
     height, width = domain.shape
     shots = tuple(
         Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))

@@ -19,12 +19,12 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks import report
+from benchmarks import product, report
 from benchmarks.spirv import counts
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.geometry.domain import Domain
-from irpso_addon.gpu import context, textures
-from irpso_addon.gpu.kernel import Kernel, Output
+from irpso_addon.gpu import context, probe, textures
+from irpso_addon.gpu.kernel import Entry, Kernel, Output
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.gpu.program import KeptPrograms
 from irpso_addon.pipeline.speed import make_card
@@ -32,9 +32,11 @@ from irpso_addon.reflectance.model import ReflectanceModel, load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
-_SIDE, _SMALL, _REPEATS = 192, 16, 5
-_WIDTH, _LAYERS = 512, 24  # of the stack that is read for a ceiling
-_CHAINS, _TURNS = 32, 256  # operations of a turn of the loop for the other ceiling, and its turns
+_SMALL, _REPEATS = 16, 5
+_SIDE = {True: 192, False: 1024}  # texels of the card, on a software renderer or not
+_WIDTH, _LAYERS = {True: 512, False: 2048}, 24  # of the stack that is read for a ceiling
+_CHAINS, _TURNS = 32, {True: 256, False: 8192}  # operations of a turn of the loop for the other ceiling, and its turns
+_RUNS = {True: 1, False: 20}  # of such a pass that are timed together
 _TEXELS = 12 * 10**6
 _STACK = "u_stack"
 _SHOWN = 0.01  # of all operations or of all bytes: passes of less are one row
@@ -79,18 +81,23 @@ def measure(quick: bool) -> dict[str, Any]:
     if missing := [name for name in ("glslangValidator", "spirv-opt", "spirv-dis") if shutil.which(name) is None]:
         raise SystemExit(f"{', '.join(missing)} not found; install glslang-tools and spirv-tools")
     context.ensure()
-    side = _SMALL if quick else _SIDE
+    software, entry = product.software_renderer(), probe.faster_entry()
+    side = _SMALL if quick else _SIDE[software]
     model, schedule = load_model(DEFAULT_MODEL), load_schedule("standard")
     with closing(KeptPrograms()):
-        recorded(make_card(model, _SMALL), model, schedule)  # compiles
+        recorded(make_card(model, _SMALL), model, schedule, entry)  # compiles
         domain = make_card(model, side)
-        phases, passes = recorded(domain, model, schedule)
+        phases, passes = recorded(domain, model, schedule, entry)
     found = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
-    return {"side": side, "observations": domain.observations, "phases": phases, "passes": found, "here": ceilings()}
+    here = ceilings(software, entry)
+    return {
+        "side": side, "observations": domain.observations, "phases": phases, "passes": found, "here": here,
+        "entry": entry,
+    }  # fmt: skip
 
 
 def recorded(
-    domain: Domain, model: ReflectanceModel, schedule: Schedule
+    domain: Domain, model: ReflectanceModel, schedule: Schedule, entry: Entry
 ) -> tuple[list[dict[str, Any]], list[Recorded]]:
     """Recover a card, waiting for every pass; return its phases, and all passes of them."""
     found: dict[tuple, Recorded] = {}
@@ -120,7 +127,7 @@ def recorded(
         found[key].runs += (last - first) / targets[0].height
 
     phases = []
-    with patch.object(Pass, "run", recording), Recovery(domain, model, schedule, entry="fragment") as recovery:
+    with patch.object(Pass, "run", recording), Recovery(domain, model, schedule, entry=entry) as recovery:
         progress = recovery.progress
         while not progress.done:
             stage, title, started = progress.stage, progress.title, time.perf_counter()
@@ -148,27 +155,30 @@ def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def ceilings() -> dict[str, float]:
+def ceilings(software: bool, entry: Entry) -> dict[str, float]:
     """Return the operations, and the bytes from memory, that this machine makes in a second at best."""
-    folder = Path(__file__).parent / "ceilings"
-    target = textures.empty(_WIDTH, _WIDTH)
-    stack = textures.upload_layers(np.ones((_LAYERS, _WIDTH, _WIDTH, 4)))
+    folder, width, turns, runs = Path(__file__).parent / "ceilings", _WIDTH[software], _TURNS[software], _RUNS[software]
+    target = textures.empty(width, width)
+    stack = textures.upload_layers(np.ones((_LAYERS, width, width, 4)))
     constants = {"u_count": "INT", "u_factor": "FLOAT"}
-    computing = Pass(Kernel(folder / "operations.glsl", (Output("o_sum"),), {}, constants, {}))
-    reading = Pass(Kernel(folder / "reads.glsl", (Output("o_sum"),), {"u_stack": "FLOAT_2D_ARRAY"}, constants, {}))
+    computing = Pass(Kernel(folder / "operations.glsl", (Output("o_sum"),), {}, constants, {}), entry)
+    reading = Pass(
+        Kernel(folder / "reads.glsl", (Output("o_sum"),), {"u_stack": "FLOAT_2D_ARRAY"}, constants, {}), entry
+    )
 
     def seconds(one: Pass, count: int) -> float:
         times = []
         for _ in range(_REPEATS + 1):  # the first compiles
             started = time.perf_counter()
-            one.run([target], {"u_stack": stack}, {"u_count": count, "u_factor": 0.999})
+            for _ in range(runs):
+                one.run([target], {"u_stack": stack}, {"u_count": count, "u_factor": 0.999})
             one.fence([target])
-            times.append(time.perf_counter() - started)
+            times.append((time.perf_counter() - started) / runs)
         return statistics.median(times[1:])
 
     return {
-        "operations": _CHAINS * _TURNS * _WIDTH**2 / seconds(computing, _TURNS),
-        "bytes": 16 * _LAYERS * _WIDTH**2 / seconds(reading, _LAYERS),
+        "operations": _CHAINS * turns * width**2 / seconds(computing, turns),
+        "bytes": 16 * _LAYERS * width**2 / seconds(reading, _LAYERS),
     }
 
 
