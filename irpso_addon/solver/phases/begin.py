@@ -82,7 +82,7 @@ def begin_phase(
     if isinstance(stage, ResolvedIndirect):
         return IndirectPhase(stage, model, schedule, domain, estimates, entry, prefit)
     if isinstance(stage, ResolvedSeparation):
-        return SeparationPhase(stage, model, schedule, domain, estimates, prefit)
+        return SeparationPhase(stage, model, schedule, domain, estimates, entry, prefit)
     kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
     return kind_of_swarm(stage, model, schedule, seed, domain, estimates, entry)
 

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 
 from ...core.steps import map_steps
+from ...gpu import textures
 from ...gpu.bands import Bands
+from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
+from ..kernels import kernels
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.prepare import lambert_steps
+from ..state.reader import Reader
 from ..state.separation import SeparatedStack, by_shadows, direct_chroma, evidence_of, separation_steps
-from ..state.shadow_light import shadow_light_steps
-from ..state.textures import SEPARATED, SOLVED, DomainTextures, Estimates, texel_states
+from ..state.textures import HARMONICS, SEPARATED, SOLVED, DomainTextures, Estimates, texel_states
 from .indirect import SHADOW
 from .mixture import sampled
 from .phase import Phase
@@ -44,10 +49,12 @@ class SeparationPhase(Phase):
         schedule: Schedule,
         domain: DomainTextures,
         estimates: Estimates,
+        entry: Entry,
         measured: Mapping[str, np.ndarray],
     ):
         self.title, self.iterations = resolved.title, resolved.iterations
         self._model, self._least, self._domain = model, schedule.prefit.indirect_share, domain
+        self._entry = entry
         self._estimates, self._known = estimates, measured
         self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
         # Of velvet, lit from the side, a badly fit normal would take the lit half for the shadow.
@@ -88,18 +95,13 @@ class SeparationPhase(Phase):
         if direct is not None:
             steps = separation_steps(self._domain.domain, self._indirect, direct, self._least)
             self._separation = yield from map_steps(steps, lambda part: None)
-        told = self._separation[..., 0] > 0
         # A mesh casts its shadows itself: what lies in them has no weight, and nothing tells of its light.
         if self._domain.domain.card:
-            asked = shadow_light_steps(self._domain.domain, self._normals(), ~(told | self._sheen), self._least)
-            shown = by_shadows(*(yield from map_steps(asked, lambda part: None)))
-            self._separation = np.where(told[..., None], self._separation, shown)
+            told = self._separation[..., 0] > 0
+            work = shadow_light_pass(self._model, self._least, self._domain.defines, self._entry)
+            asked = shadow_light_steps(work, self._domain, self._estimates, ~(told | self._sheen), bands, seconds)
+            self._separation = np.where(told[..., None], self._separation, by_shadows((yield from asked)))
         self.iteration += 1
-
-    def _normals(self) -> np.ndarray:
-        """(H, W, 3) the estimates' normals."""
-        values = self._estimates.values(resolved=False)
-        return self._domain.packing.unpack(next(values[p.name] for p in self._model.parameters if p.is_normal))
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals of the direct light into the resolved estimates."""
@@ -138,3 +140,36 @@ class SeparationPhase(Phase):
     def close(self) -> None:
         """Free the shader."""
         self._adopt.close()
+
+
+def shadow_light_pass(model: ReflectanceModel, least: float, defines: Defines, entry: Entry) -> Pass:
+    """Compile the pass that finds the light in shadows. least: the part of a texel's light from which on it counts."""
+    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_asked": kernels.FLOAT_2D}
+    normal = next(p.name for p in model.parameters if p.is_normal)
+    defines = {
+        **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "LEAST_SHARE": f"{least:.9f}"
+    }  # fmt: skip
+    outputs = tuple(Output(name) for name in ("o_low", "o_middle", "o_high"))
+    constants, given = {"u_observations": "INT"}, kernels.model_includes(model)
+    return Pass(Kernel("prefit/shadow_light.glsl", outputs, samplers, constants, defines, given), entry)
+
+
+def shadow_light_steps(
+    work: Pass, domain: DomainTextures, estimates: Estimates, asked: np.ndarray, bands: Bands, seconds: float
+) -> Generator[None, None, np.ndarray]:
+    """Return (H, W, 12) float32 what the shadows of texels (H, W) bool tell, as shadow_light.glsl writes it.
+
+    It is 0 everywhere if a light lacks a channel. work: from ``shadow_light_pass``; it is closed at the end. In bands
+    of rows of about ``seconds``; yields after each.
+    """
+    if not (domain.domain.intensities > 0).all():
+        return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
+    width, height = estimates.size
+    targets = [textures.empty(width, height) for _ in work.kernel.outputs]
+    given = textures.upload(domain.packing.pack(asked[..., None].astype(np.float32)))
+    inputs = {**estimates.bindings(), **domain.textures, "u_asked": given}
+    with closing(work), closing(Reader(work.entry)) as reader:
+        constants = {"u_observations": domain.domain.observations}
+        yield from work.in_bands(SEPARATION, bands, seconds, targets, inputs, constants)
+        packed = np.concatenate([reader.read(target) for target in targets], axis=-1)
+    return domain.packing.unpack(packed)

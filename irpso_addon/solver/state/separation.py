@@ -23,7 +23,7 @@ from ...gpu.library import defined
 from ..settings.schedule import Schedule
 from .prepare import Prepared, Texels, chunk_steps, dot, light_vectors, over_lights, percentiles, scale_steps
 from .shadow_light import light_of
-from .textures import HARMONICS_AT, SEPARATED, DomainTextures
+from .textures import HARMONICS, HARMONICS_AT, SEPARATED, DomainTextures
 
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
@@ -104,14 +104,14 @@ def separation_steps(
 separation_of = at_once("separation_of", separation_steps)
 
 
-def by_shadows(coefficients: np.ndarray, chroma: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return (H, W, SEPARATED) float32 of what ``shadow_light`` returns.
+def by_shadows(found: np.ndarray) -> np.ndarray:
+    """Return (H, W, SEPARATED) float32 of (H, W, 12) what shadow_light.glsl finds.
 
     Red and green of the light's chroma, zeros in place of a second one, its share, and the coefficients.
     """
-    told = share > 0
-    ends = np.where(told[..., None], np.maximum(chroma[..., :2], 1e-6), 0), np.zeros((*told.shape, 2))
-    return np.concatenate([*ends, share[..., None], coefficients], axis=-1, dtype=np.float32)
+    coefficients, chroma, share = found[..., :HARMONICS], found[..., HARMONICS:-1], found[..., -1:]
+    ends = np.where(share > 0, np.maximum(chroma, 1e-6), 0), np.zeros((*share.shape[:-1], 2))
+    return np.concatenate([*ends, share, coefficients], axis=-1, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
