@@ -16,6 +16,7 @@ import numpy as np
 from ..capture.types import Capture
 from ..core.errors import InputError, IrpsoError
 from ..core.paths import ROOT
+from ..core.steps import available_cores
 from ..gpu.versions import versions
 from .transport import Agreed, Ranks
 
@@ -38,7 +39,7 @@ def choose_device(ranks: Ranks) -> int:
     (docs.mesa3d.org, envvars). NVIDIA's takes the first that the process sees: the launcher must show each rank its
     own. llvmpipe would start as many threads in each rank as the machine has cores.
     """
-    cores = _cores()
+    cores = available_cores()
     beside = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
     shared = sum(not cores.isdisjoint(used) for used in beside)
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, len(cores) // shared)))
@@ -120,9 +121,3 @@ def _digest_of_capture(capture: Capture) -> str:
         digest.update(repr(camera.key).encode())
         digest.update(np.packbits(np.asarray(mask, bool)).tobytes())
     return digest.hexdigest()
-
-
-def _cores() -> set[int]:
-    if hasattr(os, "sched_getaffinity"):
-        return os.sched_getaffinity(0)
-    return set(range(os.cpu_count() or 1))

@@ -1,8 +1,9 @@
-"""Work in steps: generators that yield before each piece, for callers that must not block."""
+"""Work in steps: generators that yield before each piece, for callers that must not block; the cores that share it."""
 
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable, Generator
 from typing import Any, ParamSpec, TypeVar
 
@@ -47,3 +48,10 @@ def one_step(function: Callable[[], T]) -> Generator[None, None, T]:
     """Yield once, then return a function's result: for callers without a thread."""
     yield
     return function()
+
+
+def available_cores() -> set[int]:
+    """Return the processor's cores on which this process may run."""
+    if hasattr(os, "sched_getaffinity"):
+        return os.sched_getaffinity(0)
+    return set(range(os.cpu_count() or 1))

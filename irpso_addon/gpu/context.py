@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import sys
@@ -13,6 +14,8 @@ from ..core.interrupt import interrupted_afterwards
 from .output import caught_output
 
 _SOFTWARE = ("llvmpipe", "softpipe", "lavapipe", "swiftshader")
+# What OpenGL calls free memory, in KiB: GL_NVX_gpu_memory_info, GL_ATI_meminfo.
+_FREE_KIB = (0x9049, 0x87FC)
 _ready = False
 
 
@@ -81,6 +84,28 @@ def on_software_vulkan() -> bool:
     import gpu
 
     return is_software_vulkan(gpu.platform.renderer_get(), gpu.platform.backend_type_get())
+
+
+def free_device_memory() -> int | None:
+    """Return the free bytes of the device's own memory, as its OpenGL driver tells them; None where it does not.
+
+    Blender has no name for it. Right on an H100, whose driver is NVIDIA's.
+    """
+    import gpu
+
+    if gpu.platform.backend_type_get() != "OPENGL" or is_software(gpu.platform.renderer_get()):
+        return None
+    try:
+        driver = ctypes.CDLL("opengl32" if sys.platform == "win32" else "libGL.so.1")
+    except OSError:
+        return None
+    for name in _FREE_KIB:
+        answer = (ctypes.c_int * 4)()
+        driver.glGetError()  # of others, before
+        driver.glGetIntegerv(name, answer)
+        if driver.glGetError() == 0 and answer[0] > 0:
+            return answer[0] << 10
+    return None
 
 
 def max_texture_size() -> int:

@@ -177,7 +177,7 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
 
 def _check_fits(ranks: Ranks, job: Job, found: Split, sharing: int, gathers: bool) -> None:
     """Raise InputError where memory is too small. gathers: checkpoints bring all state to rank 0."""
-    memory = machine_memory(job.memory, str(context.describe()["renderer"]))
+    memory = machine_memory(job.memory, str(context.describe()["renderer"]), context.free_device_memory())
     check_fits(found, ranks, memory, sharing)
     if ranks.leads and gathers:
         check_gathered(found, memory)

@@ -12,7 +12,7 @@ from pathlib import Path
 from ...core.errors import InputError
 from ...gpu.context import is_software
 
-ASSUMED_DEVICE = 4 << 30  # Blender does not report GPU memory; few GPUs have less
+ASSUMED_DEVICE = 4 << 30  # where the driver does not tell the device's memory, or less, as of one inside a processor
 _SPARE = 0.8  # of the free memory: other programs need some, and a process holds more than arrays
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _AMOUNT = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([KMGT]?)(?:I?B)?", re.IGNORECASE)
@@ -54,14 +54,17 @@ def amount(size: int) -> str:
     return f"{size} B"
 
 
-def machine_memory(text: str | None, renderer: str) -> Memory:
+def machine_memory(text: str | None, renderer: str, free_device: int | None = None) -> Memory:
     """Return the budget of --memory, completed from the machine's memory. renderer: the GPU's name.
 
-    A software renderer's textures are in host memory; device and host then share it evenly.
+    free_device: free bytes of the GPU's own memory, if it tells. A software renderer's textures are in host memory;
+    device and host then share it evenly.
     """
     given = parse_memory(text) if text else {}
     host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of the free memory"
-    device, device_from = ASSUMED_DEVICE, "assumed: Blender does not report it; set it with --memory device=…"
+    device, device_from = int(_SPARE * (free_device or 0)), f"{100 * _SPARE:.0f} % of the device's free memory"
+    if device < ASSUMED_DEVICE:
+        device, device_from = ASSUMED_DEVICE, "assumed: the driver does not tell; set it with --memory device=…"
     if is_software(renderer):
         host //= 2
         host_from = f"half of {host_from}"

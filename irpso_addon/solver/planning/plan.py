@@ -18,6 +18,8 @@ _EXCHANGED = 160  # on the host, while a round finds indirect light (measured): 
 _RAY = 104  # on the host, while an exchange is made (measured)
 _PREPARED = 28  # on the host: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # on the host, for every domain: chunks of the preparation, Blender itself
+_TEXTURE, _SHARE = 1 << 30, 8  # bytes of a single texture: software GL refuses more; the share of a large memory
+_MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender counts the numbers of a Buffer in 31 bits
 _SMALLEST = 8  # texels along the longer side: a tile this small is not cut
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
@@ -43,7 +45,12 @@ class Limits:
 
     side: int = 16384
     layers: int = 2048
-    texture: int = 1 << 30  # software GL refuses more
+    texture: int = _TEXTURE
+
+
+def largest_texture(device: int) -> int:
+    """Return the bytes of a single texture where ``device`` bytes may be used. On an H100 8 GiB are no trouble."""
+    return min(max(_TEXTURE, device // _SHARE), _MOST_TEXTURE)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from ..settings.schedule import Schedule, refuse_levels
 from ..state.prepare import Prepared
 from .cost import recovery_cost
 from .memory import machine_memory
-from .plan import Borders, Limits, Plan, plan_recovery
+from .plan import Borders, Limits, Plan, largest_texture, plan_recovery
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
@@ -55,8 +55,8 @@ def make_plan(
     sample stack's place where it exists. mesh: of the texels; its seams need memory too.
     """
     device = context.describe()
-    allowed = machine_memory(memory, str(device["renderer"]))
-    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
+    allowed = machine_memory(memory, str(device["renderer"]), context.free_device_memory())
+    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(allowed.device))
     cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)

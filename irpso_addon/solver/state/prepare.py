@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...core.steps import at_once, run_steps
+from ...core.steps import at_once, available_cores, run_steps
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -24,7 +24,7 @@ from .textures import domain_arrays
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
 _CHUNK = 1 << 16  # samples at a time: what is made of them, about 80 bytes a sample, stays in a cache
 _EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with room
-_THREADS = 2  # memory is what it waits for; numpy lets go of the interpreter meanwhile
+_MOST_THREADS = 8  # numpy lets go of the interpreter meanwhile; more would wait for memory
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
 Report = Callable[[float], object]  # receives the fraction that is done, 0 to 1
@@ -342,7 +342,7 @@ def percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float
 
 def chunk_steps(domain: Domain, work: Callable[[int, Texels], None]) -> Generator[float, None, None]:
     """Do work(start, texels) for all chunks, some at a time beside the caller; yield the part that is done."""
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(min(_MOST_THREADS, len(available_cores()))) as pool:
         waiting = [pool.submit(work, *chunk) for chunk in chunks(domain)]
         for number, done in enumerate(waiting, 1):
             done.result()

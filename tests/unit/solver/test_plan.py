@@ -12,7 +12,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning import memory
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory, amount, free_memory, machine_memory, parse_memory
-from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
+from irpso_addon.solver.planning.plan import Limits, device_bytes, largest_texture, plan_recovery
 from irpso_addon.solver.settings.schedule import load_schedule
 
 G, M = 1 << 30, 1 << 20
@@ -237,9 +237,17 @@ def test_unset_budgets_come_from_the_machine(monkeypatch):
     real = machine_memory("host=2G", "NVIDIA H200")
     assert (real.host, real.device) == (2 * G, 4 * G) and "assumed" in real.device_from
     assert machine_memory(None, "NVIDIA H200").host == 8 * G
+    told = machine_memory(None, "NVIDIA H200", 100 * G)
+    assert told.device == 80 * G and "the device's free memory" in told.device_from
+    assert machine_memory(None, "inside a processor", G // 2).device == 4 * G
     software = machine_memory(None, "llvmpipe (LLVM 15)")  # its textures are the host's memory too
     assert (software.host, software.device) == (4 * G, 4 * G)
     assert machine_memory("3G", "llvmpipe") == Memory(3 * G, 3 * G)
+
+
+def test_a_texture_may_be_large_where_the_memory_is():
+    assert [largest_texture(device * G) for device in (1, 4, 16)] == [G, G, 2 * G]
+    assert 7 * G < largest_texture(200 * G) < 8 * G
 
 
 def test_free_memory_comes_from_the_system():
