@@ -29,8 +29,11 @@ def sampled(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.nda
     place = (rows.astype(np.uint64) << np.uint64(32)) | columns.astype(np.uint64)
     rank = (place + np.uint64(1)) * _MIX[0]
     rank = (rank ^ (rank >> np.uint64(29))) * _MIX[1]
-    # 48 bits: float64 holds whole numbers of up to 53.
-    return merged([np.column_stack([(rank >> np.uint64(16)).astype(np.float64), rows, columns, values])])
+    rank = (rank >> np.uint64(16)).astype(np.float64)  # 48 bits: float64 holds whole numbers of up to 53
+    if len(rank) > SAMPLE:
+        lowest = rank <= np.partition(rank, SAMPLE)[SAMPLE]  # sorting all takes a second for a million
+        rank, rows, columns, values = (array[lowest] for array in (rank, rows, columns, values))
+    return merged([np.column_stack([rank, rows, columns, values])])
 
 
 def merged(samples: Sequence[np.ndarray]) -> np.ndarray:
