@@ -57,8 +57,11 @@ def card_steps(
         whole = _read(observation, capture)
         noise.take(observation, whole)
         image = whole[y0 : y0 + height, x0 : x0 + width]
-        shown = bake.coverage & ((image[..., 3] > 0) | np.isfinite(image).all(axis=-1))
-        out[shown] = image[shown]
+        shown = bake.coverage & ((image[..., 3] > 0) | _finite(image))
+        if shown.all():
+            out[:] = image
+        else:
+            out[shown] = image[shown]
         if observation.light.axis is not None:
             # Not @: its rounding of a texel's sum may depend on the array's size.
             points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
@@ -317,6 +320,12 @@ def _read(observation: Observation, capture: Capture) -> np.ndarray:
             " scale them to one size"
         )
     return image
+
+
+def _finite(image: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool of (H, W, 4): all() over an axis of four is ten times slower."""
+    finite = np.isfinite(image)
+    return finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3]
 
 
 def _check_masks(capture: Capture) -> None:

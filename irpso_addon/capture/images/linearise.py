@@ -58,9 +58,11 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     colour_space: "srgb", "linear", or "auto": by the profile; without one 8 to 12 bits are sRGB, all others linear.
     The curve of a profile is not applied to floats, which are linear.
     """
+    profile = picture.profile if colour_space == "auto" else None
+    if profile is None and picture.bits < 16 and picture.values.shape[-1] == 4:
+        return _samples_of_codes(picture.values, picture.bits, colour_space == "linear")
     colour, alpha = _colour_and_alpha(picture.values)
     clipped = np.zeros(colour.shape, bool)
-    profile = picture.profile if colour_space == "auto" else None
     if picture.bits < 32:
         # Half a code below the top, for decoders that scale with rounding.
         clipped = colour >= 1 - 0.5 / (2**picture.bits - 1)
@@ -91,6 +93,21 @@ def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -
     return Samples(rgba, bounds, any_clipped & ~not_finite, not_finite, negative)
 
 
+def _samples_of_codes(values: np.ndarray, bits: int, linear: bool) -> Samples:
+    """Return ``samples_of_picture`` of (H, W, 4) codes of 8 to 12 bits without a profile, several times as fast."""
+    top = np.float32(2**bits - 1)
+    codes = np.rint(values * top).astype(np.uint16)
+    rgba = values.copy() if linear else _table(bits)[codes]
+    np.clip(values[..., 3], 0, 1, out=rgba[..., 3])
+    clipped = _any(codes == codes.dtype.type(top))
+    bounds, none = rgba, np.zeros(clipped.shape, bool)
+    if clipped.any():
+        bounds = rgba.copy()
+        bounds[clipped, 3] = bounded(rgba[clipped, 3], np.ones((int(clipped.sum()), 3), bool))
+        rgba[clipped, 3] = 0
+    return Samples(rgba, bounds, clipped, none, none)
+
+
 def mask_of_picture(picture: Picture) -> np.ndarray:
     """Return (H, W) bool: pixels of a grey, RGB or alpha mask above half of its largest value.
 
@@ -105,9 +122,12 @@ def mask_of_picture(picture: Picture) -> np.ndarray:
 
 def _linear_codes(colour: np.ndarray, bits: int) -> np.ndarray:
     """Return linear values of an integer file's sRGB codes, as ``linear_from_srgb`` of each code: by a table."""
-    top = np.float32(2**bits - 1)
-    table = linear_from_srgb(np.arange(2**bits, dtype=np.float32) / top)
-    return table[np.rint(colour * top).astype(np.uint16)]
+    return _table(bits)[np.rint(colour * np.float32(2**bits - 1)).astype(np.uint16)]
+
+
+def _table(bits: int) -> np.ndarray:
+    """Return (2**bits,) the linear values of sRGB codes."""
+    return linear_from_srgb(np.arange(2**bits, dtype=np.float32) / np.float32(2**bits - 1))
 
 
 def _any(values: np.ndarray) -> np.ndarray:

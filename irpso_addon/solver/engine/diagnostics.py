@@ -85,6 +85,11 @@ class Diagnostics:
             )
         return Maps(self._model, values, solvable, error, deviations, alternatives=alternatives)
 
+    def at(self, rows: np.ndarray, columns: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return what ``maps`` has at n texels: parameter name → (n, components), and (n,) the residual."""
+        places = self._domain.packing.places(rows, columns)
+        return self._estimates.at(places, self._resolved), textures.texels(self._error, places)[:, 0]
+
     def mean_error(self, shown: Mapping[str, Texture]) -> float:
         """Return the mean residual of at most 4096 texels, NaN where none is solved. shown: estimates by sampler name.
 

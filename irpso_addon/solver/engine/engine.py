@@ -30,7 +30,7 @@ from ..state.layout import digest_of_texels
 from ..state.separation import SeparatedStack
 from .halo import Box
 from .progress import Progress
-from .watch import Note
+from .watch import Note, note_of
 
 _MOST_RUNNING = 1 << 21  # solvable texels whose running stage goes into a checkpoint: about a gigabyte
 _DIVIDED = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"
@@ -114,6 +114,10 @@ class RecoveryEngine(ABC):
 
         confidence: find standard deviations and alternatives too, which takes as long as ten to fifteen iterations.
         """
+
+    def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
+        """Return what maps() has of n texels; quick where one recovery holds the whole domain."""
+        return note_of(self.maps(confidence=False), self.progress.iteration_in_all, rows, columns)
 
     @abstractmethod
     def mean_error(self) -> float:

@@ -40,6 +40,7 @@ from .diagnostics import Diagnostics
 from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
 from .reconfigure import given, kept
+from .watch import Note
 
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
 
@@ -167,11 +168,19 @@ class Recovery(RecoveryEngine):
         return self._course.at(self._index, iteration, self._bands.part, self._evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
+        self._measure(confidence)
+        return replace(self._diagnostics.maps(confidence), model=self.model)
+
+    def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
+        self._measure(confidence=False)
+        return Note(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
+
+    def _measure(self, confidence: bool) -> None:
+        """Find what maps() returns, unless it has been found."""
         at = self.at
         if self._work is not None or self._found != at or (confidence and self._trusted != at):
             for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
-        return replace(self._diagnostics.maps(confidence), model=self.model)
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work as RecoveryEngine.refresh_confidence, after the current iteration; a step in between starts it anew."""

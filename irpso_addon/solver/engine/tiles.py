@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +73,7 @@ class Tile:
     def look(self) -> None:
         """Let the watch of its texels take a note if one is due."""
         if self.watch is not None and self.recovery is not None:
-            self.watch.look(self.recovery.progress, partial(self.recovery.maps, confidence=False))
+            self.watch.look(self.recovery.progress, self.recovery.note)
 
 
 class TilePool:

@@ -40,11 +40,11 @@ class Watch:
     notes: list[Note] = field(default_factory=list)
     last: int = 0  # iteration of the last note: the placing of a stage's swarms is no new one
 
-    def look(self, progress: Progress, maps: Callable[[], Maps]) -> None:
-        """Take a note if one is due. maps: returns those of the texels' recovery, whose progress is given."""
+    def look(self, progress: Progress, note: Callable[[np.ndarray, np.ndarray], Note]) -> None:
+        """Take a note if one is due. progress, note: of the texels' recovery."""
         if progress.iteration_in_all != self.last and self.due(progress):
             self.last = progress.iteration_in_all
-            self.notes.append(note_of(maps(), self.last, self.rows, self.columns))
+            self.notes.append(note(self.rows, self.columns))
 
     def forget(self, iteration: int) -> None:
         """Drop the note of an iteration that turned out to be the last of its stage."""

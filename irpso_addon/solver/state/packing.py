@@ -53,6 +53,12 @@ class Packing:
         result[self._rows, self._columns] = flat[: len(self._rows)]
         return result
 
+    def places(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return (n, 2) x and y in the packed grid of n solved texels."""
+        width = self.shape[1]
+        index = np.searchsorted(self._rows * width + self._columns, rows * width + columns)
+        return np.stack([index % self.width, index // self.width], axis=-1)
+
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the float32 arrays of shaders/common/packing.glsl: layers of places (1 or more, h, w, 4) and u_packed.
 

@@ -178,11 +178,15 @@ class Estimates:
 
     def values(self, resolved: bool = True) -> dict[str, np.ndarray]:
         """Return the parameters as arrays (H, W, components)."""
-        packed = np.concatenate([textures.download(t) for t in (self.resolved if resolved else self.current)], axis=-1)
-        return {
-            p.name: packed[..., self.model.offset(p.name) : self.model.offset(p.name) + p.components]
-            for p in self.model.parameters
-        }
+        return self._split([textures.download(t) for t in (self.resolved if resolved else self.current)])
+
+    def at(self, places: np.ndarray, resolved: bool) -> dict[str, np.ndarray]:
+        """Return the parameters (n, components) at n places (x, y) of the textures."""
+        return self._split([textures.texels(t, places) for t in (self.resolved if resolved else self.current)])
+
+    def _split(self, read: list[np.ndarray]) -> dict[str, np.ndarray]:
+        packed, at = np.concatenate(read, axis=-1), self.model.offset
+        return {p.name: packed[..., at(p.name) : at(p.name) + p.components] for p in self.model.parameters}
 
     def close(self) -> None:
         """Free the textures."""

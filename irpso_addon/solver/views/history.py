@@ -11,7 +11,7 @@ from ...results.preview import Curves, convergence, display_image, spread_marks
 from ...results.report import error_unit, parameter_error
 from ..engine.engine import RecoveryEngine
 from ..engine.progress import Progress
-from ..engine.watch import Note, note_of
+from ..engine.watch import Note
 
 _ITERATIONS = "iterations"
 _LOOKS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
@@ -61,10 +61,9 @@ class History:
         progress = self._recovery.progress
         if progress.iteration_in_all == self._seen or not _due(progress):
             return
-        maps = self._recovery.maps(confidence=False)
-        self._record(note_of(maps, progress.iteration_in_all, self._rows, self._columns))
+        self._record(self._recovery.note(self._rows, self._columns))
         if self._show is not None:
-            self._show(maps)
+            self._show(self._recovery.maps(confidence=False))
 
     @property
     def notes(self) -> dict[str, np.ndarray]:

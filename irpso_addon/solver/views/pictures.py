@@ -17,6 +17,7 @@ from ...results.report import error_unit, parameter_error
 from .forward import rendered
 
 _SHOWN = 3  # observations in a preview, with the median one
+_RANKED = 256  # texels along the shorter side by which they are chosen
 _STRIPE = (0.93, 0.45, 0.12)
 SHOWN_WHITE = 99.5  # percentile of the reference: display white
 
@@ -39,7 +40,8 @@ def error_preview(
     names: of all observations. indirect: as for ``image_rows``.
     """
     rows = map_rows(maps, truth, maps.covered) if truth else []
-    counted = (layer[layer[..., 3] > 0] for layer in domain.stack.layers())
+    step = max(1, min(domain.shape) // _RANKED)
+    counted = (layer[layer[..., 3] > 0] for layer in (whole[::step, ::step] for whole in domain.stack.layers()))
     order = np.argsort([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])[::-1]
     # The brightest fifth and the middle: bright frames under different lights.
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]

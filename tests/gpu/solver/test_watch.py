@@ -78,3 +78,17 @@ def test_steps_end_with_a_round_so_that_checkpoints_take_no_turn():
         while not recovery.step(None, 1e-3).done:
             settled += recovery.settled
     assert settled > 6
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+def test_a_note_is_what_the_maps_have(entry):
+    domain, _ = subject(9, 8, holes=True)
+    rows, columns = (found[::7] for found in np.nonzero(domain.solvable))
+    with Recovery(domain, LAMBERT, STAGES, 1, entry=entry) as recovery:
+        for iterations in (1, 20, 31):
+            recovery.step(iterations)
+            note = recovery.note(rows, columns)
+            maps = recovery.maps(confidence=False)
+            np.testing.assert_array_equal(note.residual, maps.residual[rows, columns])
+            for name, values in note.values.items():
+                np.testing.assert_array_equal(values, maps.values[name][rows, columns])
