@@ -49,7 +49,7 @@ class Limits:
 
 
 def largest_texture(free: int) -> int:
-    """Return the bytes of a single texture on a device that tells of ``free`` bytes. On an H100 8 GiB are no trouble."""
+    """Return the bytes of a single texture on a device with ``free`` bytes. On an H100 8 GiB are no trouble."""
     return min(max(_TEXTURE, free // _SHARE), _MOST_TEXTURE)
 
 
