@@ -1,7 +1,7 @@
 """What a graphics processor does: both entries, where it saturates, Fig. 7 in full, one swarm, twelve megapixels.
 
 Usage: python -m benchmarks.gpu [--quick] [--again] [--output FOLDER]; python -m benchmarks.gpu PART FILE measures one
-part alone. Some minutes on a GPU; without one it refuses, since the other pages say all of that.
+part alone. Ten minutes on a GPU; without one it ends at once, since the other pages say all of that.
 
 Every part runs in a process of its own and leaves its result in .cache/bench/gpu: a run that was stopped goes on.
 """
@@ -27,7 +27,8 @@ _ENTRIES = ("fragment", "compute")
 _MODEL = "principled"
 _CAPTURE, _OBSERVATIONS = (224, 224), 96  # of the recovery with each entry
 _SIDES, _PHOTOGRAPHS = (256, 512, 1024, 2048), 24
-_CHUNKS = 3  # of what is timed for a rate
+_CHUNKS, _TIMED = 3, 1 << 26  # of what is timed for a rate, and texels × iterations of each: a second as fragments
+_OPERATIONS = 195  # of a particle of Fig. 7's stage under one light, counted in SPIR-V (spirv.py)
 _TILED = 1200 * 1800  # texels of Fig. 7 from which on they are tiled
 _BUDGET, _TEXTURE = 60 << 30, 8 << 30  # bytes on the device for Fig. 7, and of one texture
 _MOST_SECONDS = 150  # of one size of it
@@ -100,9 +101,8 @@ def rates(quick: bool) -> dict[str, Any]:
     for side in (16, 24) if quick else _SIDES:
         for title, preset, changes, fixed in cases:
             for entry in _ENTRIES:
-                # So many iterations that reading the maps, which waits for them, is a small part.
-                count = max(2, 64 * 256**2 // side**2)
-                job = Job(side, side, _PHOTOGRAPHS, preset, changes, fixed, min(count, 16), _CHUNKS, entry)
+                count = max(2, _TIMED // side**2)
+                job = Job(side, side, _PHOTOGRAPHS, preset, changes, fixed, count, _CHUNKS, entry)
                 found = measure(job)
                 pairs = zip(found["evaluations"], found["clock"], strict=True)
                 rate = [_PHOTOGRAPHS * evaluations / seconds for evaluations, seconds in pairs]
@@ -178,8 +178,16 @@ def card(quick: bool) -> dict[str, Any]:
     return full_size.recovered(full_size.SMALL if quick else full_size.SIZE, "device=40G,host=60G")
 
 
+def ceilings(quick: bool) -> dict[str, Any]:
+    """Return the operations and the bytes that the device makes in a second at best, with the entry that it prefers."""
+    from benchmarks import roofline
+    from irpso_addon.gpu import probe
+
+    return roofline.ceilings(quick, probe.faster_entry())
+
+
 PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
-    part.__name__: part for part in (facts, speed, entries, rates, fig7, swarm, cuda, card)
+    part.__name__: part for part in (facts, ceilings, speed, entries, rates, fig7, swarm, cuda, card)
 }
 
 
@@ -187,7 +195,7 @@ def measure(quick: bool) -> dict[str, Any]:
     """Measure all parts that have no result yet; one that fails is noted as such."""
     from irpso_addon.gpu import context
 
-    folder = report.CACHE / "gpu"
+    folder = report.CACHE / "gpu" / report.digest(__file__)  # other sources measure anew
     data = {}
     for name in PARTS:
         path = folder / f"{name}{'-quick' if quick else ''}.json"
@@ -195,7 +203,8 @@ def measure(quick: bool) -> dict[str, Any]:
             subprocess.run([sys.executable, "-m", "benchmarks.gpu", name, str(path)], cwd=report.ROOT, check=False)
         data[name] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
         if name == "facts" and not quick and context.is_software(str(data[name].get("renderer", "llvmpipe"))):
-            raise SystemExit("benchmarks.gpu: no GPU here")
+            report.say("gpu: no GPU here")
+            raise SystemExit(0)
     return data
 
 
@@ -206,11 +215,165 @@ def run_part(name: str, path: Path) -> None:
     path.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
 
+def write(data: dict[str, Any], folder: Path) -> list[str]:
+    """Return the page's lines, of the parts that were measured."""
+    facts = data["facts"]
+    ratio = facts["fragment_seconds"] / facts["compute_seconds"]
+    lines = [
+        f"{facts['renderer']}, driver {facts['version']}, {facts['machine']['processor']}. The probe is right both"
+        f" ways; compute runs {ratio:.1f} times as fast as fragment passes. Largest texture"
+        f" {facts['max_texture_size']} texels, {facts['max_texture_layers']} layers. Source:"
+        " [gpu.py](../../benchmarks/gpu.py).",
+        "",
+    ]
+    if here := data["ceilings"]:
+        lines += [
+            f"Ceilings, found by two kernels ([ceilings](../../benchmarks/ceilings)): {here['operations'] / 1e12:.1f} T"
+            f" operations/s, {here['bytes'] / 1e12:.2f} TB/s.",
+            "",
+        ]
+    sections = {"speed": _speed, "entries": _entries, "rates": _rates, "fig7": _fig7, "swarm": _swarm, "card": _card}
+    for name, section in sections.items():
+        if data[name]:
+            lines += section(data)
+    missing = [name for name in PARTS if not data[name]]
+    return [*lines, *([f"Not measured: {', '.join(missing)}.", ""] if missing else [])]
+
+
+def _speed(data: dict[str, Any]) -> list[str]:
+    found = data["speed"]
+    total = sum(phase["seconds"] for phase in found["phases"].values())
+    return [
+        "## The phases of a recovery",
+        "",
+        f"`doctor --benchmark`: {found['texels']} texels, {found['photographs']} photographs, {found['model']},"
+        f" {found['preset']}. Shaders took {found['compiling_seconds']:.1f} s to compile. A texture goes to the device"
+        f" with {found['upload_bytes_per_second'] / 1e9:.1f} GB/s and comes back with"
+        f" {found['download_bytes_per_second'] / 1e9:.1f} GB/s. All together {total:.1f} s.",
+        "",
+        *report.table(
+            ["phase", "s", "million texel·photograph·evaluations a second"],
+            [[title, f"{phase['seconds']:.2f}", f"{phase['renders_per_second'] / 1e6:.0f}"]
+             for title, phase in found["phases"].items()],
+        ),
+    ]  # fmt: skip
+
+
+def _entries(data: dict[str, Any]) -> list[str]:
+    found = data["entries"]
+    ways = [name for name in (*_ENTRIES, "software") if name in found]
+    pairs = {"fragment and compute": found["apart"], "compute and software GL": found.get("software_apart")}
+    header = ["", "s of the search", *found["apart"]]
+    return [
+        "## One capture with either kind of pass",
+        "",
+        f"`recover`, {found['texels']} texels under {found['observations']} lights, noise 0.003, {_MODEL}, *Standard*."
+        " Mean and 99th percentile of errors: the normal's in degrees, others in % of the range; then how far two ways"
+        " are apart.",
+        "",
+        *report.table(header, [
+            *([name, report.short(found[name].get("search")), *(_error(found[name][p]) for p in found["apart"])]
+              for name in ways),
+            *([f"{title} apart", "", *(_error(each[p]) for p in found["apart"])]
+              for title, each in pairs.items() if each),
+        ]),
+    ]  # fmt: skip
+
+
+def _error(three: list[float]) -> str:
+    return f"{report.short(three[0], 2)}, {report.short(three[2], 2)}"
+
+
+def _rates(data: dict[str, Any]) -> list[str]:
+    rows = data["rates"]["rows"]
+    return [
+        "## Where it saturates",
+        "",
+        f"Thousand million texel·photograph·evaluations a second of {_PHOTOGRAPHS} photographs: median, minimum and"
+        f" maximum of {_CHUNKS} times some iterations.",
+        "",
+        *report.table(
+            ["texels", *dict.fromkeys(f"{row['title']}, {row['entry']}" for row in rows)],
+            [[f"{side}²", *(f"{r['rate'] / 1e9:.2f} ({r['low'] / 1e9:.2f}–{r['high'] / 1e9:.2f})" for r in rows
+                            if r["side"] == side)] for side in dict.fromkeys(row["side"] for row in rows)],
+        ),
+    ]  # fmt: skip
+
+
+def _fig7(data: dict[str, Any]) -> list[str]:
+    found, here = data["fig7"], data["ceilings"]
+    done = [row for row in found["rows"] if "clock" in row]
+    cells = []
+    for row in found["rows"]:
+        size = f"{row['height']} × {row['width']}"
+        if "clock" not in row:
+            cells.append([size, f"not finished in {_MOST_SECONDS} s", "", "", ""])
+            continue
+        rate = row["texels"] * row["lights"] * found["iterations"] / row["clock"][0]
+        share = f"{rate * _OPERATIONS / here['operations']:.0%}, {16 * rate / here['bytes']:.0%}" if here else ""
+        cells.append([size, f"{row['clock'][0]:.2f}", f"{row['setup'][0] + row['placing'][0]:.1f}",
+                      f"{rate / 1e9:.1f}", share])  # fmt: skip
+    slope = report.slope([row["texels"] for row in done], [row["clock"][0] for row in done])
+    large = [row for row in done if row["texels"] >= 10**5]
+    steep = report.slope([row["texels"] for row in large], [row["clock"][0] for row in large])
+    return [
+        "## The paper's Fig. 7 in full",
+        "",
+        f"As in [fig7.md](fig7.md): two-lobe roughness, 16 particles of which one moves in an iteration, {LIGHTS}"
+        f" lights, all {found['iterations']} iterations, {found['entry']} passes. A particle takes {_OPERATIONS}"
+        " operations a light and reads 16 bytes. Shares are of the ceilings above: operations, bytes.",
+        "",
+        *report.table(["texels", "s", "s before: samples to the device, swarms placed",
+                       "thousand million texel·lights a second", "of the ceilings"], cells),
+        f"Log–log slope: {slope:.2f}; from 300 × 450 on {steep:.2f}. Small sizes wait for the passes' starts.",
+        "",
+    ]  # fmt: skip
+
+
+def _swarm(data: dict[str, Any]) -> list[str]:
+    rows = [{"how": f"gpu module, {row['entry']}", **row} for row in data["swarm"]["rows"]]
+    rows += [
+        {"how": "CUDA, double precision", **row} for row in (data["cuda"] or {"rows": []})["rows"] if "runs" in row
+    ]
+    return [
+        "## One swarm: the paper's Fig. 8",
+        "",
+        f"{_SWARM_ITERATIONS} iterations on griewank's function in 30 dimensions, as in"
+        " [swarm_scaling.md](swarm_scaling.md); medians of three.",
+        "",
+        *report.table(["particles", "a reduction every", "how", "s", "value found"], [
+            [row["particles"], row["every"], row["how"],
+             f"{statistics.median(run['seconds'] for run in row['runs']):.4f}", report.short(row["value"], 6)]
+            for row in rows
+        ]),
+    ]  # fmt: skip
+
+
+def _card(data: dict[str, Any]) -> list[str]:
+    from benchmarks import full_size
+
+    return ["## Twelve megapixels", "", *full_size.write(data["card"], Path()), ""]
+
+
+def headline(data: dict[str, Any]) -> str:
+    """Return what the index says."""
+    row = [row for row in data["fig7"]["rows"] if "clock" in row][-1]
+    rate = row["texels"] * row["lights"] * data["fig7"]["iterations"] / row["clock"][0]
+    return (
+        f"{row['height']} × {row['width']} texels, {row['lights']} lights, {data['fig7']['iterations']} iterations:"
+        f" {row['clock'][0]:.1f} s, {rate / 1e9:.0f} thousand million texel·lights a second"
+    )
+
+
+PROGRAM = report.Program("gpu", "On a graphics processor", __file__, measure, write, headline)
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["job"]:
         run_job(sys.argv[2])
     elif sys.argv[1:2] and sys.argv[1] in PARTS:
         run_part(sys.argv[1], Path(sys.argv[2]))
+    else:
+        report.run(PROGRAM)
     if "bpy" in sys.modules:
         from irpso_addon.gpu import context
 

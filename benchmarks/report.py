@@ -248,12 +248,21 @@ def _without_bare_groups(svg: str) -> str:
     return re.sub(r"<g>|<g [^>]*[^/>]>|</g>", tag, svg)
 
 
+_FONT = "font-family: 'DejaVu Sans'"  # of all text
+
+
 def _minified(svg: str) -> str:
-    """Return the text of an SVG without what no one sees: comments, unused names, blanks, digits below a tenth."""
+    """Return the text of an SVG without what no one sees: comments, unused names, blanks, digits below a tenth.
+
+    What it says of each text it says once.
+    """
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"(\d+\.\d)\d+", r"\1", svg)
     svg = _without_bare_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
+    svg = re.sub(rf";? *{_FONT}(, sans-serif)?", "", svg).replace("</style>", f"text{{{_FONT}, sans-serif}}</style>")
+    svg = re.sub(r'(?<= )style="[^"]*"', lambda found: re.sub(r"([:;]) ", r"\1", found[0]), svg)
+    svg = re.sub(r'(?<= )d="[^"]*"', lambda found: re.sub(r" ?([A-Zz]) ?", r"\1", found[0]), svg)
     svg = re.sub(r"\s*\n\s*", " ", svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 

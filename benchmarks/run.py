@@ -22,6 +22,7 @@ from benchmarks import (
     convergence,
     fig7,
     full_size,
+    gpu,
     interreflection,
     joint,
     killed,
@@ -45,7 +46,7 @@ from benchmarks import (
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
     swarm_scaling, recovery_scaling, killed, window, road, interreflection, separation, balls,
-    seams, full_size, roofline, uncalibrated,
+    seams, full_size, roofline, uncalibrated, gpu,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {

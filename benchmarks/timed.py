@@ -136,15 +136,15 @@ def _warm_up(job: Job, schedule: Schedule) -> None:
 def _synchronise(recovery: Any) -> np.ndarray:
     """Wait for the device; return for how long (clock, work), without what the look that waits takes itself.
 
-    Draws are asynchronous: only a look at the maps, which reads them back, waits for all that was ordered. Where tiles
-    take turns nothing is left to wait for: what leaves the device is read back.
+    Draws are asynchronous: only reading back waits for all that was ordered. Where tiles take turns nothing is left to
+    wait for: what leaves the device is read back.
     """
     if recovery.capabilities.turns:
         return np.zeros(2)
     began = now()
-    recovery.maps(confidence=False)
+    recovery.mean_error()
     middle = now()
-    recovery.maps(confidence=False)
+    recovery.mean_error()
     return np.maximum((middle - began) - (now() - middle), 0.0)
 
 

@@ -154,7 +154,7 @@ def test_distributed_samples_read_like_those_in_memory():
     ids=["unbound", "bound to a core", "bound to eight", "alone on its machine"],
 )
 def test_llvmpipe_has_as_many_threads_as_a_rank_has_cores(own, others, threads, monkeypatch):
-    monkeypatch.setattr(job, "_cores", lambda: own)
+    monkeypatch.setattr(job, "available_cores", lambda: own)
     monkeypatch.setenv("LP_NUM_THREADS", "")  # so that it is as before afterwards
     monkeypatch.delenv("LP_NUM_THREADS")
     ranks = Told([])
