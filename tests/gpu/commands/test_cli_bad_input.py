@@ -448,4 +448,7 @@ def test_the_process_ends_with_the_commands_exit_code(originals, tmp_path):
     assert (tmp_path / OUT / "normal.exr").is_file()
 
 
-ENV = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+ENV = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH", "")]),
+}

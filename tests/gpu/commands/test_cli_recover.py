@@ -255,7 +255,7 @@ def test_an_interrupted_recovery_resumes_to_the_same_maps_bit_for_bit(recovered,
         command = [sys.executable, "-m", "irpso_addon", *map(str, (*options, *more, "-o", folder))]
         process = subprocess.Popen(
             command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
         )  # fmt: skip
         percents = []
         for line in process.stderr:

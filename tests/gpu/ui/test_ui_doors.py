@@ -47,7 +47,7 @@ os._exit(0)
 
 
 def by_operator(capture, out, blend="", name="", resolution=64):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-c", OPERATOR, capture, blend, name, str(resolution), out]
     result = subprocess.run(
         [str(part) for part in command], env=environment, capture_output=True, text=True, timeout=600

@@ -25,7 +25,14 @@ def test_time_grows_with_texels_rounds_and_a_slower_device_and_less_than_with_ph
     assert work_of(1000, 50, "thorough") == pytest.approx(4 * work)
     assert 1 < work_of(1000, 100) / work < 2
     slow = forecast(work, QUIET | {"fragment_seconds": 0.6})
-    assert slow == pytest.approx([10 * seconds for seconds in forecast(work, QUIET)])
+    assert slow == pytest.approx([10 * seconds for seconds in forecast(work, QUIET)], rel=0.05)
+
+
+def test_on_a_fast_gpu_the_hosts_part_is_foreseen():
+    """Of an H100 docs/benchmarks/gpu.md has 12.0 s; 7.6 of them were work of the host that the GPU does since."""
+    h100 = {"renderer": "NVIDIA H100", "fragment_seconds": 2.8e-4, "compute_seconds": 5.8e-5}
+    low, high = forecast(work_of(1 << 20, 24), h100)
+    assert low < 4.4 < high
 
 
 def test_a_gpu_counts_with_the_passes_that_it_will_use():
