@@ -134,17 +134,17 @@ float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before
         }
     }
     // ``high`` is the value of the next whole rank; the percentile lies between it and the one before.
-    float before_it = -1.0;
+    float previous = -1.0;
     int below = 0;
     for (int k = 0; k < u_observations; k++) {
         float value = quantity(kind, t, k, n, sent, before, albedo);
         if (value >= 0.0 && value <= low) {
-            before_it = max(before_it, value);
+            previous = max(previous, value);
             below++;
         }
     }
     float beyond = fract(rank);
-    return beyond == 0.0 || before_it < 0.0 || float(below) < rank ? high : mix(before_it, high, beyond);
+    return beyond == 0.0 || previous < 0.0 || float(below) < rank ? high : mix(previous, high, beyond);
 }
 
 // How many samples lie in shadow, attached or cast.

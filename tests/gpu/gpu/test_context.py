@@ -89,3 +89,37 @@ def test_doctor_ends_with_0_and_names_the_renderer():
     code, out = run("-m", "irpso_addon", "doctor", "--json")
     assert code == 0
     assert json.loads(out.splitlines()[-1])["renderer"] == context.describe()["renderer"]
+
+
+class Driver:
+    """An OpenGL that knows the names in ``told`` and what they are."""
+
+    def __init__(self, told):
+        self.told, self.error = told, 0
+
+    def glGetIntegerv(self, name, answer):  # noqa: N802: OpenGL's name
+        self.error = 0 if name in self.told else 0x500
+        answer[0] = self.told.get(name, answer[0])
+
+    def glGetError(self):  # noqa: N802
+        error, self.error = self.error, 0
+        return error
+
+
+@pytest.mark.parametrize(
+    ("told", "free"),
+    [({0x9049: 82943616}, 82943616 << 10), ({0x87FC: 3 << 20}, 3 << 30), ({0x9049: 0}, None), ({}, None)],
+)
+def test_free_memory_is_what_the_driver_tells(told, free, monkeypatch):
+    context.ensure()
+    monkeypatch.setattr(context, "is_software", lambda renderer: False)
+    monkeypatch.setattr(context.ctypes, "CDLL", lambda name: Driver(told))
+    assert context.free_device_memory() == free
+
+
+def test_of_a_software_renderer_and_of_a_driver_that_does_not_tell_no_free_memory_is_known(monkeypatch):
+    context.ensure()
+    assert context.free_device_memory() is None
+    monkeypatch.setattr(context, "is_software", lambda renderer: False)
+    if context.describe()["renderer"].startswith("llvmpipe"):
+        assert context.free_device_memory() is None
