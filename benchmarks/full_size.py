@@ -46,16 +46,17 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def recovered(size: tuple[int, int], memory: str) -> dict[str, Any]:
-    """Make the card, unless it is there, and recover it with so much ``--memory``."""
+    """Make the card, unless it is there, and recover it with so much ``--memory``; "" for what the machine has."""
     capture = report.CACHE / "full_size" / "{}x{}".format(*size)
     if not (capture / "filenames.txt").is_file():
         make_card(capture, size)
     out = capture.with_name(f"{capture.name}-recovered")
     command = [sys.executable, "-m", "irpso_addon", "recover", str(capture), "-o", str(out)]
+    allowed = ["--memory", memory] if memory else []
     plan = subprocess.run(
-        [*command, "--memory", memory, "--dry-run"], cwd=report.ROOT, check=True, capture_output=True, text=True
+        [*command, *allowed, "--dry-run"], cwd=report.ROOT, check=True, capture_output=True, text=True
     ).stdout.splitlines()
-    found = watched([*command, "--memory", memory, "--checkpoint-every", "60"], out)
+    found = watched([*command, *allowed, "--checkpoint-every", "60"], out)
     return {"size": size, "lights": _LIGHTS, "memory": memory, "plan": plan, **found, "errors": errors(capture, out)}
 
 
@@ -182,11 +183,11 @@ def errors(capture: Path, out: Path) -> dict[str, float]:
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
     (width, height), off = data["size"], data["errors"]
+    memory = f" --memory {data['memory']}`, what is planned on a machine of 16 GiB" if data["memory"] else "`"
     half = next((seconds for seconds, percent in data["foreseen"] if percent >= 50), None)
     return [
-        f"A card of {width} × {height} texels from {data['lights']} JPEGs, `recover --memory {data['memory']}`, what is"
-        " planned on a machine of 16 GiB. Memory: without pages of files. Source:"
-        " [full_size.py](../../benchmarks/full_size.py).",
+        f"A card of {width} × {height} texels from {data['lights']} JPEGs, `recover{memory}. Memory: without pages of"
+        " files. Source: [full_size.py](../../benchmarks/full_size.py).",
         "",
         "```",
         *data["plan"],

@@ -8,7 +8,9 @@ Every part runs in a process of its own and leaves its result in .cache/bench/gp
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -25,13 +27,15 @@ from benchmarks.fig7 import ITERATIONS, KNOWN, LIGHTS, ROUGHNESS, SIZES
 
 _ENTRIES = ("fragment", "compute")
 _MODEL = "principled"
+_SOFTWARE, _MESA = "software", Path("/usr/share/glvnd/egl_vendor.d/50_mesa.json")
 _CAPTURE, _OBSERVATIONS = (224, 224), 96  # of the recovery with each entry
 _SIDES, _PHOTOGRAPHS = (256, 512, 1024, 2048), 24
 _CHUNKS, _TIMED = 3, 1 << 26  # of what is timed for a rate, and texels × iterations of each: a second as fragments
 _OPERATIONS = 195  # of a particle of Fig. 7's stage under one light, counted in SPIR-V (spirv.py)
 _TILED = 1200 * 1800  # texels of Fig. 7 from which on they are tiled
 _BUDGET, _TEXTURE = 60 << 30, 8 << 30  # bytes on the device for Fig. 7, and of one texture
-_MOST_SECONDS = 150  # of one size of it
+_LARGE, _MOST_SECONDS = 10**5, 150  # texels from which on there is a slope; of one size of it
+_SOURCES = ("gpu", "timed", "roofline", "full_size", "swarm_scaling", "killed")  # of what is measured here
 _PARTICLES, _SWARM_ITERATIONS, _REPEATS = (8192, 50000), 100, 3
 
 
@@ -50,7 +54,7 @@ def speed(quick: bool) -> dict[str, Any]:
 
 
 def entries(quick: bool) -> dict[str, Any]:
-    """Recover one capture with either entry; return seconds, errors, and how far apart the maps are."""
+    """Recover one capture with either entry, and on software GL; return seconds, errors, how far apart the maps are."""
     from benchmarks.killed import write_card
     from benchmarks.subjects import NOISY, make_card
 
@@ -59,18 +63,22 @@ def entries(quick: bool) -> dict[str, Any]:
     write_card(folder / "capture", shape, lights, _MODEL)
     truth = make_card(shape, lights, NOISY, model=_MODEL).truth
     found: dict[str, Any] = {"texels": shape[0] * shape[1], "observations": lights}
-    for entry in _ENTRIES:
-        out = folder / entry
+    software = {_SOFTWARE: "fragment"} if _MESA.is_file() else {}
+    for way, entry in {**{entry: entry for entry in _ENTRIES}, **software}.items():
+        out = folder / way
         words = ["recover", folder / "capture", "-o", out, "--model", _MODEL, "--entry", entry, "--quiet"]
         command = [sys.executable, "-m", "irpso_addon", *map(str, words)]
+        mesa = {"__EGL_VENDOR_LIBRARY_FILENAMES": str(_MESA), "LIBGL_ALWAYS_SOFTWARE": "1"} if way == _SOFTWARE else {}
         started = time.perf_counter()
-        subprocess.run(command, cwd=report.ROOT, check=True, capture_output=True)
+        subprocess.run(command, cwd=report.ROOT, env=os.environ | mesa, check=True, capture_output=True)
         told = json.loads((out / "report.json").read_text(encoding="utf-8"))
-        found[entry] = {
+        found[way] = {
             "seconds": time.perf_counter() - started, "search": told["seconds"]["solve"],
             **compared(maps_of(out), truth),
         }  # fmt: skip
     found["apart"] = compared(*(maps_of(folder / entry) for entry in _ENTRIES))
+    if software:
+        found["software_apart"] = compared(maps_of(folder / "compute"), maps_of(folder / _SOFTWARE))
     return found
 
 
@@ -172,10 +180,10 @@ def cuda(quick: bool) -> dict[str, Any]:
 
 
 def card(quick: bool) -> dict[str, Any]:
-    """Recover twelve megapixels from JPEGs, with the memory that the device has."""
+    """Recover twelve megapixels from JPEGs, with all the memory that is planned on this machine."""
     from benchmarks import full_size
 
-    return full_size.recovered(full_size.SMALL if quick else full_size.SIZE, "device=40G,host=60G")
+    return full_size.recovered(full_size.SMALL if quick else full_size.SIZE, "")
 
 
 def ceilings(quick: bool) -> dict[str, Any]:
@@ -195,7 +203,8 @@ def measure(quick: bool) -> dict[str, Any]:
     """Measure all parts that have no result yet; one that fails is noted as such."""
     from irpso_addon.gpu import context
 
-    folder = report.CACHE / "gpu" / report.digest(__file__)  # other sources measure anew
+    sources = [report.digest(str(Path(__file__).with_name(f"{name}.py"))) for name in _SOURCES]
+    folder = report.CACHE / "gpu" / hashlib.sha256("".join(sources).encode()).hexdigest()[:16]  # others measure anew
     data = {}
     for name in PARTS:
         path = folder / f"{name}{'-quick' if quick else ''}.json"
@@ -217,7 +226,8 @@ def run_part(name: str, path: Path) -> None:
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines, of the parts that were measured."""
-    facts = data["facts"]
+    if not (facts := data["facts"]):
+        return ["The device could not be examined.", ""]
     ratio = facts["fragment_seconds"] / facts["compute_seconds"]
     lines = [
         f"{facts['renderer']}, driver {facts['version']}, {facts['machine']['processor']}. The probe is right both"
@@ -261,7 +271,7 @@ def _speed(data: dict[str, Any]) -> list[str]:
 
 def _entries(data: dict[str, Any]) -> list[str]:
     found = data["entries"]
-    ways = [name for name in (*_ENTRIES, "software") if name in found]
+    ways = [name for name in (*_ENTRIES, _SOFTWARE) if name in found]
     pairs = {"fragment and compute": found["apart"], "compute and software GL": found.get("software_apart")}
     header = ["", "s of the search", *found["apart"]]
     return [
@@ -269,7 +279,7 @@ def _entries(data: dict[str, Any]) -> list[str]:
         "",
         f"`recover`, {found['texels']} texels under {found['observations']} lights, noise 0.003, {_MODEL}, *Standard*."
         " Mean and 99th percentile of errors: the normal's in degrees, others in % of the range; then how far two ways"
-        " are apart.",
+        f" are apart. Software: Mesa's renderer{found.get('software_on', '')}.",
         "",
         *report.table(header, [
             *([name, report.short(found[name].get("search")), *(_error(found[name][p]) for p in found["apart"])]
@@ -286,6 +296,10 @@ def _error(three: list[float]) -> str:
 
 def _rates(data: dict[str, Any]) -> list[str]:
     rows = data["rates"]["rows"]
+    cases, sides = (list(dict.fromkeys(row[name] for row in rows)) for name in ("title", "side"))
+    ways = [(title, entry) for title in cases for entry in _ENTRIES]
+    found = {(r["side"], r["title"], r["entry"]): f"{r['rate'] / 1e9:.2f} ({r['low'] / 1e9:.2f}–{r['high'] / 1e9:.2f})"
+             for r in rows}  # fmt: skip
     return [
         "## Where it saturates",
         "",
@@ -293,11 +307,10 @@ def _rates(data: dict[str, Any]) -> list[str]:
         f" maximum of {_CHUNKS} times some iterations.",
         "",
         *report.table(
-            ["texels", *dict.fromkeys(f"{row['title']}, {row['entry']}" for row in rows)],
-            [[f"{side}²", *(f"{r['rate'] / 1e9:.2f} ({r['low'] / 1e9:.2f}–{r['high'] / 1e9:.2f})" for r in rows
-                            if r["side"] == side)] for side in dict.fromkeys(row["side"] for row in rows)],
+            ["texels", *(", ".join(way) for way in ways)],
+            [[f"{side}²", *(found.get((side, *way), "not measured") for way in ways)] for side in sides],
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _fig7(data: dict[str, Any]) -> list[str]:
@@ -313,9 +326,9 @@ def _fig7(data: dict[str, Any]) -> list[str]:
         share = f"{rate * _OPERATIONS / here['operations']:.0%}, {16 * rate / here['bytes']:.0%}" if here else ""
         cells.append([size, f"{row['clock'][0]:.2f}", f"{row['setup'][0] + row['placing'][0]:.1f}",
                       f"{rate / 1e9:.1f}", share])  # fmt: skip
-    slope = report.slope([row["texels"] for row in done], [row["clock"][0] for row in done])
-    large = [row for row in done if row["texels"] >= 10**5]
-    steep = report.slope([row["texels"] for row in large], [row["clock"][0] for row in large])
+    large = [row for row in done if row["texels"] >= _LARGE]
+    slope = [report.slope([row["texels"] for row in rows], [row["clock"][0] for row in rows])
+             for rows in (done, large) if len(rows) > 1]  # fmt: skip
     return [
         "## The paper's Fig. 7 in full",
         "",
@@ -325,7 +338,8 @@ def _fig7(data: dict[str, Any]) -> list[str]:
         "",
         *report.table(["texels", "s", "s before: samples to the device, swarms placed",
                        "thousand million texel·lights a second", "of the ceilings"], cells),
-        f"Log–log slope: {slope:.2f}; from 300 × 450 on {steep:.2f}. Small sizes wait for the passes' starts.",
+        f"Log–log slope of all sizes, and of those from {_LARGE} texels on, which do not wait for the passes' starts:"
+        f" {', '.join(f'{value:.2f}' for value in slope)}.",
         "",
     ]  # fmt: skip
 
@@ -357,10 +371,14 @@ def _card(data: dict[str, Any]) -> list[str]:
 
 def headline(data: dict[str, Any]) -> str:
     """Return what the index says."""
-    row = [row for row in data["fig7"]["rows"] if "clock" in row][-1]
-    rate = row["texels"] * row["lights"] * data["fig7"]["iterations"] / row["clock"][0]
+    name = str(data["facts"].get("renderer", "")).partition("/")[0]
+    done = [row for row in data["fig7"].get("rows", []) if "clock" in row]
+    if not done:
+        return name
+    row, iterations = done[-1], data["fig7"]["iterations"]
+    rate = row["texels"] * row["lights"] * iterations / row["clock"][0]
     return (
-        f"{row['height']} × {row['width']} texels, {row['lights']} lights, {data['fig7']['iterations']} iterations:"
+        f"{name}: {row['height']} × {row['width']} texels, {row['lights']} lights, {iterations} iterations:"
         f" {row['clock'][0]:.1f} s, {rate / 1e9:.0f} thousand million texel·lights a second"
     )
 

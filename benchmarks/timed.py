@@ -130,7 +130,7 @@ def _warm_up(job: Job, schedule: Schedule) -> None:
     domain, fixed = repeated(small)
     with Recovery(domain, load_model(subjects.TWO_LOBES), schedule, 0, fixed, entry=job.entry) as recovery:
         recovery.step(iterations=2)
-        recovery.maps(confidence=False)
+        recovery.mean_error()
 
 
 def _synchronise(recovery: Any) -> np.ndarray:

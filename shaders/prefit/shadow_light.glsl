@@ -1,8 +1,9 @@
 // Over W×H texels: the light that other surfaces send a matt texel, as its shadows tell it. Matt surfaces send light that
-// changes slowly with the direction of the lamp: spherical harmonics to order 2 (Basri and Jacobs 2003). Photographs in which
-// the texel lies in shadow, attached or cast, show that light alone; harmonics that are fitted to these tell it in the others.
-// Reads the estimates, for their normal, and u_asked. Writes nine coefficients of the mean over the channels of radiance over
-// irradiance/π, red and green of its chroma, and the part of the texel's light that it is; zeros where shadows do not tell it.
+// changes slowly with the direction of the lamp: spherical harmonics to order 2 (Basri and Jacobs 2003). Photographs in
+// which the texel lies in shadow, attached or cast, show that light alone; harmonics that are fitted to these tell it in the
+// others. Reads the estimates, for their normal, and u_asked. Writes nine coefficients of the mean over the channels of
+// radiance over irradiance/π, red and green of its chroma, and the part of the texel's light that it is; zeros where shadows
+// do not tell it.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -106,7 +107,7 @@ float quantity(int kind, Texel t, int k, vec3 n, Light sent, Light before, float
     return left_of(s, sent) / s.cosine;
 }
 
-#define HALVINGS 14
+#define HALVINGS 20
 
 // Returns a percentile, as a part of 1, of a quantity over the samples; 0 without any. By halving: nothing is sorted.
 float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before, float albedo)
@@ -133,18 +134,18 @@ float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before
             low = middle;
         }
     }
-    // ``high`` is the value of the next whole rank; the percentile lies between it and the one before.
-    float previous = -1.0;
-    int below = 0;
+    // Between low and high lies the value of the whole rank below; the percentile lies between it and the next.
+    float least = 0.0;
+    float next = -1.0;
     for (int k = 0; k < u_observations; k++) {
         float value = quantity(kind, t, k, n, sent, before, albedo);
-        if (value >= 0.0 && value <= low) {
-            previous = max(previous, value);
-            below++;
+        if (value > high) {
+            next = next < 0.0 ? value : min(next, value);
+        } else {
+            least = max(least, value);
         }
     }
-    float beyond = fract(rank);
-    return beyond == 0.0 || previous < 0.0 || float(below) < rank ? high : mix(previous, high, beyond);
+    return next < 0.0 ? least : mix(least, next, fract(rank));
 }
 
 // How many samples lie in shadow, attached or cast.
@@ -236,6 +237,80 @@ Light fitted(Texel t, vec3 n, Light sent, float albedo, float bright)
     return fit;
 }
 
+// The light of a texel by its shadows. before, albedo: by which samples lie in shadow. sent: what was fitted to these.
+struct Told {
+    Light before;
+    float albedo;
+    Light sent;
+    float bright;
+};
+
+// Returns false where the shadows are too few.
+bool tell(Texel t, vec3 n, out Told told)
+{
+    for (int i = 0; i < HARMONICS; i++) {
+        told.sent.c[i] = 0.0;
+    }
+    told.before = told.sent;
+    told.albedo = 0.0;
+    told.bright = LEAST_LIGHT;
+    // Most texels have too few shadows even if the brightest sample says how much light they send.
+    float most = 0.0;
+    for (int k = 0; k < u_observations; k++) {
+        most = max(most, quantity(OWN_ALBEDO, t, k, n, told.sent, told.sent, 0.0));
+    }
+    if (shadows(t, n, told.sent, most) < FEWEST) {
+        return false;
+    }
+    told.bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, told.sent, told.sent, 0.0), LEAST_LIGHT);
+    // Shadows by the light that is left, then the light by them.
+    for (int round = 0; round < ROUNDS; round++) {
+        told.before = told.sent;
+        told.albedo = percentile(OWN_ALBEDO, LIT, t, n, told.sent, told.sent, 0.0);
+        if (shadows(t, n, told.sent, told.albedo) < FEWEST) {
+            return false;
+        }
+        told.sent = fitted(t, n, told.sent, told.albedo, told.bright);
+    }
+    return true;
+}
+
+// Returns red and green of the chroma of the light, and its share; 0 where it does not explain what the texel shows.
+vec3 chroma_and_share(Texel t, vec3 n, Told told)
+{
+    float dark = 0.0;
+    float unexplained = 0.0;
+    vec2 light = vec2(0.0);
+    vec3 colour = vec3(0.0);
+    float lit = 0.0;
+    for (int k = 0; k < u_observations; k++) {
+        Shown s;
+        if (show(t, k, n, s)) {
+            float left = left_of(s, told.sent);
+            bool shade = cast_shadow(s, told.before, told.albedo);
+            light += vec2(s.grey - left, s.grey);
+            if (s.cosine < 0.0 || shade) {
+                dark += s.grey;
+                unexplained += abs(left);
+                colour += weight_of(s, told.sent, told.bright) * s.light;
+            }
+            lit += s.cosine > FACING && !shade ? left : 0.0;
+        }
+    }
+    float matt = percentile(LIT_ALBEDO, 0.5, t, n, told.sent, told.before, told.albedo);
+    float gloss = 0.0;
+    for (int k = 0; k < u_observations; k++) {
+        Shown s;
+        if (show(t, k, n, s) && s.cosine > FACING && !cast_shadow(s, told.before, told.albedo)) {
+            gloss += abs(left_of(s, told.sent) - matt * s.cosine);
+        }
+    }
+    float share = light.x / max(light.y, LEAST_LIGHT);
+    bool explains = unexplained < MOST_UNEXPLAINED * dark && gloss < MOST_GLOSS * lit && share >= LEAST_SHARE;
+    vec3 chroma = colour / max(colour.r + colour.g + colour.b, LEAST_LIGHT);
+    return explains ? vec3(chroma.rg, share) : vec3(0.0);
+}
+
 bool texel_kernel(ivec2 texel)
 {
     o_low = vec4(0.0);
@@ -247,67 +322,16 @@ bool texel_kernel(ivec2 texel)
     Texel t = observed_texel(texel);
     t.shadow = 0.0;
     float c[12];
-    material_to(estimate_at(texel), c);
+    read_estimate(texel, c);
     vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
-
-    Light sent;
-    for (int i = 0; i < HARMONICS; i++) {
-        sent.c[i] = 0.0;
-    }
-    // Most texels have too few shadows even if the brightest sample says how much light they send.
-    float most = 0.0;
-    for (int k = 0; k < u_observations; k++) {
-        most = max(most, quantity(OWN_ALBEDO, t, k, n, sent, sent, 0.0));
-    }
-    if (shadows(t, n, sent, most) < FEWEST) {
-        return true;
-    }
-    float bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, sent, sent, 0.0), LEAST_LIGHT);
-    Light before = sent;
-    float albedo = 0.0;
-    // Shadows by the light that is left, then the light by them.
-    for (int round = 0; round < ROUNDS; round++) {
-        before = sent;
-        albedo = percentile(OWN_ALBEDO, LIT, t, n, sent, sent, 0.0);
-        if (shadows(t, n, sent, albedo) < FEWEST) {
-            return true;
+    Told told;
+    if (tell(t, n, told)) {
+        vec3 found = chroma_and_share(t, n, told);
+        if (found.z > 0.0) {
+            o_low = vec4(told.sent.c[0], told.sent.c[1], told.sent.c[2], told.sent.c[3]);
+            o_middle = vec4(told.sent.c[4], told.sent.c[5], told.sent.c[6], told.sent.c[7]);
+            o_high = vec4(told.sent.c[8], found);
         }
-        sent = fitted(t, n, sent, albedo, bright);
-    }
-
-    float dark = 0.0;
-    float unexplained = 0.0;
-    vec2 light = vec2(0.0);
-    vec3 colour = vec3(0.0);
-    float lit = 0.0;
-    for (int k = 0; k < u_observations; k++) {
-        Shown s;
-        if (show(t, k, n, s)) {
-            float left = left_of(s, sent);
-            bool shade = cast_shadow(s, before, albedo);
-            light += vec2(s.grey - left, s.grey);
-            if (s.cosine < 0.0 || shade) {
-                dark += s.grey;
-                unexplained += abs(left);
-                colour += weight_of(s, sent, bright) * s.light;
-            }
-            lit += s.cosine > FACING && !shade ? left : 0.0;
-        }
-    }
-    float matt = percentile(LIT_ALBEDO, 0.5, t, n, sent, before, albedo);
-    float gloss = 0.0;
-    for (int k = 0; k < u_observations; k++) {
-        Shown s;
-        if (show(t, k, n, s) && s.cosine > FACING && !cast_shadow(s, before, albedo)) {
-            gloss += abs(left_of(s, sent) - matt * s.cosine);
-        }
-    }
-    float share = light.x / max(light.y, LEAST_LIGHT);
-    if (unexplained < MOST_UNEXPLAINED * dark && gloss < MOST_GLOSS * lit && share >= LEAST_SHARE) {
-        vec3 chroma = colour / max(colour.r + colour.g + colour.b, LEAST_LIGHT);
-        o_low = vec4(sent.c[0], sent.c[1], sent.c[2], sent.c[3]);
-        o_middle = vec4(sent.c[4], sent.c[5], sent.c[6], sent.c[7]);
-        o_high = vec4(sent.c[8], chroma.rg, share);
     }
     return true;
 }

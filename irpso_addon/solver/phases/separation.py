@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.steps import map_steps
-from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
@@ -17,6 +16,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
+from ..state.phase_textures import PhaseTextures, shadow_light_table
 from ..state.prepare import lambert_steps
 from ..state.reader import Reader
 from ..state.separation import SeparatedStack, by_shadows, direct_chroma, evidence_of, separation_steps
@@ -162,14 +162,14 @@ def shadow_light_steps(
     It is 0 everywhere if a light lacks a channel. work: from ``shadow_light_pass``; it is closed at the end. In bands
     of rows of about ``seconds``; yields after each.
     """
-    if not (domain.domain.intensities > 0).all():
-        return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
-    width, height = estimates.size
-    targets = [textures.empty(width, height) for _ in work.kernel.outputs]
-    given = textures.upload(domain.packing.pack(asked[..., None].astype(np.float32)))
-    inputs = {**estimates.bindings(), **domain.textures, "u_asked": given}
-    with closing(work), closing(Reader(work.entry)) as reader:
+    held = PhaseTextures(shadow_light_table(), *estimates.size)
+    with closing(work), closing(held), closing(Reader(work.entry)) as reader:
+        if not (domain.domain.intensities > 0).all():
+            return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
+        held.upload("asked", [domain.packing.pack(asked[..., None].astype(np.float32))])
+        yield from held.make()
+        inputs = {**estimates.bindings(), **domain.textures, **held.bindings()}
         constants = {"u_observations": domain.domain.observations}
-        yield from work.in_bands(SEPARATION, bands, seconds, targets, inputs, constants)
-        packed = np.concatenate([reader.read(target) for target in targets], axis=-1)
+        yield from work.in_bands(SEPARATION, bands, seconds, held.of("light"), inputs, constants)
+        packed = np.concatenate([reader.read(texture) for texture in held.of("light")], axis=-1)
     return domain.packing.unpack(packed)

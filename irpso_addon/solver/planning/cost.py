@@ -32,6 +32,7 @@ from ..state.phase_textures import (
     prior_table,
     refinement_table,
     sequential_swarm_table,
+    shadow_light_table,
     sheen_table,
     surface_table,
     synchronous_swarm_table,
@@ -174,7 +175,7 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
     if isinstance(resolved, ResolvedIndirect):
         return indirect_table()
     if isinstance(resolved, ResolvedSeparation):
-        return TextureTable({})
+        return shadow_light_table()
     if isinstance(resolved, ResolvedSurface):
         return surface_table()
     if isinstance(resolved, ResolvedSheen):

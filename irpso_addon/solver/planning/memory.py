@@ -64,7 +64,8 @@ def machine_memory(text: str | None, renderer: str, free_device: int | None = No
     host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of the free memory"
     device, device_from = int(_SPARE * (free_device or 0)), f"{100 * _SPARE:.0f} % of the device's free memory"
     if device < ASSUMED_DEVICE:
-        device, device_from = ASSUMED_DEVICE, "assumed: the driver does not tell; set it with --memory device=…"
+        told = "does not tell" if free_device is None else f"tells of {amount(free_device)} that are free"
+        device, device_from = ASSUMED_DEVICE, f"assumed: the driver {told}; set it with --memory device=…"
     if is_software(renderer):
         host //= 2
         host_from = f"half of {host_from}"

@@ -48,9 +48,9 @@ class Limits:
     texture: int = _TEXTURE
 
 
-def largest_texture(free: int) -> int:
-    """Return the bytes of a single texture on a device with ``free`` bytes. On an H100 8 GiB are no trouble."""
-    return min(max(_TEXTURE, free // _SHARE), _MOST_TEXTURE)
+def largest_texture(free: int | None) -> int:
+    """Return the bytes of a single texture on a device whose driver tells ``free``. On an H100 8 GiB are no trouble."""
+    return min(max(_TEXTURE, (free or 0) // _SHARE), _MOST_TEXTURE)
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,9 @@ def make_plan(
     sample stack's place where it exists. mesh: of the texels; its seams need memory too.
     """
     device = context.describe()
-    allowed = machine_memory(memory, str(device["renderer"]), context.free_device_memory())
-    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(allowed.device))
+    free = context.free_device_memory()
+    allowed = machine_memory(memory, str(device["renderer"]), free)
+    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
     cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)

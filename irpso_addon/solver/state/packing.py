@@ -54,9 +54,13 @@ class Packing:
         return result
 
     def places(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return (n, 2) x and y in the packed grid of n solved texels."""
-        width = self.shape[1]
-        index = np.searchsorted(self._rows * width + self._columns, rows * width + columns)
+        """Return (n, 2) x and y in the packed grid of n solved texels. Raises ValueError where one is not solved."""
+        index = np.empty(len(rows), int)
+        for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
+            first, end = np.searchsorted(self._rows, (row, row + 1))  # they lie row by row
+            index[number] = at = first + np.searchsorted(self._columns[first:end], column)
+            if at == end or self._columns[at] != column:
+                raise ValueError(f"texel ({column}, {row}) is not solved")
         return np.stack([index % self.width, index // self.width], axis=-1)
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:

@@ -126,6 +126,14 @@ def indirect_table() -> TextureTable:
     })  # fmt: skip
 
 
+def shadow_light_table() -> TextureTable:
+    """Return the table of the light that shadows tell: shaders/prefit/shadow_light.glsl."""
+    return TextureTable({
+        "asked": TextureGroup(("u_asked",), (), "R32F"),
+        "light": TextureGroup(("u_low", "u_middle", "u_high")),
+    })  # fmt: skip
+
+
 def prior_table(estimates: int) -> TextureTable:
     """Return the table of a spatial prior. estimates: RGBA textures of a material.
 

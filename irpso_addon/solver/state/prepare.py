@@ -74,7 +74,7 @@ class Prepared:
             weight = part[..., 3].copy()
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
             # As shaders/common/observation.glsl marks them.
-            part[..., 3] -= np.where(part[..., 3] == 0, np.minimum(np.abs(weight), 1) / 2, 0)
+            part[..., 3] -= np.where(part[..., 3] == 0, np.clip(weight, 0, 1) / 2, 0)
 
         yield from chunk_steps(domain, work)
         stack = stack.reshape(-1, packing.height, packing.width, 4)

@@ -22,13 +22,13 @@ LIGHTS, SHAPE = 96, (3, 8)
 CHROMA = np.array([0.5, 0.3, 0.2])
 
 
-def hollow(near=False, card=True, noise=0.0, strength=1.0):
+def hollow(near=False, card=True, noise=0.0, strength=1.0, lights=LIGHTS):
     """Return (domain, normals, direct light, sent light): the left half of matt texels stands beside a wall.
 
     The wall hides them from lamps of one side, and sends them light that changes with the lamp's direction.
     """
     rng = np.random.default_rng(6)
-    domain = make_domain(*SHAPE, observations=LIGHTS, near=near, card=card, colored=True, holes=False)
+    domain = make_domain(*SHAPE, observations=lights, near=near, card=card, colored=True, holes=False)
     toward = domain.lights[:, None, None, :3] - near * domain.bake.position
     squared = (toward**2).sum(axis=-1, keepdims=True) if near else 1
     toward, frame = unit(toward), domain.bake.frames().swapaxes(-1, -2)
@@ -40,8 +40,8 @@ def hollow(near=False, card=True, noise=0.0, strength=1.0):
     direct = direct[..., None] * rng.uniform(0.5, 0.9, (*SHAPE, 3))
     sent = sent[..., None] * 3 * CHROMA
     irradiance = domain.intensities[:, None, None] / squared
-    stack = np.ones((LIGHTS, *SHAPE, 4))
-    stack[..., :3] = (direct + sent) * irradiance * (1 + noise * rng.normal(size=(LIGHTS, *SHAPE, 1)))
+    stack = np.ones((lights, *SHAPE, 4))
+    stack[..., :3] = (direct + sent) * irradiance * (1 + noise * rng.normal(size=(lights, *SHAPE, 1)))
     return with_samples(domain, np.float32(stack)), normal, direct * irradiance, sent * irradiance, inside
 
 
@@ -59,12 +59,15 @@ def found(domain, normal, sought=None, least=0.05, entry="fragment"):
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-@pytest.mark.parametrize(("near", "card"), [(False, True), (True, True), (False, False)])
-def test_it_is_that_of_the_oracle(near, card, entry):
-    domain, normal, _, _, inside = hollow(near, card, noise=0.03)
+@pytest.mark.parametrize(
+    ("near", "card", "lights"),
+    [(False, True, 96), (True, True, 96), (False, False, 96), (False, True, 50), (True, True, 35)],
+)
+def test_it_is_that_of_the_oracle(near, card, lights, entry):
+    domain, normal, _, _, inside = hollow(near, card, noise=0.03, lights=lights)
     mine, other = found(domain, normal, entry=entry), shadow_light(domain, normal, np.ones(SHAPE, bool), 0.05)
     np.testing.assert_array_equal(mine[..., -1] > 0, other[..., -1] > 0)
-    assert (mine[inside][:, -1] > 0).mean() > 0.7
+    assert (mine[inside][:, -1] > 0).mean() > 0.6
     np.testing.assert_allclose(mine[..., 9:], other[..., 9:], atol=2e-3)
     vectors = domain.lights[:, None, :3].astype(np.float64)
     for texel in np.argwhere(mine[..., -1] > 0):

@@ -20,7 +20,7 @@ from irpso_addon.solver.kernels import surface as surface_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
-from irpso_addon.solver.phases import indirect, prefit, sheen
+from irpso_addon.solver.phases import indirect, prefit, separation, sheen
 from irpso_addon.solver.phases.neighbour_test import decision_pass
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
@@ -76,6 +76,7 @@ def make_passes(resolved, model, schedule):
         decision_pass("prefit/sheen.glsl", "chosen", sheen.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedSeparation):
         prefit.adopt_pass(model, DOMAIN)
+        separation.shadow_light_pass(model, 0.05, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
             make_passes(part, resolved.model, schedule)
