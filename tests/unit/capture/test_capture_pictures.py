@@ -142,3 +142,20 @@ def test_a_camera_that_stands_still_does_not_turn_some_of_its_photographs(tmp_pa
     with pytest.raises(CaptureError, match=r"b\.jpg: its EXIF orientation is 3 where .* have 1") as refused:
         read_capture(tmp_path, lambda path: None)
     assert refused.value.code == "orientation"
+
+
+@pytest.mark.parametrize("space", ["auto", "linear"])
+@pytest.mark.parametrize("bits", [8, 10, 12])
+def test_pictures_with_alpha_give_the_samples_of_those_without_where_they_are_opaque(bits, space):
+    rng, top = np.random.default_rng(bits), 2**bits - 1
+    codes = np.concatenate([rng.integers(0, top + 1, (40, 50, 3)), np.full((40, 50, 1), top)], axis=-1)
+    codes[:4, :, 1] = top
+    codes[2:7, :, 3] = 0
+    values = (codes / np.float32(top)).astype(np.float32)
+    whole, opaque = (samples_of_picture(Picture(v, bits), space) for v in (values, values[..., :3].copy()))
+    for name in ("clipped", "not_finite", "negative"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(opaque, name))
+    for name in ("rgba", "bounds"):
+        np.testing.assert_array_equal(getattr(whole, name)[7:], getattr(opaque, name)[7:])
+        np.testing.assert_array_equal(getattr(whole, name)[:2], getattr(opaque, name)[:2])
+    assert (whole.rgba[2:7, :, 3] == 0).all() and (whole.bounds[4:7, :, 3] <= 0).all()

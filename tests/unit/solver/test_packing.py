@@ -33,3 +33,13 @@ def test_empty_texels_take_no_space_except_in_the_last_row(name):
     assert packing.width * packing.height - mask.sum() < max(packing.width, 2)
     if mask.all():
         assert (packing.height, packing.width) == mask.shape
+
+
+def test_places_are_those_of_the_inverse_and_of_solved_texels_alone():
+    solved = np.random.default_rng(2).random((9, 13)) < 0.6
+    packing = Packing(solved)
+    rows, columns = (found[::-3] for found in np.nonzero(solved))
+    np.testing.assert_array_equal(packing.places(rows, columns), packing.arrays()[1][rows, columns])
+    row, column = np.argwhere(~solved)[-1]
+    with pytest.raises(ValueError, match=f"texel \\({column}, {row}\\) is not solved"):
+        packing.places(np.array([row]), np.array([column]))
