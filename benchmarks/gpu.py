@@ -102,16 +102,17 @@ def rates(quick: bool) -> dict[str, Any]:
     """Return texel·observations·evaluations a second by the size of the card, the steps of the phases in turn."""
     from benchmarks.timed import Job, measure
 
-    alone = {"search": ["all"], "cycles": 1, "iterations": 60, "prefit_iterations": 0, "refinement_iterations": 0,
-             "refinement_rounds": 0}  # fmt: skip
+    alone = {
+        "search": ["all"], "cycles": 1, "prefit_iterations": 0, "refinement_iterations": 0, "refinement_rounds": 0
+    }  # fmt: skip
     cases = (("`paper`, roughness stage", "paper", ROUGHNESS, KNOWN), ("`standard`, swarm", "standard", alone, ()))
     rows = []
     for side in (16, 24) if quick else _SIDES:
         for title, preset, changes, fixed in cases:
             for entry in _ENTRIES:
-                count = max(2, _TIMED // side**2)
-                job = Job(side, side, _PHOTOGRAPHS, preset, changes, fixed, count, _CHUNKS, entry)
-                found = measure(job)
+                count = 2 if quick else max(2, _TIMED // side**2)
+                enough = {**changes, "iterations": 1 + count * (_CHUNKS + 1)}
+                found = measure(Job(side, side, _PHOTOGRAPHS, preset, enough, fixed, count, _CHUNKS, entry))
                 pairs = zip(found["evaluations"], found["clock"], strict=True)
                 rate = [_PHOTOGRAPHS * evaluations / seconds for evaluations, seconds in pairs]
                 rows.append({"side": side, "title": title, "entry": entry, "rate": statistics.median(rate),
