@@ -84,13 +84,20 @@ def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -
         not_finite |= ~np.isfinite(alpha)
         rgba[..., 3] = np.clip(alpha.astype(np.float32), 0, 1)
     rgba[not_finite] = 0
-    bounds, any_clipped = rgba, _any(clipped)
-    if any_clipped.any():
-        bounds = rgba.copy()
-        bounds[any_clipped, 3] = bounded(rgba[any_clipped, 3], clipped[any_clipped])
-        rgba[any_clipped, 3] = 0
+    any_clipped = _any(clipped)
+    bounds = _bounds_of(rgba, any_clipped, clipped)
     negative = _any(rgba[..., :3] < 0)
     return Samples(rgba, bounds, any_clipped & ~not_finite, not_finite, negative)
+
+
+def _bounds_of(rgba: np.ndarray, where: np.ndarray, clipped: np.ndarray) -> np.ndarray:
+    """Return Samples.bounds, and give pixels ``where`` (H, W) bool weight 0 in rgba. clipped: (H, W, 3) bool."""
+    if not where.any():
+        return rgba
+    bounds = rgba.copy()
+    bounds[where, 3] = bounded(rgba[where, 3], clipped[where])
+    rgba[where, 3] = 0
+    return bounds
 
 
 def _samples_of_codes(values: np.ndarray, bits: int, linear: bool) -> Samples:
@@ -100,11 +107,8 @@ def _samples_of_codes(values: np.ndarray, bits: int, linear: bool) -> Samples:
     rgba = values.copy() if linear else _table(bits)[codes]
     np.clip(values[..., 3], 0, 1, out=rgba[..., 3])
     clipped = _any(codes == codes.dtype.type(top))
-    bounds, none = rgba, np.zeros(clipped.shape, bool)
-    if clipped.any():
-        bounds = rgba.copy()
-        bounds[clipped, 3] = bounded(rgba[clipped, 3], np.ones((int(clipped.sum()), 3), bool))
-        rgba[clipped, 3] = 0
+    bounds = _bounds_of(rgba, clipped, np.broadcast_to(clipped[..., None], (*clipped.shape, 3)))
+    none = np.zeros(clipped.shape, bool)
     return Samples(rgba, bounds, clipped, none, none)
 
 
