@@ -15,13 +15,15 @@
 #define DARK 0.15        // of the light that a texel would send without a cast shadow
 #define LIT 0.8          // percentile of the albedos by single samples: most lamps may be hidden
 #define BRIGHT 0.95      // percentile of the light
-#define ROUNDS 3         // shadows by the light that is left, then the light by them
+#define ROUNDS 3         // shadows by the normal and the light that is left, then both by them
 #define FITS 4           // each weighted by the errors of the last
 #define SMALL 0.02       // an error, as a part of a texel's bright light
 #define RIDGE_MEAN 0.001 // of the mean light
 #define RIDGE 0.1        // of the other coefficients
+#define RIDGE_OWN 1e-6   // of the texel's own light
 
-// What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain.
+// What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain. The errors of the
+// harmonics turn a normal by a degree: light that turns it by less than the chord LEAST_TURN stays.
 #define FEWEST 10            // shadows
 #define MOST_UNEXPLAINED 0.3 // of the light in them
 #define MOST_GLOSS 0.25      // of the light beside them, unlike a matt surface's: metal is dark beside its highlight, too
@@ -195,10 +197,10 @@ void solve(inout float a[TRIANGLE], inout float x[HARMONICS])
     }
 }
 
-// The weight of a sample in shadow by how far a fit is off it.
-float weight_of(Shown s, Light fit, float bright)
+// The weight of a sample by how far a fit is off it.
+float weight_of(float error, float bright)
 {
-    return SMALL / (abs(s.grey - light_under(fit, s.l)) / bright + SMALL);
+    return SMALL / (abs(error) / bright + SMALL);
 }
 
 // Returns the light in the shadows by least absolute errors: each fit is weighted by the errors of the last.
@@ -219,7 +221,7 @@ Light fitted(Texel t, vec3 n, Light sent, float albedo, float bright)
         for (int k = 0; k < u_observations; k++) {
             Shown s;
             if (show(t, k, n, s) && (s.cosine < 0.0 || cast_shadow(s, sent, albedo))) {
-                float weight = round == 0 ? 1.0 : weight_of(s, fit, bright);
+                float weight = round == 0 ? 1.0 : weight_of(s.grey - light_under(fit, s.l), bright);
                 harmonics(s.l, b);
                 for (int i = 0; i < HARMONICS; i++) {
                     right[i] += weight * b[i] * s.grey;
@@ -237,21 +239,49 @@ Light fitted(Texel t, vec3 n, Light sent, float albedo, float bright)
     return fit;
 }
 
-// The light of a texel by its shadows. before, albedo: by which samples lie in shadow. sent: what was fitted to these.
+// The light of a texel by its shadows. n, before, albedo: by which samples lie in shadow. sent: what was fitted to these.
 struct Told {
+    vec3 n;
     Light before;
     float albedo;
     Light sent;
     float bright;
 };
 
-// Returns false where the shadows are too few.
+bool beside_shadows(Shown s, Told told)
+{
+    return s.cosine > FACING && !cast_shadow(s, told.before, told.albedo);
+}
+
+// Returns the normal of a Lambertian texel beside the shadows, by least absolute errors of what is left without ``sent``.
+vec3 normal_without(Texel t, Told told, Light sent)
+{
+    vec3 own = vec3(0.0);
+    for (int round = 0; round < FITS; round++) {
+        mat3 gram = mat3(RIDGE_OWN);
+        vec3 right = vec3(0.0);
+        for (int k = 0; k < u_observations; k++) {
+            Shown s;
+            if (show(t, k, told.n, s) && beside_shadows(s, told)) {
+                float left = left_of(s, sent);
+                float weight = round == 0 ? 1.0 : weight_of(left - dot(own, s.l), told.bright);
+                gram += weight * outerProduct(s.l, s.l);
+                right += weight * left * s.l;
+            }
+        }
+        own = inverse(gram) * right;
+    }
+    return own.z > 0.0 ? normalize(own) : told.n;
+}
+
+// Returns false where the shadows are too few. n: a first normal, which the light of other surfaces may have turned.
 bool tell(Texel t, vec3 n, out Told told)
 {
     for (int i = 0; i < HARMONICS; i++) {
         told.sent.c[i] = 0.0;
     }
     told.before = told.sent;
+    told.n = n;
     told.albedo = 0.0;
     told.bright = LEAST_LIGHT;
     // Most texels have too few shadows even if the brightest sample says how much light they send.
@@ -263,20 +293,22 @@ bool tell(Texel t, vec3 n, out Told told)
         return false;
     }
     told.bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, told.sent, told.sent, 0.0), LEAST_LIGHT);
-    // Shadows by the light that is left, then the light by them.
     for (int round = 0; round < ROUNDS; round++) {
+        if (round > 0) {
+            told.n = normal_without(t, told, told.sent);
+        }
         told.before = told.sent;
-        told.albedo = percentile(OWN_ALBEDO, LIT, t, n, told.sent, told.sent, 0.0);
-        if (shadows(t, n, told.sent, told.albedo) < FEWEST) {
+        told.albedo = percentile(OWN_ALBEDO, LIT, t, told.n, told.sent, told.sent, 0.0);
+        if (shadows(t, told.n, told.sent, told.albedo) < FEWEST) {
             return false;
         }
-        told.sent = fitted(t, n, told.sent, told.albedo, told.bright);
+        told.sent = fitted(t, told.n, told.sent, told.albedo, told.bright);
     }
     return true;
 }
 
 // Returns red and green of the chroma of the light, and its share; 0 where it does not explain what the texel shows.
-vec3 chroma_and_share(Texel t, vec3 n, Told told)
+vec3 chroma_and_share(Texel t, Told told)
 {
     float dark = 0.0;
     float unexplained = 0.0;
@@ -285,28 +317,34 @@ vec3 chroma_and_share(Texel t, vec3 n, Told told)
     float lit = 0.0;
     for (int k = 0; k < u_observations; k++) {
         Shown s;
-        if (show(t, k, n, s)) {
+        if (show(t, k, told.n, s)) {
             float left = left_of(s, told.sent);
             bool shade = cast_shadow(s, told.before, told.albedo);
             light += vec2(s.grey - left, s.grey);
             if (s.cosine < 0.0 || shade) {
                 dark += s.grey;
                 unexplained += abs(left);
-                colour += weight_of(s, told.sent, told.bright) * s.light;
+                colour += weight_of(s.grey - light_under(told.sent, s.l), told.bright) * s.light;
             }
-            lit += s.cosine > FACING && !shade ? left : 0.0;
+            lit += beside_shadows(s, told) ? left : 0.0;
         }
     }
-    float matt = percentile(LIT_ALBEDO, 0.5, t, n, told.sent, told.before, told.albedo);
+    float matt = percentile(LIT_ALBEDO, 0.5, t, told.n, told.sent, told.before, told.albedo);
     float gloss = 0.0;
     for (int k = 0; k < u_observations; k++) {
         Shown s;
-        if (show(t, k, n, s) && s.cosine > FACING && !cast_shadow(s, told.before, told.albedo)) {
+        if (show(t, k, told.n, s) && beside_shadows(s, told)) {
             gloss += abs(left_of(s, told.sent) - matt * s.cosine);
         }
     }
     float share = light.x / max(light.y, LEAST_LIGHT);
-    bool explains = unexplained < MOST_UNEXPLAINED * dark && gloss < MOST_GLOSS * lit && share >= LEAST_SHARE;
+    Light none = told.sent;
+    for (int i = 0; i < HARMONICS; i++) {
+        none.c[i] = 0.0;
+    }
+    float turn = distance(normal_without(t, told, told.sent), normal_without(t, told, none));
+    bool explains = unexplained < MOST_UNEXPLAINED * dark && gloss < MOST_GLOSS * lit && share >= LEAST_SHARE &&
+                    turn >= LEAST_TURN;
     vec3 chroma = colour / max(colour.r + colour.g + colour.b, LEAST_LIGHT);
     return explains ? vec3(chroma.rg, share) : vec3(0.0);
 }
@@ -326,7 +364,7 @@ bool texel_kernel(ivec2 texel)
     vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
     Told told;
     if (tell(t, n, told)) {
-        vec3 found = chroma_and_share(t, n, told);
+        vec3 found = chroma_and_share(t, told);
         if (found.z > 0.0) {
             o_low = vec4(told.sent.c[0], told.sent.c[1], told.sent.c[2], told.sent.c[3]);
             o_middle = vec4(told.sent.c[4], told.sent.c[5], told.sent.c[6], told.sent.c[7]);

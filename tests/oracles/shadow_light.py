@@ -20,48 +20,55 @@ from irpso_addon.solver.state.textures import HARMONICS
 
 _FACING = 0.2  # cosine to a light from which on its light is sought, or missed where a cast shadow lies
 _DARK = 0.15  # of the light that a texel would send without a cast shadow
-_ROUNDS = 3  # shadows by the light that is left, then the light by them
+_ROUNDS = 3  # shadows by the normal and the light that is left, then both by them
 _FITS, _SMALL = 4, 0.02  # each weighted by the errors of the last; an error, of a texel's bright light
 _LIT, _BRIGHT = 80.0, 95.0  # percentiles: most lamps may be hidden
 _RIDGE = np.array([1e-3, *[0.1] * (HARMONICS - 1)])
 
-# What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain.
+# What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain. The errors of
+# the harmonics turn a normal by a degree: light that turns it by less than ``turn`` stays.
 _FEWEST = 10  # shadows
 _MOST_UNEXPLAINED = 0.3  # of the light in them
 _MOST_GLOSS = 0.25  # of the light beside them, unlike a matt surface's: metal is dark beside its highlight, too
 
 
-def shadow_light(domain: Domain, normal: np.ndarray, sought: np.ndarray, least: float) -> np.ndarray:
+def shadow_light(domain: Domain, normal: np.ndarray, sought: np.ndarray, least: float, turn: float) -> np.ndarray:
     """Return (H, W, 12) what the shader writes: coefficients, red and green of the chroma, the share.
 
     All are 0 where it is less than ``least``, or where too few shadows tell it. normal: (H, W, 3) in texels' frames.
-    sought: (H, W) bool.
+    sought: (H, W) bool. turn: in degrees.
     """
     result = np.zeros((*domain.shape, HARMONICS + 3))
     for _, (rows, columns) in chunks(domain):
         texels = rows[sought[rows, columns]], columns[sought[rows, columns]]
-        coefficients, chroma, share = _found(domain, texels, normal[texels].astype(np.float64))
+        coefficients, chroma, share = _found(domain, texels, normal[texels].astype(np.float64), turn)
         found = np.column_stack([coefficients, chroma[:, :2], share])
         result[texels] = np.where((share >= least)[:, None], found, 0)
     return result
 
 
-def _found(domain: Domain, texels: Texels, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _found(
+    domain: Domain, texels: Texels, normal: np.ndarray, turn: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return coefficients (T, 9), chroma (T, 3), share (T,) of T texels; shares 0 where shadows do not tell it."""
     vectors, irradiance = light_vectors(domain, texels)
     samples = domain.stack.texels(*texels)
     counted = samples[..., 3] > 0
     light = np.where(counted[..., None], np.maximum(samples[..., :3], 0) / irradiance, 0).astype(np.float64)
-    grey, basis, cosine = grey_of(light), harmonics(vectors), dot(vectors, normal)
-    facing, bright = counted & (cosine > _FACING), percentiles(np.where(counted, grey, np.nan), [_BRIGHT])[0]
-    sent, weight = np.zeros_like(grey), np.zeros_like(grey)
-    coefficients = np.zeros((grey.shape[1], HARMONICS))
-    for _ in range(_ROUNDS):
+    grey, basis = grey_of(light), harmonics(vectors)
+    bright = percentiles(np.where(counted, grey, np.nan), [_BRIGHT])[0]
+    sent, weight, lit = np.zeros_like(grey), np.zeros_like(grey), counted
+    coefficients, asked = np.zeros((grey.shape[1], HARMONICS)), np.ones(grey.shape[1], bool)
+    for step in range(_ROUNDS):
         left = grey - sent
+        if step > 0:
+            normal = _lambertian(vectors, left, lit, bright, normal)
+        cosine = dot(vectors, normal)
+        facing = counted & (cosine > _FACING)
         (albedo,) = percentiles(np.where(facing, left / np.where(facing, cosine, 1), np.nan), [_LIT])
         cast = facing & (left < _DARK * np.nan_to_num(albedo) * cosine)
-        shadow = counted & ((cosine < 0) | cast)
-        asked = shadow.sum(axis=0) >= _FEWEST
+        shadow, lit = counted & ((cosine < 0) | cast), facing & ~cast
+        asked = asked & (shadow.sum(axis=0) >= _FEWEST)
         own = basis if basis.shape[1] == 1 else basis[:, asked]
         coefficients[asked], weight[:, asked] = _fitted(own, shadow[:, asked], grey[:, asked], bright[asked])
         sent[:, asked] = np.minimum(_mean_of(own, coefficients[asked]), grey[:, asked])
@@ -70,12 +77,28 @@ def _found(domain: Domain, texels: Texels, normal: np.ndarray) -> tuple[np.ndarr
     colour = np.stack([over_lights(weight * light[..., channel]) for channel in range(3)], axis=-1)
     chroma = colour / np.maximum((colour[:, :1] + colour[:, 1:2]) + colour[:, 2:], 1e-30)
     share = over_lights(sent) / np.maximum(over_lights(grey), 1e-30)
-    lit = facing & ~cast
     (albedo,) = percentiles(np.where(lit, (grey - sent) / np.where(lit, cosine, 1), np.nan), [50.0])
     gloss = over_lights(np.where(lit, np.abs(grey - sent - np.nan_to_num(albedo) * cosine), 0))
     told = asked & (unexplained < _MOST_UNEXPLAINED * dark)
     told &= gloss < _MOST_GLOSS * over_lights(np.where(lit, grey - sent, 0))
+    turned, unturned = (_lambertian(vectors, part, lit, bright, normal) for part in (grey - sent, grey))
+    told &= np.linalg.norm(turned - unturned, axis=-1) >= 2 * np.sin(np.radians(turn) / 2)
     return coefficients, chroma, np.where(told, share, 0)
+
+
+def _lambertian(
+    vectors: np.ndarray, light: np.ndarray, lit: np.ndarray, bright: np.ndarray, other: np.ndarray
+) -> np.ndarray:
+    """Return (T, 3) normals of Lambertian texels by least absolute errors; another where they would face away."""
+    every = np.broadcast_to(vectors, (*light.shape, 3))
+    weight = lit.astype(np.float64)
+    for _ in range(_FITS):
+        gram = np.einsum("kt,kti,ktj->tij", weight, every, every) + 1e-6 * np.eye(3)
+        own = np.linalg.solve(gram, np.einsum("kt,kt,kti->ti", weight, light, every)[..., None])[..., 0]
+        error = np.abs(light - dot(every, own)) / np.maximum(bright, 1e-30)
+        weight = lit * (_SMALL / (error + _SMALL))
+    length = np.linalg.norm(own, axis=-1, keepdims=True)
+    return np.where(own[:, 2:] > 0, own / np.maximum(length, 1e-30), other)
 
 
 def _fitted(

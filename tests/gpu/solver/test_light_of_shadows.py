@@ -45,7 +45,7 @@ def hollow(near=False, card=True, noise=0.0, strength=1.0, lights=LIGHTS):
     return with_samples(domain, np.float32(stack)), normal, direct * irradiance, sent * irradiance, inside
 
 
-def found(domain, normal, sought=None, least=0.05, entry="fragment"):
+def found(domain, normal, sought=None, least=0.05, entry="fragment", turn=0.0):
     context.ensure()
     model, sought = load_model("lambert"), np.ones(domain.shape, bool) if sought is None else sought
     prepared = prepare(domain, model, load_schedule("standard"))
@@ -54,7 +54,7 @@ def found(domain, normal, sought=None, least=0.05, entry="fragment"):
         domain, packing, prepared.stack, packing.pack(prepared.scale), prepared.brightness, prepared.arrays
     )
     values = {"normal": packing.pack(normal), "base_color": packing.pack(np.zeros((*domain.shape, 3)))}
-    work = shadow_light_pass(model, least, held.defines, entry)
+    work = shadow_light_pass(model, least, turn, held.defines, entry)
     return run_steps(shadow_light_steps(work, held, Estimates(model, values), sought, Bands(), 1.0))
 
 
@@ -65,7 +65,7 @@ def found(domain, normal, sought=None, least=0.05, entry="fragment"):
 )
 def test_it_is_that_of_the_oracle(near, card, lights, entry):
     domain, normal, _, _, inside = hollow(near, card, noise=0.03, lights=lights)
-    mine, other = found(domain, normal, entry=entry), shadow_light(domain, normal, np.ones(SHAPE, bool), 0.05)
+    mine, other = found(domain, normal, entry=entry), shadow_light(domain, normal, np.ones(SHAPE, bool), 0.05, 0.0)
     np.testing.assert_array_equal(mine[..., -1] > 0, other[..., -1] > 0)
     assert (mine[inside][:, -1] > 0).mean() > 0.6
     np.testing.assert_allclose(mine[..., 9:], other[..., 9:], atol=2e-3)
@@ -115,6 +115,22 @@ def test_the_fit_is_that_of_scipy():
         mine, other = (light_of(vectors[:, None], x[None], np.full((1, 3), 1 / 3))[dark, 0, 0]
                        for x in (coefficients[row, column].astype(np.float64), best))  # fmt: skip
         assert np.abs(mine - other).mean() < 0.05 * grey[dark].mean()
+
+
+def test_a_first_normal_that_this_light_has_turned_tells_the_same_light():
+    domain, normal, _, _, inside = hollow()
+    right, wrong = found(domain, normal), found(domain, unit(normal + (0, 0.25, 0)))
+    assert (((right[..., -1] > 0) & (wrong[..., -1] > 0)) == inside).all()
+    vectors = domain.lights[:, None, :3].astype(np.float64)
+    a, b = (light_of(vectors, v[inside][:, :9], np.full((1, 3), 1 / 3)) for v in (right, wrong))
+    assert np.abs(a - b).mean() < 0.01 * a.mean()
+
+
+def test_light_that_hardly_turns_a_normal_stays():
+    domain, normal, _, _, inside = hollow(strength=2.0)
+    told = found(domain, normal, turn=2.0)[..., -1] > 0
+    np.testing.assert_array_equal(told, shadow_light(domain, normal, np.ones(SHAPE, bool), 0.05, 2.0)[..., -1] > 0)
+    assert 0.2 < told[inside].mean() < 0.7 and (found(domain, normal)[inside][:, -1] > 0).mean() > 0.9
 
 
 @pytest.mark.parametrize("why", ["no shadows", "noise", "metal", "a light lacks a channel", "too little", "not sought"])
