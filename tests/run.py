@@ -1,6 +1,6 @@
 """Runs the tests: the unit tests in one process, beside it every module of tests/gpu in a Blender process of its own.
 
-Usage: python tests/run.py [FILE_OR_FOLDER…] [--jobs 2] [--timeout 1200] [-- ARGUMENTS FOR PYTEST]
+Usage: python tests/run.py [FILE_OR_FOLDER…] [--jobs 2] [--timeout 1800] [-- ARGUMENTS FOR PYTEST]
 The last line is `N passed, N failed, N skipped`; the exit code is 1 if anything failed. IRPSO_REQUIRE_GPU=1 turns a
 missing GPU context from a reason to skip into a failure. A process that a signal ends runs once more, and a line AGAIN
 names the test: under load, software GL sometimes crashes in a draw or a new texture.
@@ -158,7 +158,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--jobs", type=int, default=2, help="Blender processes at a time")
-    parser.add_argument("--timeout", type=float, default=1200, help="seconds for one process")
+    parser.add_argument("--timeout", type=float, default=1800, help="seconds for one process")
     cut = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     options, rest = parser.parse_args(sys.argv[1:cut]), sys.argv[cut + 1 :]
 
