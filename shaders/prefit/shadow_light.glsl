@@ -1,9 +1,8 @@
-// Over W×H texels: the light that other surfaces send a matt texel, as its shadows tell it. Matt surfaces send light that
-// changes slowly with the direction of the lamp: spherical harmonics to order 2 (Basri and Jacobs 2003). Photographs in
-// which the texel lies in shadow, attached or cast, show that light alone; harmonics that are fitted to these tell it in the
-// others. Reads the estimates, for their normal, and u_asked. Writes nine coefficients of the mean over the channels of
-// radiance over irradiance/π, red and green of its chroma, and the part of the texel's light that it is; zeros where shadows
-// do not tell it.
+// Over W×H texels: estimates the indirect light of a matt texel from its shadows. Indirect light from matt surfaces changes
+// slowly with the lamp's direction: spherical harmonics to order 2 (Basri and Jacobs 2003). A texel in attached or cast
+// shadow shows indirect light alone. The pass fits harmonics to the samples in shadow; they predict the lit samples'
+// indirect light. Reads the estimates' normals and u_asked. Writes nine coefficients (mean over the channels of radiance
+// over irradiance/π), red and green of the chroma, and the indirect share of the texel's light; zeros where a test fails.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -11,26 +10,35 @@
 #define HARMONICS 9
 #define LEAST_LIGHT 1e-30
 
-#define FACING 0.2       // cosine of a lamp from which on its light is sought, or missed where a cast shadow lies
-#define DARK 0.15        // of the light that a texel would send without a cast shadow
-#define LIT 0.8          // percentile of the albedos by single samples: most lamps may be hidden
+#define FACING 0.2       // least cosine to the lamp of a lit sample and of a cast shadow
+#define DARK 0.15        // most direct light in a cast shadow, over the unshadowed direct light
+#define LIT 0.8          // percentile of the samples' albedos that is the texel's: most lamps may be occluded
 #define BRIGHT 0.95      // percentile of the light
-#define ROUNDS 3         // shadows by the normal and the light that is left, then both by them
-#define FITS 4           // each weighted by the errors of the last
-#define SMALL 0.02       // an error, as a part of a texel's bright light
-#define RIDGE_MEAN 0.001 // of the mean light
-#define RIDGE 0.1        // of the other coefficients
-#define RIDGE_OWN 1e-6   // of the texel's own light
+#define ROUNDS 3         // of normal, shadows and harmonics
+#define FITS 4           // reweighted least squares of a fit
+#define SMALL 0.02       // scale of the errors, over the texel's bright light
+#define RIDGE_MEAN 0.001 // of the harmonic of order 0
+#define RIDGE 0.1        // of the other harmonics
+#define RIDGE_DIRECT 1e-6 // of a Lambertian normal
 
-// What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain. The errors of the
-// harmonics turn a normal by a degree: light that turns it by less than the chord LEAST_TURN stays.
-#define FEWEST 10            // shadows
-#define MOST_UNEXPLAINED 0.3 // of the light in them
-#define MOST_GLOSS 0.25      // of the light beside them, unlike a matt surface's: metal is dark beside its highlight, too
+// Acceptance tests. On convex subjects the dark samples show noise and sheen, which harmonics do not explain. The
+// extrapolated harmonics turn the normal by about 1° on their own: a turn below the chord LEAST_TURN is not accepted.
+#define FEWEST 10            // samples in shadow
+#define MOST_UNEXPLAINED 0.3 // of the light in shadow
+#define MOST_GLOSS 0.25      // of the lit samples' direct light: its difference to a Lambertian texel's
 
-struct Light {
+struct Indirect {
     float c[HARMONICS];
 };
+
+Indirect no_indirect()
+{
+    Indirect none;
+    for (int i = 0; i < HARMONICS; i++) {
+        none.c[i] = 0.0;
+    }
+    return none;
+}
 
 void harmonics(vec3 l, out float b[HARMONICS])
 {
@@ -45,7 +53,7 @@ void harmonics(vec3 l, out float b[HARMONICS])
     b[8] = 3.0 * l.z * l.z - 1.0;
 }
 
-float light_under(Light light, vec3 l)
+float indirect_light(Indirect light, vec3 l)
 {
     float b[HARMONICS];
     harmonics(l, b);
@@ -57,7 +65,7 @@ float light_under(Light light, vec3 l)
 }
 
 // A sample: direction to its lamp, light over irradiance/π, its mean over the channels, and the cosine of the lamp.
-struct Shown {
+struct Sample {
     vec3 l;
     vec3 light;
     float grey;
@@ -65,7 +73,7 @@ struct Shown {
 };
 
 // Returns false for bounds and for samples without a weight.
-bool show(Texel t, int k, vec3 n, out Shown s)
+bool read_sample(Texel t, int k, vec3 n, out Sample s)
 {
     Observation o;
     bool counted = observe(t, k, o) && o.clipped.r + o.clipped.g + o.clipped.b == 0.0;
@@ -81,23 +89,22 @@ bool show(Texel t, int k, vec3 n, out Shown s)
 #define OWN_ALBEDO 1
 #define LIT_ALBEDO 2
 
-// What is left of a sample's light without ``sent``.
-float left_of(Shown s, Light sent)
+float direct_light(Sample s, Indirect indirect)
 {
-    return s.grey - min(light_under(sent, s.l), s.grey);
+    return s.grey - min(indirect_light(indirect, s.l), s.grey);
 }
 
-bool cast_shadow(Shown s, Light sent, float albedo)
+bool cast_shadow(Sample s, Indirect indirect, float albedo)
 {
-    return s.cosine > FACING && left_of(s, sent) < DARK * albedo * s.cosine;
+    return s.cosine > FACING && direct_light(s, indirect) < DARK * albedo * s.cosine;
 }
 
-// Returns a quantity of sample k, −1 if it does not count. sent: light of other surfaces; of LIT_ALBEDO, ``before`` and
-// ``albedo`` say which samples lie in a cast shadow.
-float quantity(int kind, Texel t, int k, vec3 n, Light sent, Light before, float albedo)
+// Returns a quantity of sample k; −1 if sample k does not count. LIT_ALBEDO skips the cast shadows by ``before`` and
+// ``albedo``.
+float quantity(int kind, Texel t, int k, vec3 n, Indirect indirect, Indirect before, float albedo)
 {
-    Shown s;
-    if (!show(t, k, n, s)) {
+    Sample s;
+    if (!read_sample(t, k, n, s)) {
         return -1.0;
     }
     if (kind == GREY_LIGHT) {
@@ -106,19 +113,19 @@ float quantity(int kind, Texel t, int k, vec3 n, Light sent, Light before, float
     if (s.cosine <= FACING || (kind == LIT_ALBEDO && cast_shadow(s, before, albedo))) {
         return -1.0;
     }
-    return left_of(s, sent) / s.cosine;
+    return direct_light(s, indirect) / s.cosine;
 }
 
 #define HALVINGS 20
 
-// Returns a percentile, as a part of 1, of a quantity over the samples; 0 without any. By halving: nothing is sorted.
-float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before, float albedo)
+// Returns the percentile ``part`` (0 to 1) of a quantity over the samples; 0 without any. Bisection, without sorting.
+float percentile(int kind, float part, Texel t, vec3 n, Indirect indirect, Indirect before, float albedo)
 {
     float low = -1.0;
     float high = 0.0;
     int count = 0;
     for (int k = 0; k < u_observations; k++) {
-        float value = quantity(kind, t, k, n, sent, before, albedo);
+        float value = quantity(kind, t, k, n, indirect, before, albedo);
         count += value >= 0.0 ? 1 : 0;
         high = max(high, value);
     }
@@ -127,7 +134,7 @@ float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before
         float middle = i == 0 ? 0.0 : 0.5 * (low + high);
         int below = 0;
         for (int k = 0; k < u_observations; k++) {
-            float value = quantity(kind, t, k, n, sent, before, albedo);
+            float value = quantity(kind, t, k, n, indirect, before, albedo);
             below += value >= 0.0 && value <= middle ? 1 : 0;
         }
         if (float(below) > rank) {
@@ -140,7 +147,7 @@ float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before
     float least = 0.0;
     float next = -1.0;
     for (int k = 0; k < u_observations; k++) {
-        float value = quantity(kind, t, k, n, sent, before, albedo);
+        float value = quantity(kind, t, k, n, indirect, before, albedo);
         if (value > high) {
             next = next < 0.0 ? value : min(next, value);
         } else {
@@ -150,20 +157,20 @@ float percentile(int kind, float part, Texel t, vec3 n, Light sent, Light before
     return next < 0.0 ? least : mix(least, next, fract(rank));
 }
 
-// How many samples lie in shadow, attached or cast.
-int shadows(Texel t, vec3 n, Light sent, float albedo)
+// Returns the number of samples in attached or cast shadow.
+int count_shadows(Texel t, vec3 n, Indirect indirect, float albedo)
 {
     int count = 0;
     for (int k = 0; k < u_observations; k++) {
-        Shown s;
-        count += show(t, k, n, s) && (s.cosine < 0.0 || cast_shadow(s, sent, albedo)) ? 1 : 0;
+        Sample s;
+        count += read_sample(t, k, n, s) && (s.cosine < 0.0 || cast_shadow(s, indirect, albedo)) ? 1 : 0;
     }
     return count;
 }
 
 #define TRIANGLE (HARMONICS * (HARMONICS + 1) / 2)
 
-// Solves A x = x for a positive definite A, given by its lower triangle, row by row. Cholesky: A = L Lᵀ.
+// Replaces x by A⁻¹ x. a: lower triangle of the positive definite A, row by row. Cholesky: A = L Lᵀ.
 void solve(inout float a[TRIANGLE], inout float x[HARMONICS])
 {
     for (int j = 0; j < HARMONICS; j++) {
@@ -197,16 +204,16 @@ void solve(inout float a[TRIANGLE], inout float x[HARMONICS])
     }
 }
 
-// The weight of a sample by how far a fit is off it.
+// Returns the weight of a sample with this error: iteratively reweighted least absolute errors.
 float weight_of(float error, float bright)
 {
     return SMALL / (abs(error) / bright + SMALL);
 }
 
-// Returns the light in the shadows by least absolute errors: each fit is weighted by the errors of the last.
-Light fitted(Texel t, vec3 n, Light sent, float albedo, float bright)
+// Fits harmonics to the samples in shadow. previous: decides with ``albedo`` which samples lie in a cast shadow.
+Indirect fit_indirect(Texel t, vec3 n, Indirect previous, float albedo, float bright)
 {
-    Light fit = sent;
+    Indirect fit = previous;
     for (int round = 0; round < FITS; round++) {
         float gram[TRIANGLE];
         float right[HARMONICS];
@@ -219,9 +226,9 @@ Light fitted(Texel t, vec3 n, Light sent, float albedo, float bright)
             gram[i * (i + 1) / 2 + i] = i == 0 ? RIDGE_MEAN : RIDGE;
         }
         for (int k = 0; k < u_observations; k++) {
-            Shown s;
-            if (show(t, k, n, s) && (s.cosine < 0.0 || cast_shadow(s, sent, albedo))) {
-                float weight = round == 0 ? 1.0 : weight_of(s.grey - light_under(fit, s.l), bright);
+            Sample s;
+            if (read_sample(t, k, n, s) && (s.cosine < 0.0 || cast_shadow(s, previous, albedo))) {
+                float weight = round == 0 ? 1.0 : weight_of(s.grey - indirect_light(fit, s.l), bright);
                 harmonics(s.l, b);
                 for (int i = 0; i < HARMONICS; i++) {
                     right[i] += weight * b[i] * s.grey;
@@ -239,76 +246,74 @@ Light fitted(Texel t, vec3 n, Light sent, float albedo, float bright)
     return fit;
 }
 
-// The light of a texel by its shadows. n, before, albedo: by which samples lie in shadow. sent: what was fitted to these.
-struct Told {
+// The fit of a texel. The normal n, ``before`` and the albedo decide which samples lie in shadow; ``indirect`` fits these.
+struct Fit {
     vec3 n;
-    Light before;
+    Indirect before;
     float albedo;
-    Light sent;
+    Indirect indirect;
     float bright;
 };
 
-bool beside_shadows(Shown s, Told told)
+bool is_lit(Sample s, Fit fit)
 {
-    return s.cosine > FACING && !cast_shadow(s, told.before, told.albedo);
+    return s.cosine > FACING && !cast_shadow(s, fit.before, fit.albedo);
 }
 
-// Returns the normal of a Lambertian texel beside the shadows, by least absolute errors of what is left without ``sent``.
-vec3 normal_without(Texel t, Told told, Light sent)
+// Fits a Lambertian texel to the lit samples without this indirect light; returns its normal, fit.n if that faces away.
+vec3 lambertian_normal(Texel t, Fit fit, Indirect indirect)
 {
-    vec3 own = vec3(0.0);
+    vec3 scaled = vec3(0.0); // albedo times normal
     for (int round = 0; round < FITS; round++) {
-        mat3 gram = mat3(RIDGE_OWN);
+        mat3 gram = mat3(RIDGE_DIRECT);
         vec3 right = vec3(0.0);
         for (int k = 0; k < u_observations; k++) {
-            Shown s;
-            if (show(t, k, told.n, s) && beside_shadows(s, told)) {
-                float left = left_of(s, sent);
-                float weight = round == 0 ? 1.0 : weight_of(left - dot(own, s.l), told.bright);
+            Sample s;
+            if (read_sample(t, k, fit.n, s) && is_lit(s, fit)) {
+                float direct = direct_light(s, indirect);
+                float weight = round == 0 ? 1.0 : weight_of(direct - dot(scaled, s.l), fit.bright);
                 gram += weight * outerProduct(s.l, s.l);
-                right += weight * left * s.l;
+                right += weight * direct * s.l;
             }
         }
-        own = inverse(gram) * right;
+        scaled = inverse(gram) * right;
     }
-    return own.z > 0.0 ? normalize(own) : told.n;
+    return scaled.z > 0.0 ? normalize(scaled) : fit.n;
 }
 
-// Returns false where the shadows are too few. n: a first normal, which the light of other surfaces may have turned.
-bool tell(Texel t, vec3 n, out Told told)
+// Returns false where too few samples lie in shadow. n: first normal; indirect light may have turned it.
+bool fit_texel(Texel t, vec3 n, out Fit fit)
 {
-    for (int i = 0; i < HARMONICS; i++) {
-        told.sent.c[i] = 0.0;
-    }
-    told.before = told.sent;
-    told.n = n;
-    told.albedo = 0.0;
-    told.bright = LEAST_LIGHT;
-    // Most texels have too few shadows even if the brightest sample says how much light they send.
+    fit.indirect = no_indirect();
+    fit.before = fit.indirect;
+    fit.n = n;
+    fit.albedo = 0.0;
+    fit.bright = LEAST_LIGHT;
+    // An early exit for most texels: too few shadows even by the highest albedo of a sample.
     float most = 0.0;
     for (int k = 0; k < u_observations; k++) {
-        most = max(most, quantity(OWN_ALBEDO, t, k, n, told.sent, told.sent, 0.0));
+        most = max(most, quantity(OWN_ALBEDO, t, k, n, fit.indirect, fit.indirect, 0.0));
     }
-    if (shadows(t, n, told.sent, most) < FEWEST) {
+    if (count_shadows(t, n, fit.indirect, most) < FEWEST) {
         return false;
     }
-    told.bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, told.sent, told.sent, 0.0), LEAST_LIGHT);
+    fit.bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, fit.indirect, fit.indirect, 0.0), LEAST_LIGHT);
     for (int round = 0; round < ROUNDS; round++) {
         if (round > 0) {
-            told.n = normal_without(t, told, told.sent);
+            fit.n = lambertian_normal(t, fit, fit.indirect);
         }
-        told.before = told.sent;
-        told.albedo = percentile(OWN_ALBEDO, LIT, t, told.n, told.sent, told.sent, 0.0);
-        if (shadows(t, told.n, told.sent, told.albedo) < FEWEST) {
+        fit.before = fit.indirect;
+        fit.albedo = percentile(OWN_ALBEDO, LIT, t, fit.n, fit.indirect, fit.indirect, 0.0);
+        if (count_shadows(t, fit.n, fit.indirect, fit.albedo) < FEWEST) {
             return false;
         }
-        told.sent = fitted(t, told.n, told.sent, told.albedo, told.bright);
+        fit.indirect = fit_indirect(t, fit.n, fit.indirect, fit.albedo, fit.bright);
     }
     return true;
 }
 
-// Returns red and green of the chroma of the light, and its share; 0 where it does not explain what the texel shows.
-vec3 chroma_and_share(Texel t, Told told)
+// Returns red and green of the chroma of the indirect light, and its share; 0 where an acceptance test fails.
+vec3 accepted_chroma_and_share(Texel t, Fit fit)
 {
     float dark = 0.0;
     float unexplained = 0.0;
@@ -316,37 +321,34 @@ vec3 chroma_and_share(Texel t, Told told)
     vec3 colour = vec3(0.0);
     float lit = 0.0;
     for (int k = 0; k < u_observations; k++) {
-        Shown s;
-        if (show(t, k, told.n, s)) {
-            float left = left_of(s, told.sent);
-            bool shade = cast_shadow(s, told.before, told.albedo);
-            light += vec2(s.grey - left, s.grey);
+        Sample s;
+        if (read_sample(t, k, fit.n, s)) {
+            float direct = direct_light(s, fit.indirect);
+            bool shade = cast_shadow(s, fit.before, fit.albedo);
+            light += vec2(s.grey - direct, s.grey);
             if (s.cosine < 0.0 || shade) {
                 dark += s.grey;
-                unexplained += abs(left);
-                colour += weight_of(s.grey - light_under(told.sent, s.l), told.bright) * s.light;
+                unexplained += abs(direct);
+                colour += weight_of(s.grey - indirect_light(fit.indirect, s.l), fit.bright) * s.light;
             }
-            lit += beside_shadows(s, told) ? left : 0.0;
+            lit += is_lit(s, fit) ? direct : 0.0;
         }
     }
-    float matt = percentile(LIT_ALBEDO, 0.5, t, told.n, told.sent, told.before, told.albedo);
+    float matt = percentile(LIT_ALBEDO, 0.5, t, fit.n, fit.indirect, fit.before, fit.albedo);
     float gloss = 0.0;
     for (int k = 0; k < u_observations; k++) {
-        Shown s;
-        if (show(t, k, told.n, s) && beside_shadows(s, told)) {
-            gloss += abs(left_of(s, told.sent) - matt * s.cosine);
+        Sample s;
+        if (read_sample(t, k, fit.n, s) && is_lit(s, fit)) {
+            gloss += abs(direct_light(s, fit.indirect) - matt * s.cosine);
         }
     }
     float share = light.x / max(light.y, LEAST_LIGHT);
-    Light none = told.sent;
-    for (int i = 0; i < HARMONICS; i++) {
-        none.c[i] = 0.0;
+    if (!(unexplained < MOST_UNEXPLAINED * dark && gloss < MOST_GLOSS * lit && share >= LEAST_SHARE)) {
+        return vec3(0.0);
     }
-    float turn = distance(normal_without(t, told, told.sent), normal_without(t, told, none));
-    bool explains = unexplained < MOST_UNEXPLAINED * dark && gloss < MOST_GLOSS * lit && share >= LEAST_SHARE &&
-                    turn >= LEAST_TURN;
+    vec3 turned = lambertian_normal(t, fit, fit.indirect) - lambertian_normal(t, fit, no_indirect());
     vec3 chroma = colour / max(colour.r + colour.g + colour.b, LEAST_LIGHT);
-    return explains ? vec3(chroma.rg, share) : vec3(0.0);
+    return length(turned) >= LEAST_TURN ? vec3(chroma.rg, share) : vec3(0.0);
 }
 
 bool texel_kernel(ivec2 texel)
@@ -362,13 +364,13 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     read_estimate(texel, c);
     vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
-    Told told;
-    if (tell(t, n, told)) {
-        vec3 found = chroma_and_share(t, told);
+    Fit fit;
+    if (fit_texel(t, n, fit)) {
+        vec3 found = accepted_chroma_and_share(t, fit);
         if (found.z > 0.0) {
-            o_low = vec4(told.sent.c[0], told.sent.c[1], told.sent.c[2], told.sent.c[3]);
-            o_middle = vec4(told.sent.c[4], told.sent.c[5], told.sent.c[6], told.sent.c[7]);
-            o_high = vec4(told.sent.c[8], found);
+            o_low = vec4(fit.indirect.c[0], fit.indirect.c[1], fit.indirect.c[2], fit.indirect.c[3]);
+            o_middle = vec4(fit.indirect.c[4], fit.indirect.c[5], fit.indirect.c[6], fit.indirect.c[7]);
+            o_high = vec4(fit.indirect.c[8], found);
         }
     }
     return true;
