@@ -1,4 +1,5 @@
-// Over W×H texels: the neighbourhood mean of Eq. 4, once for all particles of a synchronous swarm.
+// Over W×H texels: computes the neighbourhood mean of Eq. 4 once for all particles of a synchronous swarm. Writes
+// o_mean.
 
 #include "swarm/neighbours.glsl"
 
