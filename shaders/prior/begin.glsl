@@ -1,6 +1,6 @@
-// Over W×H texels: the start of the fit with a prior. Every colour and scalar is the mean of the texel's own estimate and
-// the prior, weighted by precision. A texel stays as it is if the prior's share would be less than LEAST_SHARE in every
-// number. Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
+// Over W×H texels: the start of the fit with a prior. Every colour and scalar is the mean of the texel's own estimate
+// and the prior, weighted by precision. A texel stays as it is if the prior's share would be less than LEAST_SHARE in
+// every number. Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
 // Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates as they were.
 
 #include "common/frame.glsl"
@@ -36,7 +36,7 @@ bool texel_kernel(ivec2 texel)
     }
     if (!(most >= LEAST_SHARE)) {
         material_to(estimate_at(texel), c);
-        o_status.z = CALM;
+        o_status.z = CONVERGED_AFTER;
     }
     write_estimate(c);
     return true;

@@ -1,5 +1,6 @@
-// Over W×H texels: the estimates with the values of start u_start (−1: none), to be refined. A start may turn the normal
-// (mirror.glsl). Reads the estimates, u_status and the samples. Texels that this tile does not solve stay.
+// Over W×H texels: initialises the working estimates of a refinement with the values of start u_start (−1: none). A
+// start may turn the normal (mirror.glsl). Texels that this tile does not solve keep their estimates.
+// Reads the estimates, u_status and the samples. Writes o_estimate and o_status.
 
 #include "refine/mirror.glsl"
 #include "refine/status.glsl"

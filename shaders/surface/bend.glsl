@@ -1,9 +1,9 @@
-// Over W×H texels: the estimates with the normals of the relaxed slopes, s₀ − P Cᵀ μ (relax.glsl). A texel moves no further
-// than where its samples would become less likely by TOLERANCE standard deviations: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤ TOLERANCE².
-// The linear parameters follow to their optimum beside the new normal, to first order. Where the samples' deviance would rise
-// by more than TOLERANCE², the estimate stays.
-// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance, geometry and packing. Writes
-// o_estimate.
+// Over W×H texels: the estimates with the normals of the relaxed slopes, s₀ − P Cᵀ μ (relax.glsl). A texel moves no
+// further than where its samples would become less likely by TOLERANCE standard deviations: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤
+// TOLERANCE². The linear parameters follow to their optimum beside the new normal, to first order. Where the samples'
+// deviance would rise by more than TOLERANCE², the estimate stays.
+// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance, geometry and packing.
+// Writes o_estimate.
 
 #include "common/estimate.glsl"
 #include "surface/normal_matrix.glsl"
@@ -52,7 +52,7 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     material_to(estimate_at(texel), c);
     if (state_at(texel) == TEXEL_SOLVED) {
-        ivec2 place = place_of(texel);
+        ivec2 place = domain_texel_of(texel);
         vec4 field = texelFetch(u_field, texel, 0);
         vec2 pull = pull_of(field.z, multiplier_at(place - ivec2(1, 0)), multiplier_at(place - ivec2(1, 1)),
                             multiplier_at(place - ivec2(0, 1)));

@@ -1,18 +1,18 @@
 // Over W×H texels: one sweep towards the slopes s that minimise
 //   ½ Σ_texels (s − s₀)ᵀ P⁻¹ (s − s₀) + Σ_loops κ |circulation of s|,
 //   κ = WEIGHT / (σ (1 + (z / LET_GO)⁴)),   z = circulation of s₀ / σ,   σ² = its variance by P,
-// with s₀ and P of information.glsl. The absolute value lets go of a loop across a step of the surface; so does κ, where
-// noise does not explain the circulation (reweighted l1: Candès, Wakin & Boyd 2008, Enhancing Sparsity by Reweighted ℓ1
-// Minimization). The dual has a multiplier μ for each loop, |μ| ≤ κ, and s = s₀ − P Cᵀ μ; its gradient is the circulation
-// of s. A sweep is a projected gradient step, preconditioned by Gershgorin's bound of the rows of C P Cᵀ, and accelerated
-// (Beck & Teboulle 2009, A Fast Iterative Shrinkage-Thresholding Algorithm).
+// with s₀ and P of information.glsl. The absolute value lets go of a loop across a step of the surface; so does κ,
+// where noise does not explain the circulation (reweighted l1: Candès, Wakin & Boyd 2008, Enhancing Sparsity by
+// Reweighted ℓ1 Minimization). The dual has a multiplier μ for each loop, |μ| ≤ κ, and s = s₀ − P Cᵀ μ; its gradient is
+// the circulation of s. A sweep is a projected gradient step, preconditioned by Gershgorin's bound of the rows of C P
+// Cᵀ, and accelerated (Beck & Teboulle 2009, A Fast Iterative Shrinkage-Thresholding Algorithm).
 // Reads u_field (s₀, μ, extrapolated μ), u_covariance, and the packing. Writes o_field.
 
 #include "common/packing.glsl"
 #include "surface/loops.glsl"
 
-// On two cards of tilted tiles, at a weight of 2, the normals' mean error falls by 17 and 18 %. Without letting go it falls
-// by 11 and 10 %, and base colours are off by 2 and 22 % more.
+// On two cards of tilted tiles, at a weight of 2, the normals' mean error falls by 17 and 18 %. Without letting go it
+// falls by 11 and 10 %, and base colours are off by 2 and 22 % more.
 #define LET_GO 2.5
 
 bool texel_kernel(ivec2 texel)
@@ -22,7 +22,7 @@ bool texel_kernel(ivec2 texel)
     if (texelFetch(u_covariance, texel, 0).w == 0.0) {
         return true;
     }
-    ivec2 place = place_of(texel);
+    ivec2 place = domain_texel_of(texel);
     // 3×3 texels around: their slopes, and the multipliers of the loops that begin at them.
     vec4 field[9];
     for (int i = 0; i < 9; i++) {

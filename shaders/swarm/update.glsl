@@ -13,7 +13,7 @@
 
 ivec2 global_texel(ivec2 texel)
 {
-    return place_of(texel) + ivec2(u_origin_x, u_origin_y);
+    return domain_texel_of(texel) + ivec2(u_origin_x, u_origin_y);
 }
 
 #ifdef START

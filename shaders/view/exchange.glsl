@@ -2,10 +2,10 @@
 // (u_to_camera = 1), and in alpha what the light itself makes it send there, mean of the channels; or the mean of what
 // they make it send in all directions (0): each ray's light goes on in the direction of another ray.
 // Monte Carlo over the rays of geometry/light/exchange.py, whose density is cos/π.
-// Reads estimates, geometry and observation table; u_rays, one layer a ray: direction in the world and the element that it
-// meets, −1 for none; u_lit: whether the light reaches an element; u_received: this pass's mean of the bounces before.
-// What the elements that a ray meets pass on of the light of others is that mean where u_branches = 0, and else what
-// they send toward the ray, from as many rays of their own: lobes do not send the mean.
+// Reads estimates, geometry and observation table; u_rays, one layer a ray: direction in the world and the element that
+// it meets, −1 for none; u_lit: whether the light reaches an element; u_received: this pass's mean of the bounces
+// before. What the elements that a ray meets pass on of the light of others is that mean where u_branches = 0, and else
+// what they send toward the ray, from as many rays of their own: lobes do not send the mean.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -28,12 +28,12 @@ vec3 of_light(ivec2 element, vec3 toward, vec3 share)
 }
 
 // Of what a ray brings, the share that goes on toward v.
-vec3 share_of(Material s, vec3 l, vec3 v)
+vec3 throughput_of(Material s, vec3 l, vec3 v)
 {
     return min(reflectance(s, l, v) / max(l.z, 1e-4), vec3(MOST));
 }
 
-ivec2 place_of(int element)
+ivec2 texel_of_element(int element)
 {
     return ivec2(element % u_columns, element / u_columns);
 }
@@ -49,8 +49,8 @@ vec3 passed_on(ivec2 element, vec3 toward, int first)
         vec4 ray = texelFetch(u_rays, ivec3(element, (first + r) % u_ray_count), 0);
         int hit = int(ray.w);
         if (hit >= 0) {
-            vec3 share = share_of(s, to_local(f, ray.xyz), v);
-            ivec2 other = place_of(hit);
+            vec3 share = throughput_of(s, to_local(f, ray.xyz), v);
+            ivec2 other = texel_of_element(hit);
             sum += share * texelFetch(u_received, other, 0).rgb + of_light(other, -ray.xyz, share);
         }
     }
@@ -73,11 +73,11 @@ bool texel_kernel(ivec2 texel)
         if (hit < 0) {
             continue;
         }
-        ivec2 other = place_of(hit);
+        ivec2 other = texel_of_element(hit);
         if (u_to_camera == 0) {
             v = to_local(f, texelFetch(u_rays, ivec3(texel, u_ray_count - 1 - r), 0).xyz);
         }
-        vec3 share = share_of(s, to_local(f, ray.xyz), v);
+        vec3 share = throughput_of(s, to_local(f, ray.xyz), v);
         vec3 others = u_branches > 0 ? passed_on(other, -ray.xyz, r * u_branches) : texelFetch(u_received, other, 0).rgb;
         sum += min(share * others, vec3(MOST)) + of_light(other, -ray.xyz, share);
     }
