@@ -28,8 +28,7 @@ float scale_at(ivec2 texel)
 // shadow_at() of texels from whose samples the indirect light was subtracted.
 #define SEPARATED_SHADOW 0.02
 
-// Returns the shadow limit, a fraction of the scale: darker samples count as shadow. 0 where no indirect light was
-// found.
+// Returns the shadow limit, a fraction of the scale: darker samples count as shadow. 0 where the light is not indirect.
 float shadow_at(ivec2 texel)
 {
     return abs(geometry_at(GEOMETRY_TANGENT, texel).w) - 1.0;

@@ -1,7 +1,6 @@
-// Light, view and sample of one observation at a texel.
-// Reads u_observation_table, with one column per observation: row 0 light (xyz; w is 1 for a position, 0 for a
-// direction), row 1 intensity, row 2 view (as row 0). Reads u_stack, with one layer per observation: RGB radiance,
-// weight.
+// Light, view and sample of one observation at a texel. Reads u_observation_table, one column per observation: row 0
+// light (xyz; w is 1 for a position, 0 for a direction), row 1 intensity, row 2 view (as row 0); and u_stack, one layer
+// per observation: RGB radiance, weight.
 
 #include "common/frame.glsl"
 
@@ -67,7 +66,7 @@ struct Observation {
 
 // Reads observation k. Returns false if it has no weight at this texel.
 // In u_stack a negative weight −(b + w / 2) marks clipped channels: bits 1, 2 and 4 of b stand for red, green and blue,
-// w in (0, 1] is the weight. b = 0 marks a sample in shadow, which only passes with WITH_SHADOW use.
+// w in (0, 1] is the weight. b = 0 marks a sample in shadow, which counts only with WITH_SHADOW.
 // With GREY the radiance is normalised to a light of intensity 1 and averaged over the channels that the light has.
 // Below GREY_SHADOW times the texel's scale it counts as shadow. One clipped channel makes the mean a lower bound.
 bool observe(Texel t, int k, out Observation o)

@@ -1,9 +1,8 @@
-// Over W×H texels: compares the estimate with alternatives far from it, for every searched number without a normal
-// prior. The number takes TRIALS values of its range. For each value the linear weights are solved again
-// (fitness/linear.glsl); all other parameters stay fixed.
-// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative, one value for
-// each of the ALTERNATIVES such numbers: −2 log of the likelihood ratio of the best alternative to the estimate,
-// clamped to −MAX_DEVIANCE … MAX_DEVIANCE. It is negative where the alternative fits better.
+// Over W×H texels: compares the estimate with distant alternatives, for every searched number without a normal prior.
+// The number takes TRIALS values of its range, each with the linear weights solved again (fitness/linear.glsl) and all
+// other parameters fixed. Reads the estimates, the geometry, the sample stack and the observation table.
+// Writes o_alternative, one value for each of the ALTERNATIVES numbers: −2 log of the likelihood ratio of the best
+// alternative to the estimate, clamped to ±MAX_DEVIANCE. It is negative where the alternative fits better.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"
@@ -14,8 +13,7 @@
 #define TRIALS 7
 // Fraction of the range. A value nearer to the estimate belongs to the same optimum.
 #define MIN_DISTANCE 0.3
-// Three standard deviations of one texel: one wrong texel must not outweigh the others of its material
-// (solver/engine/modes.py).
+// (3 standard deviations of one texel)²: one wrong texel must not outweigh its material (solver/engine/modes.py).
 #define MAX_DEVIANCE 9.0
 
 // Returns trial value i, as a fraction of the range. The values are denser where lobes are narrow and so differ more.

@@ -1,9 +1,7 @@
-// Over W×H texels: standard deviations of the free parameters, from the inverse of JᵀJ over all of them and the
-// residual.
-// Reads the estimates, the geometry, the sample stack and the observation table. With NOISE_GIVEN it reads the variance
-// of the noise from u_noise.z.
-// Writes o_deviation, packed like the estimates, in the parameters' units. The first component of a normal holds the
-// root of the sum of its two tangent variances, in radians; the other two hold 0.
+// Over W×H texels: standard deviations of the free parameters, from (JᵀJ)⁻¹ over all of them jointly and the residual.
+// Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN the noise's variance
+// in u_noise.z. Writes o_deviation, packed like the estimates, in the parameters' units. The first component of a
+// normal holds the root of the sum of its two tangent variances, in radians; the other two hold 0.
 
 #include "common/estimate.glsl"
 #include "model.glsl"
@@ -14,15 +12,13 @@
 #include "diagnostics/sweep.glsl"
 
 // The normal matrix squares the condition number of J. After hundreds of samples in float32, a remainder below 2⁻¹⁸ of
-// a diagonal entry is rounding. Against float64, on random two-lobe and principled materials, σ is right to 1e-3 in the
-// median. It is too large in 1 of 200 cases at noise of 1e-3 of white, in up to 1 of 20 at noise of 1e-4. It is too
-// small by a tenth in fewer than 1 of 50.
+// a diagonal entry is rounding. Against float64, on random two-lobe and principled materials, at noise of 1e-3 of
+// white, σ is right to 1e-3 in the median, too large in 0.5 % (at 1e-4: up to 5 %), too small by a tenth in under 2 %.
 #define SINGULAR (1.0 / 262144.0)
 
 // Limit of the residual in hollows, as a fraction of the radiance. Above it most light comes from other surfaces, and
-// the texel counts as undetermined. On rendered captures the normals above the limit are off by 60° (a goblet of brass)
-// and 35° (a concave mix of materials) in the median. Without them the mean error of the others is 5.6 and 6.6°, not
-// 19.6 and 9.3°.
+// the texel counts as unknown. On rendered captures the normals of such texels are off by 60° (a goblet of brass) and
+// 35° (a concave mix of materials) in the median. Without them the mean error is 5.6 and 6.6°, with them 19.6 and 9.3°.
 #define UNEXPLAINED_LIMIT 0.1
 
 // The same limit where the indirect light was estimated from colour alone and subtracted: its remainder adds to the

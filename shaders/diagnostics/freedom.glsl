@@ -31,9 +31,8 @@ float redundancy_of(ErrorSums t)
     return t.squares > 0.0 ? clamp(t.joint / t.squares, 1.0, 3.0) : 1.0;
 }
 
-// Returns the channels that the free parameters leave over, which is redundancy_of() times the independent samples
-// left. Half of the parameters, about the colours, use one channel each, the others redundancy_of() channels. Negative
-// with few samples.
+// Returns the channels that remain after the free parameters, i.e. redundancy_of() times the remaining samples. Half of
+// the parameters (the colours) use one channel each, the others redundancy_of() channels. Negative with few samples.
 float degrees_of_freedom(ErrorSums t)
 {
     return t.channels - 0.5 * (1.0 + redundancy_of(t)) * float(FREE_COUNT);

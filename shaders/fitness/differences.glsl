@@ -25,12 +25,12 @@ vec3 turned_normal(vec3 n, vec2 angles)
 }
 
 // Returns the material with free parameter u changed by a fraction of its range and clamped to the range.
-Material moved(inout float given[12], int u, float fraction)
+Material moved(inout float unmoved[12], int u, float fraction)
 {
     // A copy is needed: these shaders pass arrays as inout, because Metal cannot pass them by value.
     float c[12];
     for (int i = 0; i < 12; i++) {
-        c[i] = given[i];
+        c[i] = unmoved[i];
     }
     FreeParameter free = free_at(u);
 #if NORMAL_FREE >= 0

@@ -1,8 +1,7 @@
 // Linear parameters in closed form: weighted least squares over the observations, bounded by the parameters' ranges.
-// basis.glsl is generated. It declares void basis_at(Material s, vec3 l, vec3 v, out vec3 colors[COLOR_ROOM],
-// out vec3 numbers[NUMBER_ROOM], out vec3 rest): the bases of the COLORS weights with three components, those of the
-// NUMBERS weights with one, and the radiance that does not depend on any weight. It also declares linear_range() and
-// linear_to().
+// basis.glsl is generated: linear_range(…), linear_to(…) and void basis_at(Material s, vec3 l, vec3 v,
+// out vec3 colors[COLOR_ROOM], out vec3 numbers[NUMBER_ROOM], out vec3 rest): the bases of the COLORS weights with
+// three components, those of the NUMBERS weights with one, and the radiance that depends on no weight.
 
 #include "basis.glsl"
 #include "common/observation.glsl"

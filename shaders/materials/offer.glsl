@@ -1,9 +1,8 @@
-// Over W×H texels: tries the materials that the surface shares (shared.glsl). With u_mirror = 0 they take the texel's
-// own normal; with u_mirror = 1 the normal that mirrors its brightest sample, because a fit that missed the lobe also
-// missed the normal. The most probable of the materials worth refining (offers.glsl) replaces the texel's. If there is
-// none, the texel keeps its material and is converged.
-// Reads the best estimates so far, u_status, u_materials, the geometry, the sample stack and the observation table.
-// Writes o_estimate and o_status.
+// Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or, if
+// u_mirror is 1, with the normal that mirrors its brightest sample: a fit that missed the lobe also missed the normal.
+// The most probable material worth refining (offers.glsl) replaces the texel's. Without one the texel has converged.
+// Reads the best estimates so far, u_status, u_materials, the geometry, the sample stack and the observation table;
+// writes o_estimate and o_status.
 
 #include "fitness/fitness.glsl"
 #include "refine/mirror.glsl"
@@ -11,13 +10,13 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    Material own = estimate_at(texel);
-    vec4 status = write_converged(texel, own);
+    Material own_material = estimate_at(texel);
+    vec4 status = write_converged(texel, own_material);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
     float c[12];
-    material_to(own, c);
+    material_to(own_material, c);
     float own_votes = votes_of_materials(c);
 #if NORMAL_FREE >= 0
     if (u_mirror != 0) {

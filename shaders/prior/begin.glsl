@@ -1,7 +1,6 @@
-// Over W×H texels: initialises the fit with a spatial prior. Every colour and scalar becomes the mean of the texel's
-// own estimate and the prior, weighted by precision. If the weight of the prior is below LEAST_SHARE in every number,
-// the texel keeps its estimate and is converged.
-// Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
+// Over W×H texels: starts the fit with a spatial prior. Every colour and scalar becomes the mean of the texel's
+// estimate and the prior, weighted by precision. A texel keeps its estimate if the weight of the prior is below
+// LEAST_SHARE in every number. Reads the estimates, their deviations, the prior in u_mean and u_deviation, and u_noise.
 // Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates before the change.
 
 #include "common/frame.glsl"

@@ -1,7 +1,6 @@
-// Over W×H texels: accepts the fit with the prior (u_work, u_work_status) if (1) its objective, penalty included, is
-// lower than the estimate's, and (2) without the penalty its deviance is not more than TOLERANCE² above the estimate's.
-// Else the estimate stays. Reads u_noise (x: loss of the estimate), u_penalty (its penalty), the geometry and the
-// sample stack.
+// Over W×H texels: accepts the fit with the prior (u_work, u_work_status) if its objective, penalty included, is lower
+// than the estimate's, and its deviance without the penalty is at most TOLERANCE² higher. Else the estimate stays.
+// Reads u_noise (x: loss of the estimate), u_penalty (its penalty), the geometry and the sample stack.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"

@@ -1,6 +1,5 @@
-// Penalty of a Gaussian prior: the deviance Σ (x − m)² / v over the numbers, converted to losses (loss_unit.glsl).
-// Reads u_noise and the prior: u_mean, and u_deviation, which is 0 where a number has no prior. The prior covers the
-// parameters of free_parameters.glsl.
+// Penalty of a Gaussian prior over the parameters of free_parameters.glsl: Σ (x − m)² / v, a deviance, converted to
+// losses (loss_unit.glsl). Reads u_noise and the prior: u_mean, and u_deviation, which is 0 without a prior.
 
 #include "prior/loss_unit.glsl"
 #include "free_parameters.glsl"

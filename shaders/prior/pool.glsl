@@ -4,10 +4,9 @@
 // Laird 1986, Meta-analysis in Clinical Trials), with s as multiplicity:
 //   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
 //   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  with the deviation √(t² + 1 / Σ s w).
-// Reads the estimates, their own deviations in u_own, the current mean and deviation of every texel in u_mean and
-// u_deviation (0: none), and the packing. Writes o_mean and o_deviation. In the LAST round they are m and its
-// deviation. Before, they are the input of the next round: a number that the texel's own samples determine keeps its
-// value, all others take m.
+// Reads the estimates, their own deviations in u_own, the input of this round in u_mean and u_deviation (0: none), and
+// the packing. Writes o_mean and o_deviation: in the LAST round m and its deviation; before, the input of the next
+// round, where a number that the texel's own samples determine keeps its value and all others take m.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"

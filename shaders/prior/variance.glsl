@@ -1,9 +1,7 @@
-// Over W×H texels: variance of the samples' noise. Few samples determine it badly, so it is pooled with the
-// neighbours':
+// Over W×H texels: variance of the samples' noise. Few samples determine it badly, so it is pooled with the neighbours:
 //   (S + ν N̄) / (n + ν), with S the texel's sum over n degrees of freedom, N̄ the neighbours' mean and ν its weight
 // (Smyth 2004, Linear Models and Empirical Bayes Methods for Assessing Differential Expression in Microarray
-// Experiments, its s̃²). Reads u_noise (noise.glsl) and the packing. Writes o_noise: x and y unchanged, z the variance,
-// w in losses.
+// Experiments, its s̃²). Reads u_noise (noise.glsl), packing. Writes o_noise: as u_noise; z the variance, w in losses.
 
 #include "common/frame.glsl"
 #include "common/packing.glsl"

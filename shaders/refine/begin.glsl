@@ -1,6 +1,5 @@
-// Over W×H texels: initialises the working estimates of a refinement with the values of start u_start (−1: none). A
-// start may turn the normal (mirror.glsl). Texels that this tile does not solve keep their estimates.
-// Reads the estimates, u_status and the samples. Writes o_estimate and o_status.
+// Over W×H texels: starts a refinement from the estimates with the values of start u_start (−1: none). A start may turn
+// the normal (mirror.glsl). Texels of other tiles stay as they are. Reads the estimates, u_status and the samples.
 
 #include "refine/mirror.glsl"
 #include "refine/status.glsl"

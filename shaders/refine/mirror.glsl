@@ -3,8 +3,7 @@
 #include "common/observation.glsl"
 
 #ifdef NORMAL_COMPONENT
-// level is the radiance over the light's intensity. The normal does not change if no half vector lies in front of the
-// surface.
+// level is the radiance over the light's intensity. If no half vector is in front of the surface, the normal stays.
 void turn_to_mirror(ivec2 texel, inout float c[12])
 {
     float brightest = 0.0;

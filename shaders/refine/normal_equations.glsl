@@ -2,8 +2,7 @@
 // Marquardt 1963, An Algorithm for Least-Squares Estimation of Nonlinear Parameters. His scaling makes λ relative to
 // the diagonal: a is JᵀWJ scaled to a unit diagonal (upper triangle), slope is JᵀWe scaled likewise.
 
-// After hundreds of samples in float32, a pivot below 2⁻²⁰ of the unit diagonal is rounding: its parameter does not
-// move.
+// After hundreds of samples in float32, a pivot below 2⁻²⁰ of the unit diagonal is rounding: its parameter stays.
 #define PIVOT (1.0 / 1048576.0)
 
 // Solves (A + λ) y = −slope for the parameters that are not held. Held ones keep their y. Cholesky: A + λ = L D Lᵀ.

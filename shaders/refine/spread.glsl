@@ -1,9 +1,8 @@
 // Over W×H texels: tries materials of neighbours (offers). The four adjacent texels offer their whole material, with
-// the normal rotated into this texel's frame. The four texels at distance two offer their searched numbers, which are
+// the normal rotated into this texel's frame. The four texels at distance two offer their searched numbers, to be
 // combined with this texel's normal and linear weights. The most probable of the offers worth refining (offers.glsl)
-// replaces the texel's material. If there is none, the texel keeps its material and is converged.
-// Reads the best estimates so far, u_status, the geometry with its packing, the sample stack and the observation table.
-// Writes o_estimate and o_status.
+// replaces the texel's material. Without one the texel has converged. Reads the best estimates so far, u_status, the
+// geometry with its packing, the sample stack and the observation table. Writes o_estimate and o_status.
 
 #include "common/packing.glsl"
 #include "fitness/fitness.glsl"

@@ -1,11 +1,8 @@
-// Over W×H texels: one iteration of Levenberg–Marquardt, by iteratively reweighted least squares unless the loss is the
-// square.
-// Reads the working estimates, u_status, the geometry, the sample stack and the inputs of penalty.glsl. Writes
-// o_estimate and o_status.
+// Over W×H texels: one iteration of Levenberg–Marquardt, by iteratively reweighted least squares unless the loss is l2.
+// Reads the working estimates, u_status, geometry, sample stack, inputs of penalty.glsl; writes o_estimate, o_status.
 //
 // The first loop over the observations sums JᵀWJ and JᵀWe (linearise.glsl). The second evaluates the steps of
-// CANDIDATES dampings. penalty.glsl adds to the loss: it is no_penalty.glsl, or the penalty of the prefit or of a
-// prior.
+// CANDIDATES dampings. penalty.glsl adds to the loss: no_penalty.glsl, or the penalty of the prefit or of a prior.
 
 #include "refine/linearise.glsl"
 #include "refine/status.glsl"
@@ -48,10 +45,10 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 }
 
 // Computes the components c after a step delta of all free parameters. The normal stays in its hemisphere.
-void take_step(inout float given[12], inout float delta[FREE_COUNT], out float c[12])
+void take_step(inout float unmoved[12], inout float delta[FREE_COUNT], out float c[12])
 {
     for (int i = 0; i < 12; i++) {
-        c[i] = given[i];
+        c[i] = unmoved[i];
     }
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);

@@ -1,6 +1,5 @@
-// Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl).
-// Reads the best so far (u_estimate, u_status), the refined one (u_work, u_work_status), the weights of the samples and
-// the packing.
+// Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl). Reads the best
+// so far (u_estimate, u_status), the refined one (u_work, u_work_status), the weights of the samples and the packing.
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"

@@ -1,7 +1,6 @@
 // Over W×H texels: sets the normals to those of the relaxed slopes, s = s₀ − P Cᵀ μ (relax.glsl). The change is limited
-// to TOLERANCE standard deviations of the samples: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤ TOLERANCE². The linear parameters are moved
-// to their optimum for the new normal, to first order. If the deviance of the samples rises by more than TOLERANCE²,
-// the estimate stays.
+// to TOLERANCE standard deviations of the samples: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤ TOLERANCE². The linear parameters move to
+// their optimum for the new normal, to first order. If the deviance rises by more than TOLERANCE², the estimate stays.
 // Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance, geometry and packing.
 // Writes o_estimate.
 
@@ -22,8 +21,8 @@ void set_normal(ivec2 texel, vec3 n, inout float c[12])
 {
     float a[FREE_COUNT * FREE_COUNT];
     eliminate_all_but_normal(texel, c, a);
-    int at = NORMAL_COMPONENT;
-    vec3 before = vec3(c[at], c[at + 1], c[at + 2]);
+    int component = NORMAL_COMPONENT;
+    vec3 before = vec3(c[component], c[component + 1], c[component + 2]);
     vec3 axis = turning_axis(before);
     vec2 delta = vec2(dot(n, axis), dot(n, cross(before, axis))) / (dot(n, before) * free_at(NORMAL_FREE).width);
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -34,9 +33,9 @@ void set_normal(ivec2 texel, vec3 n, inout float c[12])
             c[free.at] = clamp(c[free.at] + moved_by, free.low, free.low + free.width);
         }
     }
-    c[at] = n.x;
-    c[at + 1] = n.y;
-    c[at + 2] = n.z;
+    c[component] = n.x;
+    c[component + 1] = n.y;
+    c[component + 2] = n.z;
 }
 
 // Returns whether the deviance of c exceeds the estimate's by at most TOLERANCE².

@@ -12,11 +12,11 @@ vec3 covariance_of_angles(ivec2 texel, inout float c[12])
 {
     float a[FREE_COUNT * FREE_COUNT];
     float noise = eliminate_all_but_normal(texel, c, a);
-    int at = NORMAL_FREE * FREE_COUNT + NORMAL_FREE;
+    int entry = NORMAL_FREE * FREE_COUNT + NORMAL_FREE;
     // Not below the precision of the weak prior: a smaller remainder of the elimination is rounding.
-    float xx = max(a[at], noise);
-    float yy = max(a[at + FREE_COUNT + 1], noise);
-    float xy = clamp(a[at + 1], -0.999 * sqrt(xx * yy), 0.999 * sqrt(xx * yy));
+    float xx = max(a[entry], noise);
+    float yy = max(a[entry + FREE_COUNT + 1], noise);
+    float xy = clamp(a[entry + 1], -0.999 * sqrt(xx * yy), 0.999 * sqrt(xx * yy));
     float width = free_at(NORMAL_FREE).width;
     return noise * width * width / (xx * yy - xy * xy) * vec3(yy, -xy, xx);
 }

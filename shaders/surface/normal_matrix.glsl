@@ -1,5 +1,4 @@
-// Normal equations of a texel's samples with all parameters but the normal eliminated. Reads the sample stack and
-// u_noise.
+// Normal equations of a texel's samples, reduced to the normal. Reads the sample stack and u_noise.
 
 #include "refine/linearise.glsl"
 #include "diagnostics/sweep.glsl"

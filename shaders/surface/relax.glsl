@@ -1,20 +1,18 @@
 // Over W×H texels: one iteration of the minimisation over the slopes s of
 //   ½ Σ_texels (s − s₀)ᵀ P⁻¹ (s − s₀) + Σ_loops κ |circulation of s|,
 //   κ = WEIGHT / (σ (1 + (z / OUTLIER_Z)⁴)),   z = circulation of s₀ / σ,   σ² = its variance by P,
-// with s₀ and P of information.glsl. The absolute value allows loops across a step of the surface to keep their
-// circulation. κ is small where noise does not explain the circulation (reweighted l1: Candès, Wakin & Boyd 2008,
-// Enhancing Sparsity by Reweighted ℓ1 Minimization). The dual problem has a multiplier μ per loop, |μ| ≤ κ, with s = s₀
-// − P Cᵀ μ. Its gradient is the circulation of s. An iteration is a projected gradient step, preconditioned by
-// Gershgorin's bound of the rows of C P Cᵀ, and accelerated (Beck & Teboulle 2009, A Fast Iterative
-// Shrinkage-Thresholding Algorithm).
+// with s₀ and P of information.glsl. The absolute value preserves steps of the surface; so does κ, which is small where
+// noise does not explain the circulation (reweighted l1: Candès, Wakin & Boyd 2008, Enhancing Sparsity by Reweighted ℓ1
+// Minimization). The dual has a multiplier μ per loop, |μ| ≤ κ, and s = s₀ − P Cᵀ μ. Its gradient is the circulation of
+// s. An iteration is a projected gradient step, preconditioned by Gershgorin's bound of the rows of C P Cᵀ, and
+// accelerated (Beck & Teboulle 2009, A Fast Iterative Shrinkage-Thresholding Algorithm).
 // Reads u_field (s₀, μ, extrapolated μ), u_covariance, and the packing. Writes o_field.
 
 #include "common/packing.glsl"
 #include "surface/loops.glsl"
 
-// Standard deviations from which a circulation counts as an outlier. On two cards of tilted tiles, at WEIGHT 2, the
-// normals' mean error falls by 17 and 18 %. Without OUTLIER_Z it falls by 11 and 10 %, and base colours are off by 2
-// and 22 % more.
+// z of an outlier. On two cards of tilted tiles, at WEIGHT 2, the normals' mean error falls by 17 and 18 %. Without κ's
+// dependence on z it falls by 11 and 10 %, and base colours are off by 2 and 22 % more.
 #define OUTLIER_Z 2.5
 
 bool texel_kernel(ivec2 texel)
@@ -52,7 +50,7 @@ bool texel_kernel(ivec2 texel)
         row_bound += 2.0 * own_variance + 0.5 * abs(covariance.x - covariance.z);
     }
     if (!(variance > 0.0)) {
-        return true;  // all four normals stay
+        return true;  // the normals cannot move
     }
     float z = initial_circulation * initial_circulation / (OUTLIER_Z * OUTLIER_Z * variance);
     float kappa = WEIGHT * inversesqrt(variance) / (1.0 + z * z);

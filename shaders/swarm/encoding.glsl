@@ -1,9 +1,9 @@
 // Encodings of a normal as searched numbers in [0, 1]: two on the hemisphere, or three that are normalised.
 
 // Maps the square to the disc by ellipses (Fong 2015, Analytical Methods for Squaring the Disc), and the disc to the
-// hemisphere z ≥ 0 with equal areas (Lambert 1772, azimuthal projection). The map has no pole and needs no
-// trigonometry. The edges of the square map to the horizon. A square around the disc would have a fifth of its area on
-// the horizon, where every render is black: on dark subjects more than half of the swarms converged there.
+// hemisphere z ≥ 0 with equal areas (Lambert 1772, azimuthal projection). No pole, no trigonometry; the square's edges
+// are the horizon. A square around the disc would have a fifth of its area on the horizon, where every render is black:
+// on dark subjects more than half of the swarms converged there.
 vec3 normal_from_hemisphere(vec2 x)
 {
     vec2 q = 2.0 * x - 1.0;
@@ -27,9 +27,8 @@ vec2 hemisphere_from_normal(vec3 n)
     return clamp(0.5 * q + 0.5, 0.0, 1.0);
 }
 
-// Returns the part of a linear parameter's range that is searched. Radiance is proportional to the parameter, so the
-// texel's brightness bounds it. LINEAR_REACH times the brightness includes saturated colours under grazing light.
-// LINEAR_REACH = 0 searches the whole range.
+// Returns the searched fraction of a linear parameter's range. Radiance is proportional to it, so the brightness bounds
+// it. LINEAR_REACH times the brightness includes saturated colours under grazing light; 0 searches the whole range.
 float reach_of(float scale)
 {
     return LINEAR_REACH > 0.0 ? min(1.0, LINEAR_REACH * scale) : 1.0;

@@ -1,5 +1,4 @@
-// Over W×H texels, in place: copies the received global bests to the halo, the border texels that neighbouring tiles
-// own.
+// Over W×H texels, in place: copies the received global bests to the halo, texels that neighbouring tiles own.
 
 #include "common/frame.glsl"
 

@@ -1,6 +1,5 @@
-// Pass B, over the swarm atlas, in place: writes the candidate's position and velocity to the particle that moved.
-// Reads the candidate textures of pass A. A fragment cannot scatter, so every particle checks whether it is the one
-// that moved.
+// Pass B, over the swarm atlas, in place: writes the candidate's position and velocity to the moved particle. Reads the
+// candidate textures of pass A. A fragment cannot scatter, so every particle checks whether it is the moved one.
 
 #include "swarm/atlas.glsl"
 

@@ -1,13 +1,12 @@
 // Pass A of the synchronous swarm, over W×H texels: evaluates every particle at its new position.
 // Reads the swarm atlas and u_mean, the global bests with their linear weights, the estimates, the geometry with its
 // packing, the sample stack and the observation table.
-// Writes o_fitness, one number per particle, and o_linear, the linear weights of the best particle of this generation.
-// It does not write the new positions: a pass has at most six outputs, and to compute them again in the commit passes
-// is cheap. With START it evaluates the initial positions.
+// Writes o_fitness, one number per particle, and o_linear, the linear weights of the best particle. It does not write
+// the new positions: a pass has at most six outputs, and the commit passes can compute them again cheaply. With START
+// it evaluates the initial positions.
 //
-// CHUNK particles share one read of an observation. The first loop over the observations solves the linear weights, the
-// second sums the residual. In float32 the residual does not follow from the sums of the first loop: Σc² − bᵀA⁻¹b
-// cancels, and the roughness stalls at an error of 5 %.
+// CHUNK particles share one read of an observation. There are two loops: linear weights, then residual. In float32 the
+// residual does not follow from the sums of the first loop: Σc² − bᵀA⁻¹b stalls at an error of 5 % in roughness.
 
 #include "fitness/fitness.glsl"
 #include "swarm/synchronous/incumbent.glsl"
