@@ -1,4 +1,4 @@
-// Writes only the number of the triangle, counted from 1; 0 means none.
+// Writes the number of the triangle, counted from 1. 0 means no triangle.
 
 void main()
 {

@@ -1,5 +1,5 @@
 // Vertex stage of a bake. Reads place (clip coordinates before the division) and corner (3 · triangle + 0, 1 or 2).
-// Writes the triangle's number.
+// Passes on the number of the triangle.
 
 void main()
 {

@@ -1,14 +1,14 @@
-// Directional albedo of a dielectric GGX layer: what Blender's Principled BSDF takes from the base below it.
+// Directional albedo of a dielectric GGX layer: the fraction that Blender's Principled BSDF takes from the base below
+// it.
 
 #include "brdf/f_dielectric.glsl"
 
-// Returns A = F0 + (1 − F0) ∫ s(v·h) D_v(h) dh over the visible microfacet normals h that send light upward, with
-// s = (F − F0) / (1 − F0): the quantity that Cycles tabulates for its layering (measured against bpy 5.0.1; it is not
-// the albedo of the lobe itself, which loses light between facets). As the smooth surface has A = F(n·v), a rough one
-// has A = F(c) at a cosine c that is fitted here, to numeric integrals over roughness 0.02 to 1, n·v 0 to 1 and F0
-// 0 to 0.08 (specular_layer_albedo in tests/oracles/reflectance.py): error at most 0.005 where n·v >= 0.09, 0.017 below, 0.0006
-// in the mean above.
-// roughness is perceptual (α = roughness²) and > 0, which keeps the divisor positive; F0 <= 0.08.
+// Returns A = F0 + (1 − F0) ∫ s(v·h) D_v(h) dh over the visible microfacet normals h that reflect upward, with
+// s = (F − F0) / (1 − F0). Cycles tabulates A for its layering (measured against bpy 5.0.1). It is not the albedo of
+// the lobe, which loses light between facets. A smooth surface has A = F(n·v). A rough one has A = F(c), with a cosine
+// c that is fitted here to numeric integrals over roughness 0.02 to 1, n·v 0 to 1 and F0 0 to 0.08
+// (specular_layer_albedo in tests/oracles/reflectance.py): error at most 0.005 where n·v >= 0.09 (0.0006 in the mean),
+// 0.017 below. roughness is perceptual (α = roughness²) and > 0, which keeps the divisor positive; F0 <= 0.08.
 float E_SpecularLayer(float NoV, float roughness, float F0)
 {
     float r = roughness;

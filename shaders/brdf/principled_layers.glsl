@@ -1,5 +1,5 @@
-// The parts of Blender's Principled BSDF with distribution GGX and a white Specular Tint, as Cycles renders them: a
-// diffuse base under a dielectric GGX layer, and a metal. Burley 2012, Physically-Based Shading at Disney.
+// Parts of Blender's Principled BSDF with distribution GGX and a white Specular Tint, as Cycles renders them: a diffuse
+// base under a dielectric GGX layer, and a metal. Burley 2012, Physically-Based Shading at Disney.
 
 #include "brdf/angles.glsl"
 #include "brdf/d_ggx.glsl"
@@ -12,31 +12,31 @@
 #define F0_PER_LEVEL 0.08
 #define F0_DEFAULT 0.04 // level 0.5
 
-// (1 − v·h)⁵, what Schlick 1994 adds toward white at grazing angles. 1 − v·h of a black metal is all that it reflects:
-// sin² of the angle is |l − v|² / 4, which does not cancel where light and view are near each other.
+// Returns (1 − v·h)⁵, Schlick's (1994) increase toward white at grazing angles. A black metal reflects only this, so it
+// must be precise: 1 − v·h = sin² / (1 + v·h) with sin² = |l − v|² / 4 does not cancel where l and v are nearly equal.
 float grazing(vec3 l, vec3 v, float VoH)
 {
-    vec3 apart = l - v;
-    float m = 0.25 * dot(apart, apart) / (1.0 + VoH);
+    vec3 l_minus_v = l - v;
+    float m = 0.25 * dot(l_minus_v, l_minus_v) / (1.0 + VoH);
     float m2 = m * m;
     return m2 * m2 * m;
 }
 
-// π D V n·l: the lobe of a mirror of microfacets.
+// Returns π D V n·l: the lobe of perfectly reflecting microfacets.
 float ggx_lobe(Angles a, float roughness)
 {
     float alpha = roughness * roughness;
     return 3.14159265358979 * D_GGX(a.NoH, a.sin2_h, alpha) * V_SmithGGX(a.NoL, a.NoV, alpha) * a.NoL;
 }
 
-// What is diffuse under a layer of this F0, per base colour.
+// Returns π f_r n·l of a diffuse base under a layer of this F0, per unit of base colour.
 float layered_diffuse(float NoL, float NoV, float roughness, float F0)
 {
     return Fd_Lambert(NoL) * (1.0 - E_SpecularLayer(NoV, roughness, F0));
 }
 
-// A dielectric of this F0, diffuse under a layer, mixed with a metal whose lobe has the base colour. x: what one unit of
-// base colour reflects; y: what is reflected whatever the colour.
+// A dielectric of this F0 (diffuse under a layer), mixed with a metal whose lobe has the base colour. Returns π f_r
+// n·l: x per unit of base colour, y independent of the base colour.
 vec2 base_and_fixed(vec3 normal, float roughness, float F0, float metallic, vec3 l, vec3 v)
 {
     if (!above_horizon(dot(normal, l), dot(normal, v))) {

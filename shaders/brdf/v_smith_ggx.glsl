@@ -2,8 +2,8 @@
 // Surface; height-correlated: Heitz 2014, Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs,
 // Eq. 72 and 99. Cycles uses this form.
 
-// V = G / (4 n·l n·v), G = 1 / (1 + Λ(l) + Λ(v)), Λ(d) = (√(1 + α² tan²θ_d) − 1) / 2. Multiplied out, nothing is
-// divided by a cosine, and V stays finite as one of them goes to 0.
+// V = G / (4 n·l n·v), G = 1 / (1 + Λ(l) + Λ(v)), Λ(d) = (√(1 + α² tan²θ_d) − 1) / 2. Multiplied out, V has no division
+// by a cosine and stays finite as one of them goes to 0.
 float V_SmithGGX(float NoL, float NoV, float alpha)
 {
     float a2 = alpha * alpha;

@@ -1,4 +1,4 @@
-// Copies a texture texel by texel: after a fragment pass, the output of a compute dispatch is safe to read back.
+// Copies a texture. After a compute dispatch this fragment pass makes the output safe to read back.
 
 bool texel_kernel(ivec2 texel)
 {

@@ -1,4 +1,4 @@
-// Entry of a compute pass: one invocation a texel of rows [u_first_row, u_last_row).
+// Entry of a compute pass: one invocation per texel of the rows [u_first_row, u_last_row).
 
 void main()
 {

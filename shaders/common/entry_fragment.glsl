@@ -1,4 +1,4 @@
-// Entry of a fragment pass: one fragment a texel; the outputs are the frame buffer's attachments.
+// Entry of a fragment pass: one fragment per texel. The outputs are attachments of the frame buffer.
 
 void main()
 {

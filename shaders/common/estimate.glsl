@@ -1,4 +1,4 @@
-// The current material of a texel, fixed or estimated: u_estimate holds the components of all parameters, in the order of
+// Current material of a texel. u_estimate holds the components of all parameters, fixed and estimated, in the order of
 // the model's table.
 
 #include "material.glsl"

@@ -1,9 +1,8 @@
-// The geometry of a texel: position, and the orthonormal frame of its material.
-// Reads u_geometry.
+// Position of a texel and the orthonormal tangent frame of its material. Reads u_geometry.
 
 #include "common/geometry.glsl"
 
-// States of a texel, in w of GEOMETRY_POSITION.
+// States of a texel, stored in GEOMETRY_POSITION.w.
 #define TEXEL_OUTSIDE 0
 #define TEXEL_SOLVED 1
 #define TEXEL_HALO 2
@@ -20,16 +19,16 @@ int state_at(ivec2 texel)
     return int(geometry_at(GEOMETRY_POSITION, texel).w);
 }
 
-// The texel's scale: a robust fitness divides errors by this radiance.
+// Returns the texel's scale, the radiance by which a robust fitness divides errors.
 float scale_at(ivec2 texel)
 {
     return geometry_at(GEOMETRY_NORMAL, texel).w;
 }
 
-// The shadow of texels whose indirect light was taken off the samples.
+// shadow_at() of texels from whose samples the indirect light was subtracted.
 #define SEPARATED_SHADOW 0.02
 
-// The part of the texel's scale under which a sample counts as shadow because light is indirect there; 0 elsewhere.
+// Returns the shadow limit, a fraction of the scale: darker samples count as shadow. 0 where the light is not indirect.
 float shadow_at(ivec2 texel)
 {
     return abs(geometry_at(GEOMETRY_TANGENT, texel).w) - 1.0;

@@ -1,4 +1,4 @@
-// Vertex stage of a fragment pass: one triangle over the whole viewport, which is set to the rows to be drawn.
+// Vertex stage of a fragment pass: one triangle over the viewport. The viewport is set to the rows to be drawn.
 
 void main()
 {

@@ -1,4 +1,4 @@
-// The static numbers of a texel, in the layers of u_geometry: one texture, because some GPUs bind only 16.
+// Constant data of a texel, in the layers of u_geometry: one texture, because some GPUs bind only 16.
 
 #define GEOMETRY_POSITION 0 // xyz, state
 #define GEOMETRY_NORMAL 1 // xyz, scale

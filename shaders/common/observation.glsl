@@ -1,10 +1,10 @@
-// Light, view and sample of an observation at a texel.
-// Reads u_observation_table, K columns: row 0 light (xyz, 1 for a position), row 1 intensity, row 2 view likewise; and
-// u_stack, one layer an observation: RGB radiance, weight.
+// Light, view and sample of one observation at a texel. Reads u_observation_table, one column per observation: row 0
+// light (xyz; w is 1 for a position, 0 for a direction), row 1 intensity, row 2 view (as row 0); and u_stack, one layer
+// per observation: RGB radiance, weight.
 
 #include "common/frame.glsl"
 
-// Returns the unit direction toward the light in the texel's frame, and its irradiance over π there.
+// Returns the unit direction toward the light in the texel's frame. intensity: irradiance / π at the texel.
 vec3 light_at(Frame f, int k, out vec3 intensity)
 {
     vec4 light = texelFetch(u_observation_table, ivec2(k, 0), 0);
@@ -29,8 +29,8 @@ vec3 view_at(Frame f, int k)
     return to_local(f, view.w == 0.0 ? view.xyz : normalize(view.xyz - f.position));
 }
 
-// A texel and its frame. v: direction toward the camera, if all observations share one; scale: scale_at(); shadow: the
-// radiance under a light of intensity 1 below which a sample counts as shadow.
+// A texel and its frame. v: direction toward the camera, if all observations share one camera; scale: scale_at();
+// shadow: a sample that is darker under a light of intensity 1 counts as shadow (radiance).
 struct Texel {
     ivec2 at;
     Frame frame;
@@ -53,8 +53,8 @@ Texel observed_texel(ivec2 at)
     return t;
 }
 
-// One sample of a texel. l, v: unit directions to light and camera in the texel's frame; intensity: irradiance over π
-// there; clipped: 1 in the channels whose radiance is a lower bound.
+// One sample of a texel. l, v: unit directions to light and camera in the texel's frame; intensity: irradiance / π at
+// the texel; clipped: 1 in the channels whose radiance is a lower bound.
 struct Observation {
     float weight;
     vec3 l;
@@ -64,11 +64,11 @@ struct Observation {
     vec3 clipped;
 };
 
-// Reads observation k; returns false if it has no weight at this texel.
-// In u_stack a negative weight −(b + w / 2) marks bounds: bits 1, 2 and 4 of b for red, green and blue, w in (0, 1]. With
-// b = 0 the sample is in shadow, and counts WITH_SHADOW alone.
-// With GREY the radiance is normalised to a light of intensity 1 and averaged over the channels that the light has; below
-// GREY_SHADOW of the texel's scale it counts as shadow; one clipped channel makes the mean a bound.
+// Reads observation k. Returns false if it has no weight at this texel.
+// In u_stack a negative weight −(b + w / 2) marks clipped channels: bits 1, 2 and 4 of b stand for red, green and blue,
+// w in (0, 1] is the weight. b = 0 marks a sample in shadow, which counts only with WITH_SHADOW.
+// With GREY the radiance is normalised to a light of intensity 1 and averaged over the channels that the light has.
+// Below GREY_SHADOW times the texel's scale it counts as shadow. One clipped channel makes the mean a lower bound.
 bool observe(Texel t, int k, out Observation o)
 {
     vec4 reference = texelFetch(u_stack, ivec3(t.at, k), 0);
@@ -100,34 +100,34 @@ bool observe(Texel t, int k, out Observation o)
     o.v = view_at(t.frame, k);
 #endif
 #ifdef GREY
-    vec3 has = vec3(greaterThan(o.intensity, vec3(0.0)));
-    float channels = dot(has, vec3(1.0));
+    vec3 lit_channels = vec3(greaterThan(o.intensity, vec3(0.0)));
+    float channels = dot(lit_channels, vec3(1.0));
     if (channels == 0.0) {
         return false;
     }
-    // A channel that the light lacks has no weight: its divisor 1 is arbitrary.
-    o.radiance = vec3(dot(has * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, has)) / channels);
+    // A channel in which the light is 0 has no weight. Its divisor, 1, is arbitrary.
+    o.radiance = vec3(dot(lit_channels * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, lit_channels)) / channels);
     o.intensity = vec3(1.0);
     if (o.radiance.r < GREY_SHADOW * t.scale) {
         return false;
     }
 #endif
-    // Samples below 0, and those that are not numbers, count where no shadow is raised.
+    // Where the shadow limit is 0, samples below 0 and NaN count.
     bool dark = dot(o.radiance, vec3(1.0)) < t.shadow * dot(o.intensity, vec3(1.0));
     return !(dark && t.shadow > 0.0);
 }
 
-// Loops over the observations of a texel that have a weight: a statement or block with o follows.
+// Loops over the observations with a weight at a texel. A statement or block that uses o follows.
 #define EACH_OBSERVATION(t, o) for (int k = 0; k < u_observations; k++) if (observe(t, k, o))
 
-// The error of a render of reflectance ρ. A bound is met by any brighter render.
+// Returns render minus sample, for the reflectance ρ. A clipped channel has no error where the render is brighter.
 vec3 error_of(Observation o, vec3 rho)
 {
     vec3 error = o.intensity * rho - o.radiance;
     return mix(error, min(error, vec3(0.0)), o.clipped);
 }
 
-// 1 in the channels that constrain the fit, 0 in bounds that are met.
+// Returns 1 in the channels that constrain the fit, 0 in clipped channels whose lower bound the render satisfies.
 vec3 active_channels(Observation o, vec3 error)
 {
     return vec3(1.0) - o.clipped * vec3(greaterThanEqual(error, vec3(0.0)));

@@ -1,5 +1,5 @@
-// Compute stand-ins for the fragment outputs: plain variables that the entry stores once the kernel has run.
-// OUTPUT_n and OUTPUT_n_TYPE are defined by the pass, in the order of its outputs.
+// Outputs of a compute pass: plain variables in place of the fragment outputs. The entry stores them after the kernel
+// has run. The pass defines OUTPUT_n and OUTPUT_n_TYPE, in the order of its outputs.
 
 #ifdef OUTPUT_0
 OUTPUT_0_TYPE OUTPUT_0;

@@ -1,4 +1,4 @@
-// The probe's kernel: arithmetic like that of a fitness, with a value that numpy can check.
+// Kernel of the GPU probe: arithmetic like that of a fitness, with a result that numpy can check.
 
 bool texel_kernel(ivec2 texel)
 {

@@ -1,5 +1,5 @@
-// Counter-based random numbers: each is a pure function of (seed, iteration, global texel, particle, purpose), so that
-// no result depends on how a domain is cut into tiles or a run into steps.
+// Counter-based random numbers. Each is a pure function of (seed, iteration, global texel, particle, purpose), so
+// results do not depend on how a domain is cut into tiles or a run into steps.
 // Hash: pcg4d. Jarzynski & Olano 2020, Hash Functions for GPU Rendering, JCGT 9(3).
 
 uvec4 pcg4d(uvec4 key)
@@ -26,9 +26,9 @@ uvec4 pcg4d(uvec4 key)
 
 uvec4 random_bits(int seed, int iteration, ivec2 global_texel, int particle, int purpose)
 {
-    uint place = uint(global_texel.x) | (uint(global_texel.y) << 16u);
+    uint packed_texel = uint(global_texel.x) | (uint(global_texel.y) << 16u);
     // Hashed twice: one round leaves neighbouring texels correlated in the low bits.
-    return pcg4d(pcg4d(uvec4(place, uint(iteration), uint(particle * 16 + purpose), uint(seed))));
+    return pcg4d(pcg4d(uvec4(packed_texel, uint(iteration), uint(particle * 16 + purpose), uint(seed))));
 }
 
 // Four numbers uniform in [0, 1), exact multiples of 2⁻²⁴.

@@ -1,5 +1,5 @@
-// The neighbours that a prior reads: 5×5, and rings of 16 at twice, four times, … the distance; TAPS in all. A few dozen
-// taps reach as far as a window of a thousand texels (à trous, with holes between them;
+// Neighbours that a prior reads, TAPS in all: 5×5 texels, then rings of 16 at twice, four times, … the distance. A few
+// dozen taps reach as far as a window of a thousand texels (à trous, with holes between the taps;
 // Holschneider et al. 1989, A Real-Time Algorithm for Signal Analysis with the Help of the Wavelet Transform).
 
 ivec2 tap_at(int t)

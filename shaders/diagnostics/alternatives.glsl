@@ -1,9 +1,8 @@
-// Over W×H texels: how much worse the best alternative far from the estimate fits, for every searched number without a
-// normal prior. The number takes TRIALS values of its range; the linear weights are solved again for each
-// (fitness/linear.glsl); everything else is fixed.
-// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative, one each
-// for the ALTERNATIVES such numbers: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative
-// fits better.
+// Over W×H texels: compares the estimate with distant alternatives, for every searched number without a normal prior.
+// The number takes TRIALS values of its range, each with the linear weights solved again (fitness/linear.glsl) and all
+// other parameters fixed. Reads the estimates, the geometry, the sample stack and the observation table.
+// Writes o_alternative, one value for each of the ALTERNATIVES numbers: −2 log of the likelihood ratio of the best
+// alternative to the estimate, clamped to ±MAX_DEVIANCE. It is negative where the alternative fits better.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"
@@ -12,19 +11,19 @@
 #include "free_parameters.glsl"
 
 #define TRIALS 7
-// As a fraction of the range: a nearer value belongs to the same optimum.
-#define FAR 0.3
-// Three standard deviations of one texel: a single wrong one must not outvote its material (solver/engine/modes.py).
-#define MOST 9.0
+// Fraction of the range. A value nearer to the estimate belongs to the same optimum.
+#define MIN_DISTANCE 0.3
+// (3 standard deviations of one texel)²: one wrong texel must not outweigh its material (solver/engine/modes.py).
+#define MAX_DEVIANCE 9.0
 
-// Values to try, as fractions of the range: denser where lobes are narrow and differ more.
+// Returns trial value i, as a fraction of the range. The values are denser where lobes are narrow and so differ more.
 float trial_at(int i)
 {
     return i < 4 ? (i < 2 ? (i == 0 ? 0.01 : 0.04) : (i == 2 ? 0.1 : 0.25)) : (i == 4 ? 0.5 : (i == 5 ? 0.75 : 1.0));
 }
 
-// The number of independent samples beyond those that determine all parameters.
-float samples_left(Texel t, Material best)
+// Returns the number of independent samples minus the number that determines all parameters.
+float independent_samples(Texel t, Material best)
 {
     ErrorSums sums;
     clear_errors(sums);
@@ -35,10 +34,10 @@ float samples_left(Texel t, Material best)
         vec3 counted = o.weight * active_channels(o, error);
         add_error(sums, error, relative * relative * counted, counted);
     }
-    return max(freedom_of(sums), 0.0) / alike_of(sums);
+    return max(degrees_of_freedom(sums), 0.0) / redundancy_of(sums);
 }
 
-// Sets the linear weights of s to the best fit, with each sample's weight from the errors of ``best``.
+// Sets the linear weights of s to the best fit. The weights of the samples follow from the errors of ``best``.
 void refit(Texel t, Material best, inout Material s)
 {
 #if LINEAR_BLOCKS > 0
@@ -58,29 +57,29 @@ void refit(Texel t, Material best, inout Material s)
 
 bool texel_kernel(ivec2 texel)
 {
-    float worse[12];  // with room for all that a model can have
+    float deviance[12];  // a model has at most 12 components
     for (int i = 0; i < 12; i++) {
-        worse[i] = 0.0;
+        deviance[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {
         Texel t = observed_texel(texel);
         Material best = estimate_at(texel);
         float c[12];
         material_to(best, c);
-        float left = samples_left(t, best);
+        float samples = independent_samples(t, best);
         float weights;
         float fitness = fitness_of(t, best, weights);
-        int place = 0;
+        int slot = 0;
         for (int u = 0; u < FREE_COUNT; u++) {
             FreeParameter free = free_at(u);
             if (!searched(u) || prior_precision(c, free.at) > 0.0) {
                 continue;
             }
-            float own = c[free.at];
+            float estimated = c[free.at];
             float lowest = UNFIT;
             for (int i = 0; i < TRIALS; i++) {
                 float value = free.low + trial_at(i) * free.width;
-                if (abs(value - own) < FAR * free.width) {
+                if (abs(value - estimated) < MIN_DISTANCE * free.width) {
                     continue;
                 }
                 c[free.at] = value;
@@ -88,11 +87,12 @@ bool texel_kernel(ivec2 texel)
                 refit(t, best, s);
                 lowest = min(lowest, fitness_of(t, s, weights));
             }
-            c[free.at] = own;
-            worse[place] = clamp(left * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MOST, MOST);
-            place++;
+            c[free.at] = estimated;
+            deviance[slot] =
+                clamp(samples * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MAX_DEVIANCE, MAX_DEVIANCE);
+            slot++;
         }
     }
-    write_alternative(worse);
+    write_alternative(deviance);
     return true;
 }

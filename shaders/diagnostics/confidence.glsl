@@ -1,7 +1,7 @@
-// Over W×H texels: the standard deviation of every free parameter, from (JᵀJ)⁻¹ over all of them jointly and the residual.
-// Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN the variance of the noise
-// in u_noise.z. Writes o_deviation, packed like the estimates, in the parameters' units; the first component of a normal
-// holds the root of its two tangent variances, in radians, the others 0.
+// Over W×H texels: standard deviations of the free parameters, from (JᵀJ)⁻¹ over all of them jointly and the residual.
+// Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN the noise's variance
+// in u_noise.z. Writes o_deviation, packed like the estimates, in the parameters' units. The first component of a
+// normal holds the root of the sum of its two tangent variances, in radians; the other two hold 0.
 
 #include "common/estimate.glsl"
 #include "model.glsl"
@@ -11,24 +11,23 @@
 #include "diagnostics/freedom.glsl"
 #include "diagnostics/sweep.glsl"
 
-// The normal matrix squares the condition of J: after hundreds of samples in float32, a remainder below 2⁻¹⁸ of a diagonal
-// is rounding. Against float64, on random two-lobe and principled materials: at noise of 1e-3
-// of white σ is right to 1e-3 in the median and 1 in 200 is too large; at 1e-4 up to 1 in 20 is. Too small by a tenth
-// are fewer than 1 in 50.
+// The normal matrix squares the condition number of J. After hundreds of samples in float32, a remainder below 2⁻¹⁸ of
+// a diagonal entry is rounding. Against float64, on random two-lobe and principled materials, at noise of 1e-3 of
+// white, σ is right to 1e-3 in the median, too large in 0.5 % (at 1e-4: up to 5 %), too small by a tenth in under 2 %.
 #define SINGULAR (1.0 / 262144.0)
 
-// Of the light that reaches a texel in hollows: where the estimates leave more of it, other surfaces throw most of it, and
-// what was found is not the material. On rendered captures the normals of such texels are off by 60° (a goblet of brass)
-// and 35° (a concave mix of materials) in the median; those of the others by 5.6 and 6.6° in the mean, not 19.6 and 9.3.
-#define LEAST_UNEXPLAINED 0.1
+// Limit of the residual in hollows, as a fraction of the radiance. Above it most light comes from other surfaces, and
+// the texel counts as unknown. On rendered captures the normals of such texels are off by 60° (a goblet of brass) and
+// 35° (a concave mix of materials) in the median. Without them the mean error is 5.6 and 6.6°, with them 19.6 and 9.3°.
+#define UNEXPLAINED_LIMIT 0.1
 
-// The same, where the colour of light alone told of its indirect part, which was taken off: what is left of that counts as
-// unexplained, too. Of a goblet and a bowl of gilded fruits 17 and 50 % are unknown, off by 6 and 35° in the median; the
-// others by 3.7 and 3.4° in the mean.
-#define LEAST_UNEXPLAINED_SEPARATED 0.2
+// The same limit where the indirect light was estimated from colour alone and subtracted: its remainder adds to the
+// residual. Of a goblet and a bowl of gilded fruits 17 and 50 % of the texels are above it, with normals off by 6 and
+// 35° in the median. The others are off by 3.7 and 3.4° in the mean.
+#define UNEXPLAINED_LIMIT_SEPARATED 0.2
 
-// Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward. The stencil's own
-// error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
+// Returns two steps for a derivative of second order: one to each side or, at an end of the range, both inward. The
+// relative error of the stencil is (2⁻¹⁰)² f‴ / (6 f′), below 1 % in a lobe of m = 0.05.
 vec2 steps_of(inout float c[12], int u)
 {
     FreeParameter free = free_at(u);
@@ -39,8 +38,8 @@ vec2 steps_of(inout float c[12], int u)
     return x < STEP ? vec2(STEP, 2.0 * STEP) : x > 1.0 - STEP ? vec2(-STEP, -2.0 * STEP) : vec2(-STEP, STEP);
 }
 
-// Sums JᵀJ (upper triangle; J per range), the errors and the squared radiances. A bound that is met adds nothing.
-// unexplained: the errors as a part of the light.
+// Sums a = JᵀJ (upper triangle; J per range), the errors, and the squared radiances in energy. Clipped channels whose
+// lower bound is satisfied do not count. unexplained: sum of absolute errors over sum of absolute radiances.
 void accumulate(
     ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums, out float energy,
     out float unexplained)
@@ -50,8 +49,8 @@ void accumulate(
     }
     clear_errors(sums);
     energy = 0.0;
-    float off = 0.0;
-    float light = 0.0;
+    float absolute_error = 0.0;
+    float absolute_radiance = 0.0;
     vec2 steps[FREE_COUNT];
     for (int u = 0; u < FREE_COUNT; u++) {
         steps[u] = steps_of(c, u);
@@ -68,15 +67,15 @@ void accumulate(
         vec3 weight = relative * relative * counted;
         add_error(sums, error, weight, counted);
         energy += dot(weight, render * render);
-        off += dot(counted, abs(error));
-        light += dot(counted, abs(o.radiance));
+        absolute_error += dot(counted, abs(error));
+        absolute_radiance += dot(counted, abs(o.radiance));
         vec3 j[FREE_COUNT];
         for (int u = 0; u < FREE_COUNT; u++) {
-            vec2 by = steps[u];
-            vec3 first = o.intensity * reflectance(moved(c, u, by.x), o.l, o.v) - render;
-            vec3 second = o.intensity * reflectance(moved(c, u, by.y), o.l, o.v) - render;
-            // The slope at 0 of the parabola through the three.
-            j[u] = (first * (by.y / by.x) - second * (by.x / by.y)) / (by.y - by.x);
+            vec2 delta = steps[u];
+            vec3 first = o.intensity * reflectance(moved(c, u, delta.x), o.l, o.v) - render;
+            vec3 second = o.intensity * reflectance(moved(c, u, delta.y), o.l, o.v) - render;
+            // Slope at 0 of the parabola through the three values.
+            j[u] = (first * (delta.y / delta.x) - second * (delta.x / delta.y)) / (delta.y - delta.x);
         }
         for (int row = 0; row < FREE_COUNT; row++) {
             vec3 weighted = weight * j[row];
@@ -85,10 +84,10 @@ void accumulate(
             }
         }
     }
-    unexplained = light > 0.0 ? off / light : 0.0;
+    unexplained = absolute_radiance > 0.0 ? absolute_error / absolute_radiance : 0.0;
 }
 
-// Adds the precision of the model's priors, in samples of this variance.
+// Adds the precision of the model's priors to JᵀJ, in units of the samples' precision 1 / variance.
 void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FREE_COUNT])
 {
 #if PRIORS > 0
@@ -99,11 +98,11 @@ void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FR
 #endif
 }
 
-// Turns JᵀJ into the deviations of the free parameters, as fractions of their ranges. An undetermined one has the deviation
-// 1 and passes it on to those that can be traded for it.
+// Computes the deviations of the free parameters from a = JᵀJ, as fractions of their ranges. An undetermined parameter
+// has the deviation 1. It raises the deviations of the parameters that are correlated with it.
 void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, float energy, out float deviation[FREE_COUNT])
 {
-    // Unit diagonal first: the pivots are then what is left of 1.
+    // Scales a to a unit diagonal. A pivot is then the remainder of 1.
     float norm[FREE_COUNT];
     bool swept[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
@@ -118,16 +117,16 @@ void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, flo
         }
     }
     // A parameter is undetermined if its whole range changes the render by less than rounding or noise.
-    float nothing = max(DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy, variance);
+    float negligible = max(DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy, variance);
     for (int round = 0; round < FREE_COUNT; round++) {
-        // The parameter that changes the render most goes first: those that remain undetermined matter least.
+        // Eliminates the parameter that changes the render most. So the undetermined ones matter least.
         int chosen = -1;
-        float most = nothing;
+        float largest = negligible;
         for (int i = 0; i < FREE_COUNT; i++) {
-            float left = a[i * FREE_COUNT + i];
-            if (!swept[i] && left > SINGULAR && left * norm[i] * norm[i] > most) {
+            float remainder = a[i * FREE_COUNT + i];
+            if (!swept[i] && remainder > SINGULAR && remainder * norm[i] * norm[i] > largest) {
                 chosen = i;
-                most = left * norm[i] * norm[i];
+                largest = remainder * norm[i] * norm[i];
             }
         }
         if (chosen < 0) {
@@ -141,28 +140,28 @@ void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, flo
         if (swept[i]) {
             float squared = -a[i * FREE_COUNT + i] * variance;
             for (int m = 0; m < FREE_COUNT; m++) {
-                float traded = swept[m] ? 0.0 : a[i * FREE_COUNT + m] * norm[m];
-                squared += traded * traded;
+                float coupled = swept[m] ? 0.0 : a[i * FREE_COUNT + m] * norm[m];
+                squared += coupled * coupled;
             }
             squared /= norm[i] * norm[i];
-            // NaN is undetermined too.
+            // NaN counts as undetermined.
             deviation[i] = squared < 1.0 ? sqrt(squared) : 1.0;
         }
     }
 }
 
-// The variance of the noise, below 0 with too few samples.
+// Returns the variance of the noise, negative with too few samples.
 float variance_of(ivec2 texel, ErrorSums sums)
 {
 #ifdef NOISE_GIVEN
     return texelFetch(u_noise, texel, 0).z;
 #else
-    float freedom = freedom_of(sums);
-    float least = 0.0;
+    float freedom = degrees_of_freedom(sums);
+    float min_variance = 0.0;
 #if FITNESS == FITNESS_ROBUST
-    least = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
+    min_variance = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
 #endif
-    return freedom > 0.0 ? alike_of(sums) * sums.errors / freedom + least : -1.0;
+    return freedom > 0.0 ? redundancy_of(sums) * sums.squares / freedom + min_variance : -1.0;
 #endif
 }
 
@@ -186,7 +185,7 @@ bool texel_kernel(ivec2 texel)
         add_priors(c, variance, a);
         float shadow = shadow_at(texel);
         bool separated = shadow < 1.5 * SEPARATED_SHADOW;
-        if (shadow > 0.0 && unexplained > (separated ? LEAST_UNEXPLAINED_SEPARATED : LEAST_UNEXPLAINED)) {
+        if (shadow > 0.0 && unexplained > (separated ? UNEXPLAINED_LIMIT_SEPARATED : UNEXPLAINED_LIMIT)) {
             variance = -1.0;
         }
 #endif
@@ -195,9 +194,9 @@ bool texel_kernel(ivec2 texel)
         }
         for (int u = 0; u < FREE_COUNT; u++) {
             FreeParameter free = free_at(u);
-            float own = free.width * (variance >= 0.0 ? deviation[u] : 1.0);
-            // The normal's two numbers share a component: their variances add up, to its range at most.
-            sigma[free.at] = min(free.width, length(vec2(sigma[free.at], own)));
+            float in_units = free.width * (variance >= 0.0 ? deviation[u] : 1.0);
+            // The two numbers of a normal share a component: their variances add up, clamped to its range.
+            sigma[free.at] = min(free.width, length(vec2(sigma[free.at], in_units)));
         }
     }
     write_deviation(sigma);

@@ -1,39 +1,39 @@
-// The number of independent samples of a texel. An error that channels share (shifts, shading, JPEG's luminance) is one,
-// not three.
+// Number of independent samples of a texel. An error that the channels share (misalignment, shading, JPEG's luminance)
+// counts once, not three times.
 
-// Sums over the samples of a texel. errors: w e² of every channel; together: (Σ √w e)² of the three; channels: w of the
-// active ones.
+// Sums over the samples of a texel. squares: w e² of every channel; joint: (Σ √w e)² over the three channels of a
+// sample; channels: w of every active channel.
 struct ErrorSums {
-    float errors;
-    float together;
+    float squares;
+    float joint;
     float channels;
 };
 
 void clear_errors(out ErrorSums t)
 {
-    t.errors = 0.0;
-    t.together = 0.0;
+    t.squares = 0.0;
+    t.joint = 0.0;
     t.channels = 0.0;
 }
 
-// Adds the error of a sample. weight: of each channel; counted: the sample's weight in each active channel.
+// Adds the error of a sample. weight: w of each channel; counted: the sample's weight in active channels, 0 in others.
 void add_error(inout ErrorSums t, vec3 error, vec3 weight, vec3 counted)
 {
-    t.errors += dot(weight, error * error);
+    t.squares += dot(weight, error * error);
     float sum = dot(sqrt(weight), error);
-    t.together += sum * sum;
+    t.joint += sum * sum;
     t.channels += dot(counted, vec3(1.0));
 }
 
-// From 1, where channels err independently, to 3. It divides the number of samples.
-float alike_of(ErrorSums t)
+// Returns the factor by which shared errors reduce the number of samples: 1 for independent channels, at most 3.
+float redundancy_of(ErrorSums t)
 {
-    return t.errors > 0.0 ? clamp(t.together / t.errors, 1.0, 3.0) : 1.0;
+    return t.squares > 0.0 ? clamp(t.joint / t.squares, 1.0, 3.0) : 1.0;
 }
 
-// Channels less the free parameters, times ``alike_of``: the rest has to determine everything but the colours. 0 or less
-// with too few samples.
-float freedom_of(ErrorSums t)
+// Returns the channels that remain after the free parameters, i.e. redundancy_of() times the remaining samples. Half of
+// the parameters (the colours) use one channel each, the others redundancy_of() channels. Negative with few samples.
+float degrees_of_freedom(ErrorSums t)
 {
-    return t.channels - 0.5 * (1.0 + alike_of(t)) * float(FREE_COUNT);
+    return t.channels - 0.5 * (1.0 + redundancy_of(t)) * float(FREE_COUNT);
 }

@@ -1,10 +1,10 @@
-// The mean absolute error of a material's render at a texel, independent of the fitness.
+// Mean absolute error of a material's render at a texel. It does not depend on the fitness.
 
 #include "common/observation.glsl"
 #include "material.glsl"
 #include "model.glsl"
 
-// Returns (mean absolute difference over channels and weighted samples, weights, largest difference, 0).
+// Returns (mean absolute error over channels and weighted samples, sum of weights, largest error, 0).
 vec4 mean_error(ivec2 texel, Material s)
 {
     float sum = 0.0;

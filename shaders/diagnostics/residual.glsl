@@ -1,5 +1,5 @@
-// Over W×H texels: mean absolute difference between the render of the estimates and the references, independent of the
-// fitness. Writes (residual, sum of the weights, largest difference, 0).
+// Over W×H texels: mean absolute error between the renders of the estimates and the samples. It does not depend on the
+// fitness. Writes o_residual: (mean error, sum of weights, largest error, 0).
 
 #include "common/estimate.glsl"
 #include "diagnostics/mean_error.glsl"

@@ -1,4 +1,4 @@
-// diagnostics/residual.glsl over the few texels that u_sampled lists (−1: none).
+// The same as diagnostics/residual.glsl, for the texels that u_sampled lists (−1: none).
 
 #include "common/estimate.glsl"
 #include "diagnostics/mean_error.glsl"

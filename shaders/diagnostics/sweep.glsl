@@ -1,6 +1,6 @@
-// Beaton's sweep of a symmetric matrix on unknown k (Goodnight 1979, A Tutorial on the SWEEP Operator). Once the set S
-// is swept, the matrix holds −A_SS⁻¹ there, the Schur complement A_UU − A_US A_SS⁻¹ A_SU in the rest U, and between them
-// A_SS⁻¹ A_SU: how S follows a change of U.
+// Beaton's sweep of a symmetric matrix on unknown k (Goodnight 1979, A Tutorial on the SWEEP Operator). After sweeps on
+// the unknowns of a set S, with U the others, the matrix holds −A_SS⁻¹ in its block SS, the Schur complement
+// A_UU − A_US A_SS⁻¹ A_SU in UU, and A_SS⁻¹ A_SU in SU: minus the change of S per change of U.
 void sweep(inout float a[FREE_COUNT * FREE_COUNT], int k)
 {
     float pivot = a[k * FREE_COUNT + k];

@@ -7,7 +7,7 @@
 #include "fitness/unfit.glsl"
 #include "fitness/with_priors.glsl"
 
-// Returns the fitness; weights: the sum over the samples.
+// Returns the fitness. weights: the sum of the samples' weights.
 float fitness_of(Texel t, Material s, out float weights)
 {
     float sum = 0.0;
@@ -17,13 +17,13 @@ float fitness_of(Texel t, Material s, out float weights)
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(s, o.l, o.v));
 #ifdef GREY
-        // A model in colour is compared in grey.
+        // Compares a coloured model with grey samples.
         error = vec3((error.r + error.g + error.b) / 3.0);
 #endif
         sum += o.weight * loss_of(scale * relative_error(t, o) * error);
         weights += o.weight;
     }
     float mean = sum / (3.0 * weights);
-    // NaN is unfit too: it must never become a best.
+    // NaN becomes UNFIT: it must never become a best.
     return weights > 0.0 && mean < UNFIT ? mean : UNFIT;
 }

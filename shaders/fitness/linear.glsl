@@ -1,12 +1,12 @@
-// Linear parameters in closed form: weighted least squares over the observations, inside their ranges.
-// basis.glsl is generated: void basis_at(Material s, vec3 l, vec3 v, out vec3 colors[COLOR_ROOM], out vec3
-// numbers[NUMBER_ROOM], out vec3 rest): the bases of the COLORS weights of three components, of the NUMBERS weights of
-// one, and the radiance that belongs to none of them; void linear_range(…) and void linear_to(…) go with it.
+// Linear parameters in closed form: weighted least squares over the observations, bounded by the parameters' ranges.
+// basis.glsl is generated: linear_range(…), linear_to(…) and void basis_at(Material s, vec3 l, vec3 v,
+// out vec3 colors[COLOR_ROOM], out vec3 numbers[NUMBER_ROOM], out vec3 rest): the bases of the COLORS weights with
+// three components, those of the NUMBERS weights with one, and the radiance that depends on no weight.
 
 #include "basis.glsl"
 #include "common/observation.glsl"
 
-// Sums of the normal equations. A colour's channels are independent, so its part is diagonal.
+// Sums of the normal equations. The channels of a colour are independent, so its blocks are diagonal (vec3).
 struct Equations {
     vec3 color_color[COLOR_ROOM * COLOR_ROOM];
     vec3 color_number[COLOR_ROOM * NUMBER_ROOM];
@@ -34,44 +34,44 @@ void clear_equations(out Equations e)
     }
 }
 
-// Adds one observation: bases under its light, remaining radiance, weight of each channel.
+// Adds one observation to the normal equations. weight: of each channel.
 void add_observation(inout Equations e, Material s, Observation o, vec3 weight)
 {
     vec3 colors[COLOR_ROOM];
     vec3 numbers[NUMBER_ROOM];
     vec3 rest;
     basis_at(s, o.l, o.v, colors, numbers, rest);
-    vec3 right = o.radiance - o.intensity * rest;
-    vec3 once = weight * o.intensity;
-    vec3 twice = once * o.intensity;
+    vec3 rhs = o.radiance - o.intensity * rest;
+    vec3 weighted_intensity = weight * o.intensity;
+    vec3 weighted_intensity2 = weighted_intensity * o.intensity;
     for (int i = 0; i < COLORS; i++) {
-        e.color_right[i] += once * colors[i] * right;
+        e.color_right[i] += weighted_intensity * colors[i] * rhs;
         for (int j = 0; j <= i; j++) {
-            e.color_color[i * COLOR_ROOM + j] += twice * colors[i] * colors[j];
+            e.color_color[i * COLOR_ROOM + j] += weighted_intensity2 * colors[i] * colors[j];
         }
         for (int j = 0; j < NUMBERS; j++) {
-            e.color_number[i * NUMBER_ROOM + j] += twice * colors[i] * numbers[j];
+            e.color_number[i * NUMBER_ROOM + j] += weighted_intensity2 * colors[i] * numbers[j];
         }
     }
     for (int i = 0; i < NUMBERS; i++) {
-        e.number_right[i] += dot(once * numbers[i], right);
+        e.number_right[i] += dot(weighted_intensity * numbers[i], rhs);
         for (int j = 0; j <= i; j++) {
-            e.number_number[i * NUMBER_ROOM + j] += dot(twice * numbers[i], numbers[j]);
+            e.number_number[i * NUMBER_ROOM + j] += dot(weighted_intensity2 * numbers[i], numbers[j]);
         }
     }
 }
 
-// Similar bases need a start: from 0, 24 sweeps of solve_linear left a tenth of the prefit's particles with 16 % more error
-// than the optimum; from here, none with more than rounding.
+// solve_linear starts from the unbounded solution, because it converges slowly where bases are similar. Started from 0,
+// 24 sweeps left a tenth of the prefit's particles 16 % above the lowest error. From here all reach it, up to rounding.
 #if COLORS + NUMBERS > 1
 #define LINEAR_SWEEPS 24
 #define WEIGHTS (3 * COLORS + NUMBERS)
 #define LINEAR_COLUMNS (WEIGHTS + 1)
 
-// Least squares without ranges, by elimination: symmetric and not negative, so without pivoting.
+// Unbounded least squares by Gaussian elimination. The matrix is symmetric and positive semidefinite: no pivoting.
 void solve_unbounded(inout Equations e, inout Linear w)
 {
-    // Row by row, the right side last; colours first, channel by channel.
+    // Augmented matrix, row by row, right-hand side last. Colours come first, channel by channel.
     float m[WEIGHTS * LINEAR_COLUMNS];
     for (int i = 0; i < WEIGHTS * LINEAR_COLUMNS; i++) {
         m[i] = 0.0;
@@ -83,9 +83,9 @@ void solve_unbounded(inout Equations e, inout Linear w)
                 m[row + 3 * j + c] = e.color_color[max(i, j) * COLOR_ROOM + min(i, j)][c];
             }
             for (int j = 0; j < NUMBERS; j++) {
-                float both = e.color_number[i * NUMBER_ROOM + j][c];
-                m[row + 3 * COLORS + j] = both;
-                m[(3 * COLORS + j) * LINEAR_COLUMNS + 3 * i + c] = both;
+                float entry = e.color_number[i * NUMBER_ROOM + j][c];
+                m[row + 3 * COLORS + j] = entry;
+                m[(3 * COLORS + j) * LINEAR_COLUMNS + 3 * i + c] = entry;
             }
             m[row + WEIGHTS] = e.color_right[i][c];
         }
@@ -99,25 +99,25 @@ void solve_unbounded(inout Equations e, inout Linear w)
     }
     float inverse[WEIGHTS];
     for (int k = 0; k < WEIGHTS; k++) {
-        inverse[k] = m[k * LINEAR_COLUMNS + k];  // the diagonal, until its row is reached
+        inverse[k] = m[k * LINEAR_COLUMNS + k];  // the diagonal entry, until row k is eliminated
     }
     for (int k = 0; k < WEIGHTS; k++) {
         float pivot = m[k * LINEAR_COLUMNS + k];
-        // 1e-6: the rest of a weight that those before it can replace is rounding; it begins at 0.
+        // 1e-6: below it the pivot is rounding, because earlier weights span this basis. The weight starts at 0.
         inverse[k] = pivot > max(1e-6 * inverse[k], 1e-20) ? 1.0 / pivot : 0.0;
         for (int i = k + 1; i < WEIGHTS; i++) {
-            float part = m[i * LINEAR_COLUMNS + k] * inverse[k];
+            float factor = m[i * LINEAR_COLUMNS + k] * inverse[k];
             for (int j = k; j < LINEAR_COLUMNS; j++) {
-                m[i * LINEAR_COLUMNS + j] -= part * m[k * LINEAR_COLUMNS + j];
+                m[i * LINEAR_COLUMNS + j] -= factor * m[k * LINEAR_COLUMNS + j];
             }
         }
     }
     for (int k = WEIGHTS - 1; k >= 0; k--) {
-        float right = m[k * LINEAR_COLUMNS + WEIGHTS];
+        float rhs = m[k * LINEAR_COLUMNS + WEIGHTS];
         for (int j = k + 1; j < WEIGHTS; j++) {
-            right -= m[k * LINEAR_COLUMNS + j] * m[j * LINEAR_COLUMNS + WEIGHTS];
+            rhs -= m[k * LINEAR_COLUMNS + j] * m[j * LINEAR_COLUMNS + WEIGHTS];
         }
-        m[k * LINEAR_COLUMNS + WEIGHTS] = right * inverse[k];
+        m[k * LINEAR_COLUMNS + WEIGHTS] = rhs * inverse[k];
     }
     for (int i = 0; i < COLORS; i++) {
         for (int c = 0; c < 3; c++) {
@@ -132,8 +132,8 @@ void solve_unbounded(inout Equations e, inout Linear w)
 #define LINEAR_SWEEPS 1
 #endif
 
-// Coordinate descent: one weight at a time to its optimum inside its range, which converges in a box. One sweep is exact
-// for a single weight.
+// Coordinate descent: sets one weight at a time to its optimum inside its range. This converges for box constraints.
+// For a single weight one sweep is exact.
 void solve_linear(inout Equations e, inout Linear w)
 {
     vec2 color_range[COLOR_ROOM];
@@ -150,30 +150,30 @@ void solve_linear(inout Equations e, inout Linear w)
 #endif
     for (int sweep = 0; sweep < LINEAR_SWEEPS; sweep++) {
         for (int i = 0; i < COLORS; i++) {
-            vec3 right = e.color_right[i];
+            vec3 rhs = e.color_right[i];
             for (int j = 0; j < COLORS; j++) {
-                vec3 both = e.color_color[max(i, j) * COLOR_ROOM + min(i, j)];
-                right -= j == i ? vec3(0.0) : both * w.colors[j];
+                vec3 entry = e.color_color[max(i, j) * COLOR_ROOM + min(i, j)];
+                rhs -= j == i ? vec3(0.0) : entry * w.colors[j];
             }
             for (int j = 0; j < NUMBERS; j++) {
-                right -= e.color_number[i * NUMBER_ROOM + j] * w.numbers[j];
+                rhs -= e.color_number[i * NUMBER_ROOM + j] * w.numbers[j];
             }
-            // 1e-20: a weight without any observation stays at its lowest.
-            vec3 found = right / max(e.color_color[i * COLOR_ROOM + i], vec3(1e-20));
-            w.colors[i] = clamp(found, vec3(color_range[i].x), vec3(color_range[i].y));
+            // 1e-20: a weight without observations takes the low end of its range.
+            vec3 optimum = rhs / max(e.color_color[i * COLOR_ROOM + i], vec3(1e-20));
+            w.colors[i] = clamp(optimum, vec3(color_range[i].x), vec3(color_range[i].y));
         }
         for (int i = 0; i < NUMBERS; i++) {
-            float right = e.number_right[i];
+            float rhs = e.number_right[i];
             for (int j = 0; j < NUMBERS; j++) {
-                float both = e.number_number[max(i, j) * NUMBER_ROOM + min(i, j)];
-                right -= j == i ? 0.0 : both * w.numbers[j];
+                float entry = e.number_number[max(i, j) * NUMBER_ROOM + min(i, j)];
+                rhs -= j == i ? 0.0 : entry * w.numbers[j];
             }
             for (int j = 0; j < COLORS; j++) {
-                vec3 both = e.color_number[j * NUMBER_ROOM + i];
-                right -= dot(both, w.colors[j]);
+                vec3 entry = e.color_number[j * NUMBER_ROOM + i];
+                rhs -= dot(entry, w.colors[j]);
             }
-            float found = right / max(e.number_number[i * NUMBER_ROOM + i], 1e-20);
-            w.numbers[i] = clamp(found, number_range[i].x, number_range[i].y);
+            float optimum = rhs / max(e.number_number[i * NUMBER_ROOM + i], 1e-20);
+            w.numbers[i] = clamp(optimum, number_range[i].x, number_range[i].y);
         }
     }
 }

@@ -1,4 +1,4 @@
-// Linear weights: COLORS of three components, NUMBERS of one.
+// Linear weights of a material: COLORS weights of three components, NUMBERS weights of one.
 
 struct Linear {
     vec3 colors[COLOR_ROOM];

@@ -1,4 +1,4 @@
-// The loss of an error, and the weight with which least squares minimise it (iteratively reweighted least squares;
+// Loss of an error, and the weight by which least squares minimise it (iteratively reweighted least squares;
 // Holland & Welsch 1977, Robust Regression Using Iteratively Reweighted Least-Squares).
 
 #define FITNESS_L1 0
@@ -6,7 +6,7 @@
 #define FITNESS_ROBUST 2
 #define FITNESS_GEMAN_MCCLURE 3
 
-// The factor on errors before the loss: a robust loss counts them in δ of the texel's own scale (scale_at).
+// Factor on errors before the loss. A robust loss takes errors in units of δ times the texel's scale (scale_at).
 float loss_scale(float scale)
 {
 #if FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_GEMAN_MCCLURE
@@ -23,27 +23,27 @@ float loss_of(vec3 error)
 #elif FITNESS == FITNESS_L2
     error = error * error;
 #elif FITNESS == FITNESS_GEMAN_MCCLURE
-    // Geman & McClure 1987, Statistical Methods for Tomographic Image Reconstruction: no sample costs more than 1, so
-    // the mean measures the fit of the majority.
+    // Geman & McClure 1987, Statistical Methods for Tomographic Image Reconstruction. The loss of a sample is at most
+    // 1, so the mean measures the fit of the majority.
     error = error * error / (1.0 + error * error);
 #else
-    // Cauchy's loss: the cost of a sample in cast shadow or on a reflection hardly grows with its error.
+    // Cauchy's loss grows slowly with the errors of outliers: samples in cast shadow or with reflections.
     error = log(1.0 + error * error);
 #endif
     return error.r + error.g + error.b;
 }
 
-// Loss′(e) / e, up to a constant factor.
+// Returns loss′(e) / e, up to a constant factor.
 vec3 loss_weight(vec3 error)
 {
 #if FITNESS == FITNESS_L1
-    // 1e-4 of white bounds the weight 1 / |e|.
+    // An error of 1e-4 (white is 1) bounds the weight 1 / |e|.
     return 1.0 / max(abs(error), vec3(1e-4));
 #elif FITNESS == FITNESS_L2
     return vec3(1.0);
 #elif FITNESS == FITNESS_GEMAN_MCCLURE
-    vec3 inside = 1.0 / (1.0 + error * error);
-    return inside * inside;
+    vec3 reciprocal = 1.0 / (1.0 + error * error);
+    return reciprocal * reciprocal;
 #else
     return 1.0 / (1.0 + error * error);
 #endif

@@ -1,2 +1,2 @@
-// Above the fitness of any render; also the fitness of a texel without observations.
+// Fitness of a texel without observations. It exceeds the fitness of every render.
 #define UNFIT 1e30

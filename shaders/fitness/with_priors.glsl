@@ -1,17 +1,17 @@
-// The fitness of a material with its model's priors. For n samples with Gaussian noise of unknown variance −2 log of the
-// posterior is n log(F) + D, with F the fitness and D the priors' part. No fit to a photograph is better than NOISE_FLOOR,
-// so it is n log(F + NOISE_FLOOR) + D, which orders materials like (F + NOISE_FLOOR) exp(D / n) − NOISE_FLOOR: F without
-// priors. priors.glsl is generated (reflectance/glsl.py).
+// Fitness with the model's priors. For n samples with Gaussian noise of unknown variance, −2 log posterior is n log(F)
+// + D, with fitness F and D the sum of −2 log prior. No fit to a photograph is better than NOISE_FLOOR, so the
+// objective is n log(F + NOISE_FLOOR) + D. It orders materials like (F + NOISE_FLOOR) exp(D / n) − NOISE_FLOOR, which
+// is F without priors. priors.glsl is generated (reflectance/glsl.py).
 
 #include "material.glsl"
 #include "priors.glsl"
 
-// In squares of δ: 0.3 % of a texel's scale, about a step of eight bits.
+// In units of δ²: 0.3 % of a texel's scale, about one step of 8 bits.
 #define NOISE_FLOOR 0.01
-// D / n far beyond any preference, without overflow.
-#define MOST_BELIEF 30.0
+// Upper limit of D / n. It exceeds all realistic values and keeps exp() from overflow.
+#define MAX_PRIOR_PER_SAMPLE 30.0
 
-// n of samples with this sum of weights, three channels each; at least that of one sample.
+// Returns n from the sum of the samples' weights, three channels per sample. The result is at least 1.
 float samples_of(float weights)
 {
     return max(3.0 * weights, 1.0);
@@ -22,10 +22,10 @@ float with_priors(float fitness, float weights, Material s)
 #if PRIORS > 0
     float c[12];
     material_to(s, c);
-    float x = min(prior_deviance(c) / samples_of(weights), MOST_BELIEF);
-    // exp(x) − 1, whose digits near 0 would be lost.
-    float more = x < 1e-3 ? x + 0.5 * x * x : exp(x) - 1.0;
-    return fitness + (fitness + NOISE_FLOOR) * more;
+    float x = min(prior_deviance(c) / samples_of(weights), MAX_PRIOR_PER_SAMPLE);
+    // exp(x) − 1, by its series near 0, where the difference cancels.
+    float expm1_x = x < 1e-3 ? x + 0.5 * x * x : exp(x) - 1.0;
+    return fitness + (fitness + NOISE_FLOOR) * expm1_x;
 #else
     return fitness;
 #endif

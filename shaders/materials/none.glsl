@@ -1,4 +1,4 @@
-// In place of shared.glsl: only neighbours have votes.
+// Replaces shared.glsl where the surface has no shared materials: only neighbours vote.
 
 float votes_of_materials(inout float c[12])
 {

@@ -1,8 +1,8 @@
-// Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or,
-// where u_mirror is 1, with the normal that mirrors its brightest sample: if the lobe was missed, so was the normal. Of the
-// materials worth refining (offers.glsl) the most probable replaces the texel's; without one the texel is calm.
-// Reads the best estimates so far, u_status, u_materials, the geometry, the sample stack and the observation table; writes
-// o_estimate and o_status.
+// Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or, if
+// u_mirror is 1, with the normal that mirrors its brightest sample: a fit that missed the lobe also missed the normal.
+// The most probable material worth refining (offers.glsl) replaces the texel's. Without one the texel has converged.
+// Reads the best estimates so far, u_status, u_materials, the geometry, the sample stack and the observation table;
+// writes o_estimate and o_status.
 
 #include "fitness/fitness.glsl"
 #include "refine/mirror.glsl"
@@ -10,13 +10,13 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    Material own = estimate_at(texel);
-    vec4 status = write_calm(texel, own);
+    Material own_material = estimate_at(texel);
+    vec4 status = write_converged(texel, own_material);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
     float c[12];
-    material_to(own, c);
+    material_to(own_material, c);
     float own_votes = votes_of_materials(c);
 #if NORMAL_FREE >= 0
     if (u_mirror != 0) {
@@ -26,22 +26,22 @@ bool texel_kernel(ivec2 texel)
     Texel t = observed_texel(texel);
     int count = textureSize(u_materials, 0).x;
     bool found = false;
-    float least = 0.0;
+    float lowest = 0.0;
     for (int k = 0; k < count; k++) {
         take_material(k, c);
         Material offer = material_from(c);
         float weights;
         float fitness = with_priors(fitness_of(t, offer, weights), weights, offer);
-        float freedom = freedom_of(weights);
-        // Also skips NaN.
+        float freedom = degrees_of_freedom(weights);
+        // Skips NaN as well.
         if (!(fitness < UNFIT)) {
             continue;
         }
         float votes = votes_of_materials(c);
         float deviance = freedom > 0.0 ? deviance_of(freedom, fitness, votes) : fitness;
-        if (is_worth_refining(fitness, status.x, votes, own_votes) && (!found || deviance < least)) {
+        if (is_worth_refining(fitness, status.x, votes, own_votes) && (!found || deviance < lowest)) {
             found = true;
-            least = deviance;
+            lowest = deviance;
             write_material(offer);
         }
     }

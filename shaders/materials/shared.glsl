@@ -1,10 +1,10 @@
-// The materials that the surface shares (solver/phases/mixture.py): Gaussians over all free parameters but the normal.
+// Materials that the surface shares (solver/phases/mixture.py): Gaussians over all free parameters but the normal.
 // Reads u_materials, one column per material: rows 0 to 2 the means of 12 numbers, rows 3 to 5 their inverse variances,
-// row 6 in x the material's share of the surface.
+// row 6 in x the fraction of the surface that has the material.
 
 #include "free_parameters.glsl"
 
-// Two searched numbers are alike if they differ by less than this fraction of their range; linear ones, if their roots do.
+// Units of the means, as fractions of the range: of a searched number, and of the square root of a linear one.
 #define ALIKE_SEARCHED 0.1
 #define ALIKE_LINEAR 0.15
 
@@ -13,13 +13,13 @@ float material_number(int row, int k, int u)
     return texelFetch(u_materials, ivec2(k, row + u / 4), 0)[u % 4];
 }
 
-// The share of the surface with a material like this one, from 0 to 1.
-float share_of(inout float c[12])
+// Returns the fraction of the surface with a material similar to c, from 0 to 1.
+float surface_fraction_of(inout float c[12])
 {
-    float share = 0.0;
+    float fraction = 0.0;
     int count = textureSize(u_materials, 0).x;
     for (int k = 0; k < count; k++) {
-        float apart = 0.0;
+        float squared_distance = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {
             if (is_normal(u)) {
                 continue;
@@ -27,14 +27,14 @@ float share_of(inout float c[12])
             FreeParameter free = free_at(u);
             float x = clamp((c[free.at] - free.low) / free.width, 0.0, 1.0);
             float d = (searched(u) ? x / ALIKE_SEARCHED : sqrt(x) / ALIKE_LINEAR) - material_number(0, k, u);
-            apart += d * d * material_number(3, k, u);
+            squared_distance += d * d * material_number(3, k, u);
         }
-        share += texelFetch(u_materials, ivec2(k, 6), 0).x * exp(-0.5 * apart);
+        fraction += texelFetch(u_materials, ivec2(k, 6), 0).x * exp(-0.5 * squared_distance);
     }
-    return share;
+    return fraction;
 }
 
-// Puts a material's numbers into c, except the normal.
+// Copies the numbers of material k to c, except the normal.
 void take_material(int k, inout float c[12])
 {
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -49,5 +49,5 @@ void take_material(int k, inout float c[12])
 
 float votes_of_materials(inout float c[12])
 {
-    return MATERIALS_WEIGHT * share_of(c);
+    return MATERIALS_WEIGHT * surface_fraction_of(c);
 }

@@ -1,12 +1,12 @@
-// Brushed surfaces: a metallic–roughness material of IOR 1.5 whose lobe is wider along its grain, as Blender's Principled
-// BSDF with distribution GGX, Anisotropic and Anisotropic Rotation renders it in Cycles. See ../README.md for the contract
-// of a model. Burley 2012, Physically-Based Shading at Disney. Given the lobe, radiance is linear in the base colour.
+// Brushed surfaces: a metallic–roughness material of IOR 1.5 with a lobe that is wider along its grain, as Cycles
+// renders Blender's Principled BSDF with distribution GGX, Anisotropic and Anisotropic Rotation. Burley 2012,
+// Physically-Based Shading at Disney. For a given lobe, radiance is linear in the base colour. See ../README.md for the
+// contract of a model.
 //
-// stretch = a cos 4πρ and slant = a sin 4πρ stand for Anisotropic a and Anisotropic Rotation ρ (1 is a full turn). A grain
-// turned by half a turn is the same grain, so ρ has the period 1/2. Searched in a box, ρ would have a wall where its ends
-// are one and the same, and no meaning where a is 0. The pair has neither: radiance is smooth in both where a is 0, which
-// is their middle, and means of pairs are right. Beyond a = 1, in the corners of their square, a counts as 1, as Blender
-// counts it.
+// stretch = a cos 4πρ and slant = a sin 4πρ, with Anisotropic a and Anisotropic Rotation ρ (1 is a full turn). A grain
+// turned by half a turn is the same grain, so ρ has the period 1/2. If ρ itself were searched, the ends of its range
+// would be the same grain, and at a = 0 it would be undefined. The pair avoids both: radiance is smooth at the centre,
+// a = 0, and means of pairs are meaningful. In the corners of their square, a > 1 counts as 1, as in Blender.
 
 #include "brdf/d_ggx_anisotropic.glsl"
 #include "brdf/principled_layers.glsl"
@@ -15,8 +15,8 @@
 
 #define ANISOTROPIC_IOR 1.5 // of F0_DEFAULT
 
-// αx and αy, along and across the grain. Burley 2012: αx = r² / aspect, αy = r² aspect, aspect = √(1 − 0.9 a). Cycles
-// takes no α above 1.
+// Returns αx and αy, along and across the grain. Burley 2012: αx = r² / aspect, αy = r² aspect, aspect = √(1 − 0.9 a).
+// Cycles limits α to 1.
 vec2 anisotropic_widths(Material s)
 {
     float a = min(length(vec2(s.stretch, s.slant)), 1.0);
@@ -25,7 +25,7 @@ vec2 anisotropic_widths(Material s)
     return vec2(min(alpha / aspect, 1.0), alpha * aspect);
 }
 
-// π D V n·l.
+// Returns π D V n·l.
 float anisotropic_lobe(Material s, Angles a, vec2 widths, vec3 l, vec3 v)
 {
     Grain g = turned_grain(grain_of(s.normal), vec2(s.stretch, s.slant));
@@ -36,7 +36,7 @@ float anisotropic_lobe(Material s, Angles a, vec2 widths, vec3 l, vec3 v)
     return 3.14159265358979 * D * V_SmithGGXAnisotropic(light, view, widths.x, widths.y) * a.NoL;
 }
 
-// x: what one unit of base colour reflects; y: what is reflected whatever the colour.
+// Returns π f_r n·l: x per unit of base colour, y independent of the base colour.
 vec2 anisotropic_parts(Material s, vec3 l, vec3 v)
 {
     if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
@@ -46,7 +46,7 @@ vec2 anisotropic_parts(Material s, vec3 l, vec3 v)
     vec2 widths = anisotropic_widths(s);
     float lobe = anisotropic_lobe(s, a, widths, l, v);
     float edge = grazing(l, v, a.VoH);
-    // Cycles asks the layer's table with the roughness of an isotropic lobe of the same αx αy (measured on bpy 5.0.1).
+    // Cycles looks up the layer's albedo at the roughness of an isotropic lobe of equal αx αy (measured on bpy 5.0.1).
     float roughness = sqrt(sqrt(widths.x * widths.y));
     float diffuse = layered_diffuse(a.NoL, a.NoV, roughness, F0_DEFAULT);
     float base = mix(diffuse, lobe * (1.0 - edge), s.metallic);

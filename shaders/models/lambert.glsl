@@ -1,4 +1,4 @@
-// Lambert: radiance is albedo times the cosine. See ../README.md for the contract of a model.
+// Lambert: radiance is albedo times n·l. See ../README.md for the contract of a model.
 
 #include "brdf/fd_lambert.glsl"
 #include "brdf/horizon.glsl"

@@ -1,8 +1,8 @@
-// The metallic–roughness workflow: a dielectric, diffuse under one GGX layer, mixed by ``metallic`` with a metal, whose
-// GGX lobe has the base colour. As Blender's Principled BSDF with distribution GGX and a white Specular Tint renders it in
-// Cycles. See ../README.md for the contract of a model.
-// Burley 2012, Physically-Based Shading at Disney. Given metallic, radiance is linear in the base colour, though that is
-// in two lobes: diffuse albedo of the one part and, by Schlick's Fresnel, what the other reflects face on.
+// The metallic–roughness workflow: ``metallic`` mixes a dielectric (diffuse under one GGX layer) with a metal, whose
+// GGX lobe has the base colour. It matches Cycles' render of Blender's Principled BSDF with distribution GGX and a
+// white Specular Tint. See ../README.md for the contract of a model. Burley 2012, Physically-Based Shading at Disney.
+// For a given metallic, radiance is linear in the base colour, which occurs in two lobes: as the dielectric's albedo
+// and, by Schlick's Fresnel, as the metal's reflectance at normal incidence.
 
 #include "brdf/principled_layers.glsl"
 

@@ -1,5 +1,5 @@
-// Principled: a diffuse base under one dielectric GGX layer, as Blender's Principled BSDF with distribution GGX renders
-// it in Cycles. See ../README.md for the contract of a model.
+// Principled: a diffuse base under one dielectric GGX layer, as Cycles renders Blender's Principled BSDF with
+// distribution GGX. See ../README.md for the contract of a model.
 // Burley 2012, Physically-Based Shading at Disney; Burley 2015, Extending the Disney BRDF to a BSDF.
 
 #include "brdf/principled_layers.glsl"

@@ -1,8 +1,8 @@
-// Principled with metals: a dielectric as models/principled.glsl has it, at Blender's default Specular IOR Level of 0.5,
-// mixed by ``metallic`` with a metal, whose GGX lobe has the base colour. As Blender's Principled BSDF with distribution
-// GGX and a white Specular Tint renders it in Cycles. See ../README.md for the contract of a model.
-// Burley 2012, Physically-Based Shading at Disney. Given metallic, radiance is linear in the base colour, though that is
-// in two lobes: diffuse albedo of the one part and, by Schlick's Fresnel, what the other reflects face on.
+// Principled with metals: ``metallic`` mixes the dielectric of models/principled.glsl, at Blender's default Specular
+// IOR Level of 0.5, with a metal, whose GGX lobe has the base colour. It matches Cycles' render of Blender's Principled
+// BSDF with distribution GGX and a white Specular Tint. See ../README.md for the contract of a model. Burley 2012,
+// Physically-Based Shading at Disney. For a given metallic, radiance is linear in the base colour, which occurs in two
+// lobes: as the dielectric's albedo and, by Schlick's Fresnel, as the metal's reflectance at normal incidence.
 
 #include "brdf/principled_layers.glsl"
 

@@ -1,5 +1,5 @@
-// Lambert plus two GGX lobes of perceptual roughness r1 and r2, of which the first has the weight w: the microfacets of
-// Blender's Principled BSDF, added to the base as the paper adds them. See ../README.md for the contract of a model.
+// Lambert plus two GGX lobes of perceptual roughness r1 (weight w) and r2 (weight 1 − w). The lobes are those of
+// Blender's Principled BSDF, added to the base as in the paper. See ../README.md for the contract of a model.
 // Walter, Marschner, Li & Torrance 2007, Microfacet Models for Refraction through Rough Surfaces.
 
 #include "brdf/angles.glsl"
@@ -49,7 +49,7 @@ vec3 reflectance(Material s, vec3 l, vec3 v)
         return vec3(0.0);
     }
     Angles a = angles_of(s.normal, l, v);
-    // Not mix(), which compilers turn into x + w (y − x): where w = 1 the tail of y would drown in the rounding of x.
+    // Not mix(): compilers turn it into x + w (y − x), which at w = 1 loses the tail of y in the rounding of x.
     float DV = s.w * lobe_GGX(a, s.r1) + (1.0 - s.w) * lobe_GGX(a, s.r2);
     return s.base_color * Fd_Lambert(a.NoL) + 3.14159265358979 * DV * F_Schlick(a.VoH, F0_SKIN) * a.NoL;
 }

@@ -1,7 +1,7 @@
-// Over W×H texels: accepts the refined estimate unless its model fits the texel much worse than the prefit's model did. In
-// that case the refinement has turned the normal to compensate for the model's errors, and the texel keeps its former
-// estimate: the prefit's normal, and the rest fitted to it. Reads the estimates before the refinement, u_work (after it)
-// and u_prefit_fitness. All fitnesses are those of the prefit: on grey samples.
+// Over W×H texels: acceptance test. The texel keeps its former estimate, the prefit's normal with the rest fitted to
+// it, if the refined estimate fits much worse than the prefit's model did: such a refinement has turned the normal to
+// compensate errors of its model. All fitnesses are those of the prefit, on grey samples.
+// Reads the estimates before the refinement, u_work (after it) and u_prefit_fitness. Writes the estimates.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"

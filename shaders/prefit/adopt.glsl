@@ -1,5 +1,5 @@
-// Over W×H texels: the estimates with the prefit's normal. Reads the estimates and u_prefit_0: those of the prefit's own
-// model, whose first three components are its normal.
+// Over W×H texels: copies the prefit's normal to the estimates. Reads the estimates and u_prefit_0, whose first three
+// components are the normal of the prefit's model.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"

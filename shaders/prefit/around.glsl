@@ -1,10 +1,10 @@
-// What prefits have measured of a texel and its neighbours: sums over u_measured. Reads u_measured and the packing.
+// Sum of u_measured, the measures of the prefits, over a texel and its neighbours. Reads u_measured and the packing.
 
 #include "common/frame.glsl"
 #include "common/packing.glsl"
 #include "common/taps.glsl"
 
-vec4 measured_around(ivec2 texel)
+vec4 neighbourhood_sum(ivec2 texel)
 {
     vec4 sum = texelFetch(u_measured, texel, 0);
     ivec4 place = surface_place_of(texel);

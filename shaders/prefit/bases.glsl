@@ -1,8 +1,8 @@
-// What the prefit's models share: a diffuse base with a free fall-off, and a GGX lobe of any strength. They are fitted to
-// grey samples: the colours of base and lobe do not matter.
-// Minnaert 1941, The Reciprocity Principle in Lunar Photometry: diffuse radiance is proportional to (n·l)^k. Surfaces are
-// seldom Lambertian, and a wrong fall-off turns the normal more than any other error: on renders whose base darkens toward
-// the terminator (bunny_lambert) a free k reduces the mean error from 3.1 to 0.5°.
+// Bases of the prefit's models: a diffuse base with a free fall-off, and a GGX lobe of any strength. They are fitted to
+// grey samples, so the colours of base and lobe do not matter.
+// Minnaert 1941, The Reciprocity Principle in Lunar Photometry: diffuse radiance is proportional to (n·l)^k. Surfaces
+// are seldom Lambertian, and a wrong fall-off turns the normal more than any other error. On renders whose base darkens
+// toward the terminator (bunny_lambert) a free k reduces the mean error of the normals from 3.1 to 0.5°.
 
 #include "brdf/angles.glsl"
 #include "brdf/d_ggx.glsl"
@@ -15,7 +15,7 @@ vec3 falloff_base(Material s, vec3 l, vec3 v)
     return vec3(above_horizon(NoL, dot(s.normal, v)) ? pow(NoL, s.falloff) : 0.0);
 }
 
-// π f_r n·l of a mirror of microfacets: what Fresnel's term would bend is less than what lobes differ by.
+// Returns π f_r n·l of mirrors as microfacets. Without Fresnel: its effect is smaller than differences between lobes.
 vec3 ggx_lobe(Material s, vec3 l, vec3 v)
 {
     if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {

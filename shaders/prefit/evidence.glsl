@@ -1,6 +1,6 @@
-// Over W×H texels: how badly the prefit explains all samples, those in shadow too. Writes o_evidence: the misfit, and by how
-// much the samples are brighter than the fit, as parts of the light, at most 1; whether LEAST_SAMPLES reach RAISED_SHADOW of
-// the texel's scale; 1. Above the scale, where highlights are, neither sample nor fit counts.
+// Over W×H texels: misfit of the prefit over all samples, those in shadow included. Writes o_evidence: x sum of errors,
+// y sum of errors where the sample is brighter, both as fractions of the light, at most 1; z 1 if LEAST_SAMPLES samples
+// reach RAISED_SHADOW times the texel's scale, else 0; w 1. Samples and fit are clamped to the scale (no highlights).
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"

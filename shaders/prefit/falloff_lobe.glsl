@@ -1,4 +1,4 @@
-// The prefit's model: base and lobe. See ../README.md for the contract of a model.
+// Model of the first prefit: base and lobe. See ../README.md for the contract of a model.
 
 #include "prefit/bases.glsl"
 

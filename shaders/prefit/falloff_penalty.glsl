@@ -1,6 +1,6 @@
-// The penalty of the prefit's refinement: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few lights, or lights
-// close together, cannot separate a fall-off from a tilt; such texels then stay near Lambert's law.
-// Half a square in each of the three equal channels, in the units of Cauchy's loss; other losses have no such unit.
+// Penalty of the prefit's refinement: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few lights, or lights
+// close together, cannot separate a fall-off from a tilt of the normal: such texels stay near Lambert's law.
+// FALLOFF_UNIT is ½ for each of three equal channels, in units of Cauchy's loss. Other losses have no such unit.
 
 #include "free_parameters.glsl"
 
@@ -21,16 +21,16 @@ float penalty_of(ivec2 texel, inout float c[12])
     return falloff_precision() * d * d;
 }
 
-// JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², J per range.
+// JᵀWJ and JᵀWe are half the second and half the first derivative of the loss over loss_scale², J per range.
 void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
     float scale = loss_scale(scale_at(texel));
-    float precision_of = falloff_precision() / (scale * scale);
+    float precision_scaled = falloff_precision() / (scale * scale);
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);
         if (free.at == FALLOFF_COMPONENT) {
-            a[u * FREE_COUNT + u] += precision_of * free.width * free.width;
-            slope[u] += precision_of * free.width * (c[free.at] - 1.0);
+            a[u * FREE_COUNT + u] += precision_scaled * free.width * free.width;
+            slope[u] += precision_scaled * free.width * (c[free.at] - 1.0);
         }
     }
 }

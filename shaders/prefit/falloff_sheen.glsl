@@ -1,10 +1,10 @@
-// The prefit's model where the first leaves much unexplained: base, lobe, and the sheen of fibres, bright at grazing angles.
-// Estevez & Kulla 2017, Production Friendly Microfacet Sheen BRDF: D ∝ sinᵏ θ_h, here of k = 1 / 0.35; Neubelt & Pettineo
-// 2013, Crafting a Next-Gen Material Pipeline for The Order: 1886: V = 1 / (4 (n·l + n·v − n·l n·v)).
+// Model of the second prefit, used where the first fits badly: base, lobe, and the sheen of fibres at grazing angles.
+// Estevez & Kulla 2017, Production Friendly Microfacet Sheen BRDF: D ∝ sinᵏ θ_h, here with k = 1 / 0.35; Neubelt &
+// Pettineo 2013, Crafting a Next-Gen Material Pipeline for The Order: 1886: V = 1 / (4 (n·l + n·v − n·l n·v)).
 
 #include "prefit/bases.glsl"
 
-#define SHEEN_POWER (0.5 / 0.35) // of sin²
+#define SHEEN_POWER (0.5 / 0.35) // k / 2, the power of sin² θ_h
 
 vec3 basis_base(Material s, vec3 l, vec3 v)
 {
@@ -22,8 +22,8 @@ vec3 basis_sheen(Material s, vec3 l, vec3 v)
         return vec3(0.0);
     }
     Angles a = angles_of(s.normal, l, v);
-    float both = a.NoL + a.NoV - a.NoL * a.NoV;
-    return vec3((1.0 + SHEEN_POWER) * pow(a.sin2_h, SHEEN_POWER) * a.NoL / (4.0 * both));
+    float denominator = a.NoL + a.NoV - a.NoL * a.NoV;
+    return vec3((1.0 + SHEEN_POWER) * pow(a.sin2_h, SHEEN_POWER) * a.NoL / (4.0 * denominator));
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)

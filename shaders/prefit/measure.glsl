@@ -1,5 +1,5 @@
-// Over W×H texels: the fitness of the prefit's estimates for the acceptance test. A fit to fewer than LEAST_SAMPLES fits the
-// noise too, and is no measure for another model: its fitness is UNFIT, which every model is below.
+// Over W×H texels: fitness of the prefit's estimates, for the acceptance test. A fit to fewer than LEAST_SAMPLES
+// samples fits their noise too and cannot judge another model: its fitness is UNFIT, which every model passes.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"

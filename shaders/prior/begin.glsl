@@ -1,7 +1,7 @@
-// Over W×H texels: the start of the fit with a prior. Every colour and scalar is the mean of the texel's own estimate and
-// the prior, weighted by precision. A texel stays as it is if the prior's share would be less than LEAST_SHARE in every
-// number. Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
-// Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates as they were.
+// Over W×H texels: starts the fit with a spatial prior. Every colour and scalar becomes the mean of the texel's
+// estimate and the prior, weighted by precision. A texel keeps its estimate if the weight of the prior is below
+// LEAST_SHARE in every number. Reads the estimates, their deviations, the prior in u_mean and u_deviation, and u_noise.
+// Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates before the change.
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"
@@ -14,13 +14,13 @@ bool texel_kernel(ivec2 texel)
     material_to(estimate_at(texel), c);
     o_status = fresh_status(0.0);
     o_penalty = 0.0;
-    float most = 0.0;
+    float largest_share = 0.0;
     if (state_at(texel) == TEXEL_SOLVED) {
         o_penalty = penalty_of(texel, c);
-        float own[12];
+        float own_sigma[12];
         float mean[12];
         float deviation[12];
-        read_own(texel, own);
+        read_own(texel, own_sigma);
         read_mean(texel, mean);
         read_deviation(texel, deviation);
         for (int i = 0; i < COMPONENTS; i++) {
@@ -28,15 +28,15 @@ bool texel_kernel(ivec2 texel)
             int kind;
             component_at(i, width, kind);
             if (kind != COMPONENT_OTHER && deviation[i] > 0.0) {
-                float share = own[i] * own[i] / (own[i] * own[i] + deviation[i] * deviation[i]);
+                float share = own_sigma[i] * own_sigma[i] / (own_sigma[i] * own_sigma[i] + deviation[i] * deviation[i]);
                 c[i] += share * (mean[i] - c[i]);
-                most = max(most, share);
+                largest_share = max(largest_share, share);
             }
         }
     }
-    if (!(most >= LEAST_SHARE)) {
+    if (!(largest_share >= LEAST_SHARE)) {
         material_to(estimate_at(texel), c);
-        o_status.z = CALM;
+        o_status.z = CONVERGED_AFTER;
     }
     write_estimate(c);
     return true;

@@ -1,6 +1,6 @@
-// Over W×H texels: keeps the fit with the prior (u_work, u_work_status) if it is better than the former estimate with the
-// penalty, and without it not worse by more than TOLERANCE² in deviance; else the estimate stays. Reads u_noise (x: loss of
-// the estimate), u_penalty (its penalty), the geometry and the sample stack.
+// Over W×H texels: accepts the fit with the prior (u_work, u_work_status) if its objective, penalty included, is lower
+// than the estimate's, and its deviance without the penalty is at most TOLERANCE² higher. Else the estimate stays.
+// Reads u_noise (x: loss of the estimate), u_penalty (its penalty), the geometry and the sample stack.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"
@@ -22,8 +22,8 @@ bool texel_kernel(ivec2 texel)
         float weights;
         float fitness = fitness_of(observed_texel(texel), work, weights);
         float loss = 3.0 * weights * fitness;
-        float before = (noise.x * unit + texelFetch(u_penalty, texel, 0).x) / (3.0 * weights);
-        bool better = objective < with_priors(before, weights, result);
+        float estimate_objective = (noise.x * unit + texelFetch(u_penalty, texel, 0).x) / (3.0 * weights);
+        bool better = objective < with_priors(estimate_objective, weights, result);
         if (better && loss <= (noise.x + TOLERANCE * TOLERANCE * deviance_unit(noise.w)) * unit) {
             result = work;
         }

@@ -1,5 +1,5 @@
-// The unit of losses: a sum of losses over n channels, divided by it, is about n σ² for noise of variance σ². For l1 it is
-// n times the mean absolute error b; a Laplace distribution has the variance 2 b².
+// Unit of losses. A sum of losses over n channels, divided by loss_unit(), is about n σ² for noise of variance σ². For
+// l1 it is n b, with b the mean absolute error; a Laplace distribution has the variance 2 b².
 
 #include "fitness/loss.glsl"
 
@@ -13,7 +13,7 @@ float loss_unit(ivec2 texel)
 #endif
 }
 
-// Converts a deviance, −2 log of a likelihood, to losses over loss_unit(); noise: o_noise.w.
+// Returns the factor from a deviance (−2 log likelihood) to losses over loss_unit(). noise: o_noise.w.
 float deviance_unit(float noise)
 {
 #if FITNESS == FITNESS_L1

@@ -1,5 +1,5 @@
-// Over W×H texels: the residual loss of the fit. Writes o_noise: (sum of the losses in loss_unit(), number of the samples'
-// channels, 0, 0), and o_mean: the estimates, for the neighbours to read.
+// Over W×H texels: sums the residual losses of the fit. Writes o_noise: (sum of losses in loss_unit(), number of the
+// samples' channels, 0, 0), and o_mean: the estimates, as input of the neighbours' pools.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"

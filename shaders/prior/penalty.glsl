@@ -1,5 +1,5 @@
-// The penalty of a Gaussian prior: per number (x − m)² / v, a deviance, converted to losses by loss_unit.glsl. Reads u_noise
-// and the prior: u_mean, and u_deviation, which is 0 without a prior; over the parameters of free_parameters.glsl.
+// Penalty of a Gaussian prior over the parameters of free_parameters.glsl: Σ (x − m)² / v, a deviance, converted to
+// losses (loss_unit.glsl). Reads u_noise and the prior: u_mean, and u_deviation, which is 0 without a prior.
 
 #include "prior/loss_unit.glsl"
 #include "free_parameters.glsl"
@@ -20,8 +20,8 @@ float penalty_of(ivec2 texel, inout float c[12])
     return sum * deviance_unit(texelFetch(u_noise, texel, 0).w) * loss_unit(texel);
 }
 
-// Adds the prior to the normal equations, J per range: JᵀWJ and JᵀWe are half the second and the first derivative of
-// n σ² of noise of variance σ², for the losses that are squares; of that over b, for l1.
+// Adds the prior to the normal equations, J per range. JᵀWJ and JᵀWe are half the second and half the first derivative:
+// of n σ² (noise of variance σ²) for losses that are squares, of n σ² / b for l1.
 void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
     float mean[12];
@@ -32,9 +32,9 @@ void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);
         if (deviation[free.at] > 0.0) {
-            float precision_of = noise * free.width * free.width / (deviation[free.at] * deviation[free.at]);
-            a[u * FREE_COUNT + u] += precision_of;
-            slope[u] += precision_of * (c[free.at] - mean[free.at]) / free.width;
+            float curvature = noise * free.width * free.width / (deviation[free.at] * deviation[free.at]);
+            a[u * FREE_COUNT + u] += curvature;
+            slope[u] += curvature * (c[free.at] - mean[free.at]) / free.width;
         }
     }
 }

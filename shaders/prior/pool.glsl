@@ -1,12 +1,12 @@
-// Over W×H texels: pools the colours and scalars of similar neighbours. A neighbour has the weight
-// s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), summed over all numbers: an uncertain number makes no difference. Then mean and
-// spread over the neighbours, each with its own precision, by random effects (DerSimonian & Laird 1986, Meta-analysis in
-// Clinical Trials), with s as multiplicity:
+// Over W×H texels: pools colours and scalars of similar neighbours. A neighbour has the weight
+//   s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), summed over all numbers, so that uncertain numbers hardly count.
+// Mean and spread over the neighbours, each with its own precision, follow from a random-effects model (DerSimonian &
+// Laird 1986, Meta-analysis in Clinical Trials), with s as multiplicity:
 //   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
 //   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  with the deviation √(t² + 1 / Σ s w).
-// Reads the estimates, their own deviations in u_own, the beliefs of the former round in u_mean and u_deviation (0: none),
-// and the packing. Writes o_mean and o_deviation: in the LAST round m and its deviation; before, the beliefs for the next
-// round: a number that the texel's own samples determine keeps its belief, an open one takes m.
+// Reads the estimates, their own deviations in u_own, the input of this round in u_mean and u_deviation (0: none), and
+// the packing. Writes o_mean and o_deviation: in the LAST round m and its deviation; before, the input of the next
+// round, where a number that the texel's own samples determine keeps its value and all others take m.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"
@@ -14,10 +14,10 @@
 #include "components.glsl"
 #include "common/taps.glsl"
 
-// A number that is uncertain by more than this fraction of its range is not used: noise is not linear that far.
-#define MOST_DEVIATION 0.25
-// The smallest deviation, as a fraction of the range: the step of the differences that it comes from.
-#define FINEST (1.0 / 1024.0)
+// A number is not used if its deviation exceeds this fraction of its range: noise is not linear over such distances.
+#define MAX_DEVIATION 0.25
+// Smallest deviation, as a fraction of the range: the step of the finite differences from which it is computed.
+#define MIN_DEVIATION (1.0 / 1024.0)
 
 struct Pooled {
     float weight[12];
@@ -27,10 +27,10 @@ struct Pooled {
     float count[12];
 };
 
-// s of the head of this file.
-float likeness(inout float x[12], inout float own[12], inout float y[12], inout float theirs[12])
+// Returns s of the equation above.
+float similarity(inout float x[12], inout float sigma_x[12], inout float y[12], inout float sigma_y[12])
 {
-    float apart = 0.0;
+    float squared_distance = 0.0;
     for (int i = 0; i < COMPONENTS; i++) {
         float width;
         int kind;
@@ -38,16 +38,16 @@ float likeness(inout float x[12], inout float own[12], inout float y[12], inout 
         if (kind == COMPONENT_OTHER) {
             continue;
         }
-        float h = kind == COMPONENT_COLOR ? LIKENESS_COLOR * max(abs(x[i]), abs(y[i])) + FINEST * width
+        float h = kind == COMPONENT_COLOR ? LIKENESS_COLOR * max(abs(x[i]), abs(y[i])) + MIN_DEVIATION * width
                                           : LIKENESS * width;
         float d = x[i] - y[i];
-        apart += d * d / (h * h + own[i] * own[i] + theirs[i] * theirs[i]);
+        squared_distance += d * d / (h * h + sigma_x[i] * sigma_x[i] + sigma_y[i] * sigma_y[i]);
     }
-    return exp(-0.5 * apart);
+    return exp(-0.5 * squared_distance);
 }
 
-// Sums over the neighbours; t2: t² of each number.
-void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12], out Pooled p)
+// Computes the sums over the neighbours. t2: t² of each number.
+void pool(ivec2 texel, inout float x[12], inout float sigma_x[12], inout float t2[12], out Pooled p)
 {
     for (int i = 0; i < 12; i++) {
         p.weight[i] = 0.0;
@@ -63,20 +63,20 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
             continue;
         }
         float y[12];
-        float theirs[12];
+        float sigma_y[12];
         read_mean(other, y);
-        read_deviation(other, theirs);
-        float s = likeness(x, own, y, theirs);
+        read_deviation(other, sigma_y);
+        float s = similarity(x, sigma_x, y, sigma_y);
         for (int i = 0; i < COMPONENTS; i++) {
             float width;
             int kind;
             component_at(i, width, kind);
-            if (kind == COMPONENT_OTHER || !(theirs[i] < MOST_DEVIATION * width)) {
+            if (kind == COMPONENT_OTHER || !(sigma_y[i] < MAX_DEVIATION * width)) {
                 continue;
             }
-            float sigma = max(theirs[i], FINEST * width);
+            float sigma = max(sigma_y[i], MIN_DEVIATION * width);
             float w = 1.0 / (sigma * sigma + t2[i]);
-            // Relative to the texel's own number, which preserves digits in the difference of squares.
+            // Relative to the texel's own number: keeps precision in the difference of squares.
             float d = y[i] - x[i];
             p.weight[i] += s * w;
             p.sum[i] += s * w * d;
@@ -90,11 +90,11 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
 bool texel_kernel(ivec2 texel)
 {
     float x[12];
-    float own[12];
+    float sigma_x[12];
     float mean[12];
     float deviation[12];
     material_to(estimate_at(texel), x);
-    read_own(texel, own);
+    read_own(texel, sigma_x);
     read_mean(texel, mean);
     read_deviation(texel, deviation);
     if (state_at(texel) == TEXEL_SOLVED) {
@@ -103,17 +103,17 @@ bool texel_kernel(ivec2 texel)
             t2[i] = 0.0;
         }
         Pooled p;
-        pool(texel, x, own, t2, p);
+        pool(texel, x, sigma_x, t2, p);
         for (int i = 0; i < COMPONENTS; i++) {
             float width;
             int kind;
             component_at(i, width, kind);
-            float least = SPREAD * width * SPREAD * width;
-            float left = p.weight[i] > 0.0 ? p.weight[i] - p.weights_squared[i] / p.weight[i] : 0.0;
+            float min_t2 = SPREAD * width * SPREAD * width;
+            float denominator = p.weight[i] > 0.0 ? p.weight[i] - p.weights_squared[i] / p.weight[i] : 0.0;
             float q = p.weight[i] > 0.0 ? p.squares[i] - p.sum[i] * p.sum[i] / p.weight[i] : 0.0;
-            t2[i] = max(least, left > 0.0 ? (q - (p.count[i] - 1.0)) / left : 0.0);
+            t2[i] = max(min_t2, denominator > 0.0 ? (q - (p.count[i] - 1.0)) / denominator : 0.0);
         }
-        pool(texel, x, own, t2, p);
+        pool(texel, x, sigma_x, t2, p);
         for (int i = 0; i < COMPONENTS; i++) {
             float width;
             int kind;
@@ -121,10 +121,10 @@ bool texel_kernel(ivec2 texel)
 #ifdef LAST
             deviation[i] = 0.0;
 #endif
-            // 1e-6 of a neighbour: far below it weights are the tails of exp().
+            // Below 1e-6 of a neighbour, the weights are tails of exp().
             if (kind != COMPONENT_OTHER && p.count[i] > 1e-6) {
 #ifndef LAST
-                if (own[i] < MOST_DEVIATION * width) {
+                if (sigma_x[i] < MAX_DEVIATION * width) {
                     continue;
                 }
 #endif

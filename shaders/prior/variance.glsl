@@ -1,14 +1,14 @@
-// Over W×H texels: the variance of the samples' noise, pooled with the neighbours', because few samples determine it badly:
-// (S + ν N̄) / (n + ν), with S over n degrees of freedom and ν of the neighbours' mean N̄ (Smyth 2004, Linear Models and
-// Empirical Bayes Methods for Assessing Differential Expression in Microarray Experiments, its s̃²).
-// Reads u_noise (noise.glsl) and the packing. Writes o_noise: the same, variance in z, in losses in w.
+// Over W×H texels: variance of the samples' noise. Few samples determine it badly, so it is pooled with the neighbours:
+//   (S + ν N̄) / (n + ν), with S the texel's sum over n degrees of freedom, N̄ the neighbours' mean and ν its weight
+// (Smyth 2004, Linear Models and Empirical Bayes Methods for Assessing Differential Expression in Microarray
+// Experiments, its s̃²). Reads u_noise (noise.glsl), packing. Writes o_noise: as u_noise; z the variance, w in losses.
 
 #include "common/frame.glsl"
 #include "common/packing.glsl"
 #include "prior/loss_unit.glsl"
 #include "common/taps.glsl"
 
-float freedom_of(vec4 noise)
+float degrees_of_freedom(vec4 noise)
 {
     return max(noise.y - float(FREE_COUNT), 0.0);
 }
@@ -24,15 +24,15 @@ bool texel_kernel(ivec2 texel)
             ivec2 other = neighbour_at(place, tap_at(t));
             if (other.x >= 0) {
                 vec4 noise = texelFetch(u_noise, other, 0);
-                float n = freedom_of(noise);
+                float n = degrees_of_freedom(noise);
                 sum += n > 0.0 ? noise.x : 0.0;
                 freedom += n;
             }
         }
-        float shared_noise = freedom > 0.0 ? sum / freedom : 0.0;
+        float mean_noise = freedom > 0.0 ? sum / freedom : 0.0;
         float weight = freedom > 0.0 ? NOISE_FREEDOM : 0.0;
-        float n = freedom_of(own);
-        float noise = n + weight > 0.0 ? ((n > 0.0 ? own.x : 0.0) + weight * shared_noise) / (n + weight) : 0.0;
+        float n = degrees_of_freedom(own);
+        float noise = n + weight > 0.0 ? ((n > 0.0 ? own.x : 0.0) + weight * mean_noise) / (n + weight) : 0.0;
 #if FITNESS == FITNESS_L1
         own.z = 2.0 * noise * noise;
 #else

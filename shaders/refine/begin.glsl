@@ -1,5 +1,5 @@
-// Over W×H texels: the estimates with the values of start u_start (−1: none), to be refined. A start may turn the normal
-// (mirror.glsl). Reads the estimates, u_status and the samples. Texels that this tile does not solve stay.
+// Over W×H texels: starts a refinement from the estimates with the values of start u_start (−1: none). A start may turn
+// the normal (mirror.glsl). Texels of other tiles stay as they are. Reads the estimates, u_status and the samples.
 
 #include "refine/mirror.glsl"
 #include "refine/status.glsl"

@@ -1,5 +1,5 @@
-// Over W×H texels: keeps the better of two materials. Reads the best so far (u_estimate, u_status) and the refined one
-// (u_work, u_work_status).
+// Over W×H texels: keeps the material of lower fitness. Reads the best so far (u_estimate, u_status) and the refined
+// one (u_work, u_work_status).
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"

@@ -1,11 +1,11 @@
-// The normal equations of a material's samples. Linear parameters have their basis as derivative, the others a difference:
-// slopes.glsl, generated for both by solver/kernels/free_parameters.py.
+// Normal equations of a material's samples. The derivative by a linear parameter is its basis, the others are finite
+// differences. slopes.glsl holds both; solver/kernels/free_parameters.py generates it.
 
 #include "fitness/fitness.glsl"
 #include "fitness/differences.glsl"
 #include "slopes.glsl"
 
-// Sums JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material, and the weights.
+// Sums a = JᵀWJ (upper triangle; J per range) and slope = JᵀWe. Returns the sums of the losses and of the weights.
 vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
 {
     Material s = material_from(c);

@@ -1,4 +1,4 @@
-// A refinement on the samples alone: adds nothing to the loss.
+// Penalty of a refinement on the samples alone: none.
 
 float penalty_of(ivec2 texel, inout float c[12])
 {

@@ -1,79 +1,79 @@
-// Damped normal equations inside a box: the step of Levenberg and Marquardt.
-// Marquardt 1963, An Algorithm for Least-Squares Estimation of Nonlinear Parameters; its scaling makes λ relative to the
-// diagonal. a holds JᵀWJ, of unit diagonal (upper triangle), slope JᵀWe likewise scaled.
+// Step of Levenberg and Marquardt with bounds on the parameters: damped normal equations.
+// Marquardt 1963, An Algorithm for Least-Squares Estimation of Nonlinear Parameters. His scaling makes λ relative to
+// the diagonal: a is JᵀWJ scaled to a unit diagonal (upper triangle), slope is JᵀWe scaled likewise.
 
 // After hundreds of samples in float32, a pivot below 2⁻²⁰ of the unit diagonal is rounding: its parameter stays.
 #define PIVOT (1.0 / 1048576.0)
 
-// Solves (A + λ) y = −slope for the parameters that are free to move; held ones keep their y. Cholesky: A + λ = L D Lᵀ.
+// Solves (A + λ) y = −slope for the parameters that are not held. Held ones keep their y. Cholesky: A + λ = L D Lᵀ.
 void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT], float lambda,
                   inout bool held[FREE_COUNT], inout float y[FREE_COUNT])
 {
     float l[FREE_COUNT * FREE_COUNT];
     float pivot[FREE_COUNT];
-    float right[FREE_COUNT];
-    bool idle[FREE_COUNT];
+    float rhs[FREE_COUNT];
+    bool dropped[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
-        right[i] = -slope[i];
+        rhs[i] = -slope[i];
         for (int k = 0; k < FREE_COUNT; k++) {
             if (held[k] && k != i) {
-                right[i] -= a[min(i, k) * FREE_COUNT + max(i, k)] * y[k];
+                rhs[i] -= a[min(i, k) * FREE_COUNT + max(i, k)] * y[k];
             }
         }
     }
     for (int j = 0; j < FREE_COUNT; j++) {
         float d = 1.0 + lambda;
         for (int k = 0; k < j; k++) {
-            d -= idle[k] ? 0.0 : l[j * FREE_COUNT + k] * l[j * FREE_COUNT + k] * pivot[k];
+            d -= dropped[k] ? 0.0 : l[j * FREE_COUNT + k] * l[j * FREE_COUNT + k] * pivot[k];
         }
-        idle[j] = held[j] || !(d > PIVOT);
-        pivot[j] = idle[j] ? 1.0 : d;
+        dropped[j] = held[j] || !(d > PIVOT);
+        pivot[j] = dropped[j] ? 1.0 : d;
         for (int i = j + 1; i < FREE_COUNT; i++) {
             float sum = a[j * FREE_COUNT + i];
             for (int k = 0; k < j; k++) {
-                sum -= idle[k] ? 0.0 : l[i * FREE_COUNT + k] * l[j * FREE_COUNT + k] * pivot[k];
+                sum -= dropped[k] ? 0.0 : l[i * FREE_COUNT + k] * l[j * FREE_COUNT + k] * pivot[k];
             }
-            l[i * FREE_COUNT + j] = idle[j] ? 0.0 : sum / pivot[j];
+            l[i * FREE_COUNT + j] = dropped[j] ? 0.0 : sum / pivot[j];
         }
     }
     for (int i = 0; i < FREE_COUNT; i++) {
         for (int k = 0; k < i; k++) {
-            right[i] -= idle[k] ? 0.0 : l[i * FREE_COUNT + k] * right[k];
+            rhs[i] -= dropped[k] ? 0.0 : l[i * FREE_COUNT + k] * rhs[k];
         }
     }
     for (int i = FREE_COUNT - 1; i >= 0; i--) {
-        float sum = right[i] / pivot[i];
+        float sum = rhs[i] / pivot[i];
         for (int k = i + 1; k < FREE_COUNT; k++) {
-            sum -= idle[k] ? 0.0 : l[k * FREE_COUNT + i] * y[k];
+            sum -= dropped[k] ? 0.0 : l[k * FREE_COUNT + i] * y[k];
         }
         if (!held[i]) {
-            y[i] = idle[i] ? 0.0 : sum;
+            y[i] = dropped[i] ? 0.0 : sum;
         }
     }
 }
 
-// How often the set of parameters at an end of their range is found again; after that, steps are cut off at the box.
+// Iterations of the active set: the parameters held at a bound. After the last one, steps are clamped to the bounds.
 #define BOX_ROUNDS 3
 
-// The step inside the box, in fractions of the ranges; least and most bound each parameter's step. A parameter whose step
-// would leave the box goes to its end, and the others are solved for again.
+// Computes the bounded step delta. lower and upper bound each parameter's step. delta, lower and upper are fractions of
+// the ranges. A parameter whose step exceeds a bound is held there, and the others are solved again.
 void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT], inout float norm[FREE_COUNT],
-                float lambda, inout float least[FREE_COUNT], inout float most[FREE_COUNT], out float step_by[FREE_COUNT])
+                float lambda, inout float lower[FREE_COUNT], inout float upper[FREE_COUNT], out float delta[FREE_COUNT])
 {
     bool held[FREE_COUNT];
     float y[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
-        // A parameter stays if the render does not depend on it, or if it is at an end and would go beyond.
-        held[i] = norm[i] == 0.0 || (slope[i] > 0.0 && least[i] >= 0.0) || (slope[i] < 0.0 && most[i] <= 0.0);
+        // Holds a parameter on which the render does not depend, or that is at a bound and would cross it.
+        held[i] = norm[i] == 0.0 || (slope[i] > 0.0 && lower[i] >= 0.0) || (slope[i] < 0.0 && upper[i] <= 0.0);
         y[i] = 0.0;
     }
     for (int round = 0; round < BOX_ROUNDS; round++) {
         solve_damped(a, slope, lambda, held, y);
         bool inside = true;
         for (int i = 0; i < FREE_COUNT; i++) {
-            float by = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
-            if (!held[i] && (by < least[i] || by > most[i])) {
-                y[i] = norm[i] * clamp(by, least[i], most[i]);
+            float unscaled = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
+            if (!held[i] && (unscaled < lower[i] || unscaled > upper[i])) {
+                y[i] = norm[i] * clamp(unscaled, lower[i], upper[i]);
                 held[i] = true;
                 inside = false;
             }
@@ -83,8 +83,8 @@ void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_C
         }
     }
     for (int i = 0; i < FREE_COUNT; i++) {
-        float by = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
-        // NaN is no step.
-        step_by[i] = abs(by) <= 1e6 ? clamp(by, least[i], most[i]) : 0.0;
+        float unscaled = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
+        // NaN becomes a step of 0.
+        delta[i] = abs(unscaled) <= 1e6 ? clamp(unscaled, lower[i], upper[i]) : 0.0;
     }
 }

@@ -1,20 +1,20 @@
-// Shared by the passes that offer other materials to a texel. Reads u_status.
+// Common code of the passes that try other materials (offers): spread.glsl, materials/offer.glsl. Reads u_status.
 
 #include "refine/status.glsl"
 #include "refine/votes.glsl"
 
-// Whether an offer may replace a texel's material and be refined. Before that, its linear weights are another texel's, and
-// its fitness says little: many votes suffice.
+// Returns whether an offer may replace the texel's material and be refined. An offer that is not refined yet has the
+// linear weights of another texel, so its fitness is a weak measure. Many votes are sufficient.
 bool is_worth_refining(float fitness, float own_fitness, float votes, float own_votes)
 {
-    return fitness < CANDIDATE_RATIO * own_fitness || votes > CROWD * (1.0 + own_votes);
+    return fitness < CANDIDATE_RATIO * own_fitness || votes > VOTE_RATIO * (1.0 + own_votes);
 }
 
-// Writes a texel's own material with the status calm; returns its former status.
-vec4 write_calm(ivec2 texel, Material own)
+// Writes the texel's own material, with the status of a converged texel. Returns the former status.
+vec4 write_converged(ivec2 texel, Material own)
 {
     vec4 status = texelFetch(u_status, texel, 0);
-    o_status = vec4(status.xy, CALM, status.w);
+    o_status = vec4(status.xy, CONVERGED_AFTER, status.w);
     write_material(own);
     return status;
 }

@@ -1,19 +1,19 @@
-// Over W×H texels: tries the materials of neighbours. The four adjacent texels offer their whole material, with the normal
-// turned into this texel's frame. The four texels at distance two offer their searched numbers, with this texel's normal
-// and linear weights. Of the offers worth refining (offers.glsl) the most probable replaces the texel's material; without
-// one the texel is calm.
-// Reads the best estimates so far, u_status, the geometry with its packing, the sample stack and the observation table;
-// writes o_estimate and o_status.
+// Over W×H texels: tries materials of neighbours (offers). The four adjacent texels offer their whole material, with
+// the normal rotated into this texel's frame. The four texels at distance two offer their searched numbers, to be
+// combined with this texel's normal and linear weights. The most probable of the offers worth refining (offers.glsl)
+// replaces the texel's material. Without one the texel has converged. Reads the best estimates so far, u_status, the
+// geometry with its packing, the sample stack and the observation table. Writes o_estimate and o_status.
 
 #include "common/packing.glsl"
 #include "fitness/fitness.glsl"
 #include "refine/offers.glsl"
 
+// kind: 0 for the whole material of ``other``, else its searched numbers with the rest of ``own``.
 Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
 {
     float c[12];
-    float theirs[12];
-    material_to(estimate_at(other), theirs);
+    float other_c[12];
+    material_to(estimate_at(other), other_c);
     for (int i = 0; i < 12; i++) {
         c[i] = own[i];
     }
@@ -21,14 +21,14 @@ Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
     for (int u = 0; u < FREE_COUNT; u++) {
         if (!is_normal(u) && (whole || searched(u))) {
             int at = free_at(u).at;
-            c[at] = theirs[at];
+            c[at] = other_c[at];
         }
     }
 #if NORMAL_FREE >= 0
     if (whole) {
         int at = NORMAL_COMPONENT;
-        vec3 n = to_local(f, to_world(frame_at(other), vec3(theirs[at], theirs[at + 1], theirs[at + 2])));
-        // 1e-12: the neighbour's normal points straight away from this texel's hemisphere.
+        vec3 n = to_local(f, to_world(frame_at(other), vec3(other_c[at], other_c[at + 1], other_c[at + 2])));
+        // 1e-12: the neighbour's normal is the opposite of this frame's normal.
         n.z = max(n.z, 0.0);
         n = dot(n, n) > 1e-12 ? normalize(n) : vec3(0.0, 0.0, 1.0);
         c[at] = n.x;
@@ -42,7 +42,7 @@ Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
 bool texel_kernel(ivec2 texel)
 {
     Material own = estimate_at(texel);
-    vec4 status = write_calm(texel, own);
+    vec4 status = write_converged(texel, own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
@@ -50,18 +50,18 @@ bool texel_kernel(ivec2 texel)
     material_to(own, c);
     Texel t = observed_texel(texel);
     ivec4 place = surface_place_of(texel);
-    Material tried[OFFERS];
+    Material candidates[OFFERS];
     float sum[OFFERS];
-    bool there[OFFERS];
+    bool exists[OFFERS];
     for (int p = 0; p < OFFERS; p++) {
         int side = p % 4;
-        ivec2 by = side < 2 ? ivec2(2 * side - 1, 0) : ivec2(0, 2 * side - 5);
-        ivec2 other = neighbour_at(place, (1 + p / 4) * by);
-        there[p] = other.x >= 0;
-        tried[p] = own;
+        ivec2 offset = side < 2 ? ivec2(2 * side - 1, 0) : ivec2(0, 2 * side - 5);
+        ivec2 other = neighbour_at(place, (1 + p / 4) * offset);
+        exists[p] = other.x >= 0;
+        candidates[p] = own;
         sum[p] = 0.0;
-        if (there[p]) {
-            tried[p] = offer_of(other, t.frame, p / 4, c);
+        if (exists[p]) {
+            candidates[p] = offer_of(other, t.frame, p / 4, c);
         }
     }
     float weights = 0.0;
@@ -70,35 +70,35 @@ bool texel_kernel(ivec2 texel)
     EACH_OBSERVATION(t, o) {
         float relative = scale * relative_error(t, o);
         for (int p = 0; p < OFFERS; p++) {
-            vec3 error = error_of(o, reflectance(tried[p], o.l, o.v));
+            vec3 error = error_of(o, reflectance(candidates[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);
         }
         weights += o.weight;
     }
     o_status.w += float(OFFERS);
-    float freedom = freedom_of(weights);
+    float freedom = degrees_of_freedom(weights);
     bool voted = SEARCHED > 0 && VOTES > 0.0 && freedom > 0.0;
     float own_votes = voted ? votes_for(place, c) : 0.0;
-    float least = 0.0;
+    float lowest = 0.0;
     int chosen = -1;
     for (int p = 0; p < OFFERS; p++) {
-        float fitness = with_priors(sum[p] / (3.0 * weights), weights, tried[p]);
-        // Also skips NaN.
-        if (!(there[p] && fitness < UNFIT)) {
+        float fitness = with_priors(sum[p] / (3.0 * weights), weights, candidates[p]);
+        // Skips NaN as well.
+        if (!(exists[p] && fitness < UNFIT)) {
             continue;
         }
         float offered[12];
-        material_to(tried[p], offered);
+        material_to(candidates[p], offered);
         float votes = voted ? votes_for(place, offered) : 0.0;
         float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
-        if (is_worth_refining(fitness, status.x, votes, own_votes) && (chosen < 0 || deviance < least)) {
-            least = deviance;
+        if (is_worth_refining(fitness, status.x, votes, own_votes) && (chosen < 0 || deviance < lowest)) {
+            lowest = deviance;
             chosen = p;
         }
     }
     for (int p = 0; p < OFFERS; p++) {
         if (p == chosen) {
-            write_material(tried[p]);
+            write_material(candidates[p]);
             o_status = fresh_status(o_status.w);
         }
     }

@@ -1,11 +1,11 @@
-// The refinement's state of a texel: its material, packed like the estimates, and o_status: (fitness, damping λ,
+// State of a texel's refinement: its material, packed like the estimates, and o_status: (fitness, damping λ,
 // consecutive iterations without a change, evaluations so far).
 
 #include "common/estimate.glsl"
 #include "fitness/unfit.glsl"
 
-// A texel is done after this many iterations without a change.
-#define CALM 2.0
+// A texel has converged after this many iterations without a change.
+#define CONVERGED_AFTER 2.0
 
 vec4 fresh_status(float evaluations)
 {

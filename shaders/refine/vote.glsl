@@ -1,5 +1,5 @@
-// Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl). Reads the best so
-// far (u_estimate, u_status), the refined one (u_work, u_work_status), the samples' weights and the packing.
+// Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl). Reads the best
+// so far (u_estimate, u_status), the refined one (u_work, u_work_status), the weights of the samples and the packing.
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"
@@ -19,7 +19,7 @@ bool texel_kernel(ivec2 texel)
         for (int k = 0; k < u_observations; k++) {
             weights += max(texelFetch(u_stack, ivec3(texel, k), 0).a, 0.0);
         }
-        float freedom = freedom_of(weights);
+        float freedom = degrees_of_freedom(weights);
         better = after.x <= before.x;
         if (freedom > 0.0 && max(before.x, after.x) < UNFIT) {
             ivec4 place = surface_place_of(texel);

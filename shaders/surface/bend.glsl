@@ -1,9 +1,8 @@
-// Over W×H texels: the estimates with the normals of the relaxed slopes, s₀ − P Cᵀ μ (relax.glsl). A texel moves no further
-// than where its samples would become less likely by TOLERANCE standard deviations: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤ TOLERANCE².
-// The linear parameters follow to their optimum beside the new normal, to first order. Where the samples' deviance would rise
-// by more than TOLERANCE², the estimate stays.
-// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance, geometry and packing. Writes
-// o_estimate.
+// Over W×H texels: sets the normals to those of the relaxed slopes, s = s₀ − P Cᵀ μ (relax.glsl). The change is limited
+// to TOLERANCE standard deviations of the samples: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤ TOLERANCE². The linear parameters move to
+// their optimum for the new normal, to first order. If the deviance rises by more than TOLERANCE², the estimate stays.
+// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance, geometry and packing.
+// Writes o_estimate.
 
 #include "common/estimate.glsl"
 #include "surface/normal_matrix.glsl"
@@ -13,33 +12,34 @@
 
 float multiplier_at(ivec2 place)
 {
-    ivec2 there = packed_at(place);
-    return there.x >= 0 ? texelFetch(u_field, there, 0).z : 0.0;
+    ivec2 other = packed_at(place);
+    return other.x >= 0 ? texelFetch(u_field, other, 0).z : 0.0;
 }
 
-// Puts a normal in, and lets the linear parameters follow.
-void follow(ivec2 texel, vec3 n, inout float c[12])
+// Sets the normal n in c and moves the linear parameters to their optimum for it.
+void set_normal(ivec2 texel, vec3 n, inout float c[12])
 {
     float a[FREE_COUNT * FREE_COUNT];
-    eliminated(texel, c, a);
-    int at = NORMAL_COMPONENT;
-    vec3 before = vec3(c[at], c[at + 1], c[at + 2]);
+    eliminate_all_but_normal(texel, c, a);
+    int component = NORMAL_COMPONENT;
+    vec3 before = vec3(c[component], c[component + 1], c[component + 2]);
     vec3 axis = turning_axis(before);
-    vec2 by = vec2(dot(n, axis), dot(n, cross(before, axis))) / (dot(n, before) * free_at(NORMAL_FREE).width);
+    vec2 delta = vec2(dot(n, axis), dot(n, cross(before, axis))) / (dot(n, before) * free_at(NORMAL_FREE).width);
     for (int u = 0; u < FREE_COUNT; u++) {
         if (!is_normal(u)) {
             FreeParameter free = free_at(u);
             int entry = u * FREE_COUNT + NORMAL_FREE;
-            float moved_by = -free.width * dot(vec2(a[entry], a[entry + 1]), by);
+            float moved_by = -free.width * dot(vec2(a[entry], a[entry + 1]), delta);
             c[free.at] = clamp(c[free.at] + moved_by, free.low, free.low + free.width);
         }
     }
-    c[at] = n.x;
-    c[at + 1] = n.y;
-    c[at + 2] = n.z;
+    c[component] = n.x;
+    c[component + 1] = n.y;
+    c[component + 2] = n.z;
 }
 
-bool fits(ivec2 texel, inout float c[12])
+// Returns whether the deviance of c exceeds the estimate's by at most TOLERANCE².
+bool fits_samples(ivec2 texel, inout float c[12])
 {
     vec4 noise = texelFetch(u_noise, texel, 0);
     float weights;
@@ -52,16 +52,16 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     material_to(estimate_at(texel), c);
     if (state_at(texel) == TEXEL_SOLVED) {
-        ivec2 place = place_of(texel);
+        ivec2 place = domain_texel_of(texel);
         vec4 field = texelFetch(u_field, texel, 0);
-        vec2 pull = pull_of(field.z, multiplier_at(place - ivec2(1, 0)), multiplier_at(place - ivec2(1, 1)),
-                            multiplier_at(place - ivec2(0, 1)));
-        vec2 by = times(texelFetch(u_covariance, texel, 0).xyz, pull);
-        float deviance = dot(pull, by);
+        vec2 ct_mu = c_transpose(field.z, multiplier_at(place - ivec2(1, 0)), multiplier_at(place - ivec2(1, 1)),
+                                 multiplier_at(place - ivec2(0, 1)));
+        vec2 delta = covariance_times(texelFetch(u_covariance, texel, 0).xyz, ct_mu);
+        float deviance = dot(ct_mu, delta);
         if (deviance > 0.0) {
-            by *= min(1.0, TOLERANCE * inversesqrt(deviance));
-            follow(texel, normal_of(grid_at(texel), field.xy - by), c);
-            if (!fits(texel, c)) {
+            delta *= min(1.0, TOLERANCE * inversesqrt(deviance));
+            set_normal(texel, normal_of(grid_at(texel), field.xy - delta), c);
+            if (!fits_samples(texel, c)) {
                 material_to(estimate_at(texel), c);
             }
         }

@@ -1,31 +1,31 @@
-// Over W×H texels: what the samples say of the normal, as slopes. Their covariance is that of the normal in the normal
-// equations over the noise, with the linear parameters free: the Schur complement, inverted.
+// Over W×H texels: slopes s₀ of the estimated normals and their covariance P. P follows from the normal equations,
+// divided by the noise, with the linear parameters eliminated: the inverse Schur complement of the normal.
 // Reads the estimates, the sample stack, u_noise, geometry and packing.
-// Writes o_field: (slopes along x and y, 0, 0), and o_covariance: (xx, xy, yy, 1 where the texel begins a loop).
+// Writes o_field: (slopes along x and y, 0, 0), and o_covariance: (xx, xy, yy, 1 if a loop begins at the texel).
 
 #include "common/estimate.glsl"
 #include "surface/normal_matrix.glsl"
 #include "surface/slopes.glsl"
 
-// The covariance (xx, xy, yy) of the normal's two angles.
+// Returns the covariance (xx, xy, yy) of the normal's two angles.
 vec3 covariance_of_angles(ivec2 texel, inout float c[12])
 {
     float a[FREE_COUNT * FREE_COUNT];
-    float noise = eliminated(texel, c, a);
-    int at = NORMAL_FREE * FREE_COUNT + NORMAL_FREE;
-    // Not below the prior's: the rest of an elimination is rounding.
-    float xx = max(a[at], noise);
-    float yy = max(a[at + FREE_COUNT + 1], noise);
-    float xy = clamp(a[at + 1], -0.999 * sqrt(xx * yy), 0.999 * sqrt(xx * yy));
+    float noise = eliminate_all_but_normal(texel, c, a);
+    int entry = NORMAL_FREE * FREE_COUNT + NORMAL_FREE;
+    // Not below the precision of the weak prior: a smaller remainder of the elimination is rounding.
+    float xx = max(a[entry], noise);
+    float yy = max(a[entry + FREE_COUNT + 1], noise);
+    float xy = clamp(a[entry + 1], -0.999 * sqrt(xx * yy), 0.999 * sqrt(xx * yy));
     float width = free_at(NORMAL_FREE).width;
     return noise * width * width / (xx * yy - xy * xy) * vec3(yy, -xy, xx);
 }
 
-// Whether the texel, the next ones in x and y and the one beyond both are one piece of the surface.
+// Returns whether the 2×2 texels from this one on are connected on the surface.
 bool begins_loop(ivec4 place)
 {
-    return joined_at(place, ivec2(1, 0)).x >= 0 && joined_at(place, ivec2(0, 1)).x >= 0 &&
-           joined_at(place, ivec2(1, 1)).x >= 0;
+    return connected_at(place, ivec2(1, 0)).x >= 0 && connected_at(place, ivec2(0, 1)).x >= 0 &&
+           connected_at(place, ivec2(1, 1)).x >= 0;
 }
 
 bool texel_kernel(ivec2 texel)
@@ -40,20 +40,20 @@ bool texel_kernel(ivec2 texel)
     vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
     Grid g = grid_at(texel);
     float area = abs(g.step_x.x * g.step_y.y - g.step_x.y * g.step_y.x);
-    // Also skips NaN, of steps along one line.
+    // Parallel steps. Skips NaN as well.
     if (!(area > 0.0)) {
         return true;
     }
-    // A normal that faces less has no finite slope, and stays.
-    vec3 angles = facing_of(g, n) > LEAST_FACING ? covariance_of_angles(texel, c) : vec3(0.0);
+    // Below MIN_FACING the slope is not finite, and the normal stays: covariance 0.
+    vec3 angle_covariance = facing_of(g, n) > MIN_FACING ? covariance_of_angles(texel, c) : vec3(0.0);
     vec3 axis = turning_axis(n);
-    vec2 first = slopes_by(g, n, axis);
-    vec2 second = slopes_by(g, n, cross(n, axis));
-    vec2 once = angles.x * first + angles.y * second;
-    vec2 twice = angles.y * first + angles.z * second;
+    vec2 d1 = slope_derivative(g, n, axis);
+    vec2 d2 = slope_derivative(g, n, cross(n, axis));
+    vec2 p1 = angle_covariance.x * d1 + angle_covariance.y * d2;
+    vec2 p2 = angle_covariance.y * d1 + angle_covariance.z * d2;
     o_field.xy = slopes_of(g, n);
-    o_covariance.xyz = vec3(once.x * first.x + twice.x * second.x, once.x * first.y + twice.x * second.y,
-                            once.y * first.y + twice.y * second.y);
+    o_covariance.xyz = vec3(p1.x * d1.x + p2.x * d2.x, p1.x * d1.y + p2.x * d2.y,
+                            p1.y * d1.y + p2.y * d2.y);
     o_covariance.w = begins_loop(surface_place_of(texel)) ? 1.0 : 0.0;
     return true;
 }

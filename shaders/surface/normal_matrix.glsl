@@ -1,16 +1,16 @@
-// The normal equations of a texel's samples, in which the other free numbers follow its normal. Reads the sample stack and
-// u_noise.
+// Normal equations of a texel's samples, reduced to the normal. Reads the sample stack and u_noise.
 
 #include "refine/linearise.glsl"
 #include "diagnostics/sweep.glsl"
 
-// Returns the variance of the noise. a: the Schur complement of the normal's two angles, J per range, and between them and
-// another number how that follows. Each number has its range for a standard deviation beside what the samples say of it.
-float eliminated(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT])
+// Returns the variance of the noise. a: the Schur complement of the normal's two angles, J per range; between them and
+// another parameter, minus its change per change of the angle. A weak prior (σ = the range) is added to every
+// parameter.
+float eliminate_all_but_normal(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT])
 {
     float slope[FREE_COUNT];
     linearise(observed_texel(texel), c, a, slope);
-    // 1e-12: samples without any noise.
+    // 1e-12: a lower bound for samples without noise.
     float noise = max(texelFetch(u_noise, texel, 0).w, 1e-12);
     for (int u = 0; u < FREE_COUNT; u++) {
         a[u * FREE_COUNT + u] += noise;

@@ -1,9 +1,9 @@
-// How a normal is searched: as numbers in [0, 1], two on the hemisphere or three that are normalised.
+// Encodings of a normal as searched numbers in [0, 1]: two on the hemisphere, or three that are normalised.
 
-// The square on the disc by ellipses (Fong 2015, Analytical Methods for Squaring the Disc), then the disc on the
-// hemisphere z ≥ 0 by equal areas (Lambert 1772, azimuthal projection): no pole, no trigonometry, and the walls of the
-// square are the horizon. A square that merely contains the disc has a fifth of its area on the horizon, where every
-// render is black; on dark subjects more than half of the swarms gathered there.
+// Maps the square to the disc by ellipses (Fong 2015, Analytical Methods for Squaring the Disc), and the disc to the
+// hemisphere z ≥ 0 with equal areas (Lambert 1772, azimuthal projection). No pole, no trigonometry; the square's edges
+// are the horizon. A square around the disc would have a fifth of its area on the horizon, where every render is black:
+// on dark subjects more than half of the swarms converged there.
 vec3 normal_from_hemisphere(vec2 x)
 {
     vec2 q = 2.0 * x - 1.0;
@@ -16,7 +16,7 @@ vec2 hemisphere_from_normal(vec3 n)
 {
     vec2 d;
     if (n.z <= 0.0) {
-        // max: a normal pointing straight away from the hemisphere has no direction on the horizon; any will do.
+        // max(): the normal (0, 0, −1) has no direction in the horizon's plane. Any result is valid.
         d = n.xy * inversesqrt(max(dot(n.xy, n.xy), 1e-20));
     }
     else {
@@ -27,19 +27,19 @@ vec2 hemisphere_from_normal(vec3 n)
     return clamp(0.5 * q + 0.5, 0.0, 1.0);
 }
 
-// The searched part of a linear parameter's range. Radiance is proportional to the parameter, so a texel's brightness
-// bounds it: LINEAR_REACH times the brightness includes saturated colours under grazing light; 0 searches the whole range.
+// Returns the searched fraction of a linear parameter's range. Radiance is proportional to it, so the brightness bounds
+// it. LINEAR_REACH times the brightness includes saturated colours under grazing light; 0 searches the whole range.
 float reach_of(float scale)
 {
     return LINEAR_REACH > 0.0 ? min(1.0, LINEAR_REACH * scale) : 1.0;
 }
 
-// The paper's three numbers, normalised. z is mirrored up: a texel's normal faces its hemisphere.
+// The paper's encoding: three numbers, normalised. A negative z is mirrored, so that the normal lies in the hemisphere.
 vec3 normal_from_cartesian(vec3 x)
 {
     vec3 n = 2.0 * x - 1.0;
     float squared = dot(n, n);
-    // 1e-12: the centre of the cube has no direction; anything nearer is taken for the frame's own normal.
+    // 1e-12: the centre of the cube has no direction. Points this near to it decode to the frame's normal.
     return squared > 1e-12 ? vec3(n.xy, abs(n.z)) * inversesqrt(squared) : vec3(0.0, 0.0, 1.0);
 }
 

@@ -1,4 +1,4 @@
-// Over W×H texels, in place: writes the bests of the halo, the texels of neighbouring tiles.
+// Over W×H texels, in place: copies the received global bests to the halo, texels that neighbouring tiles own.
 
 #include "common/frame.glsl"
 
@@ -7,8 +7,8 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_HALO) {
         return false;
     }
-    float x[8];
-    read_given(texel, x);
-    write_best(x);
+    float received[8];
+    read_given(texel, received);
+    write_best(received);
     return true;
 }

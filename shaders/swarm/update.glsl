@@ -1,4 +1,4 @@
-// The new place of a particle: its start, Eq. 2–3 of the paper, or a neighbour's best.
+// New position of a particle: its initial position, Eq. 2–3 of the paper, or the global best of a neighbour.
 // Reads the swarm atlas (u_particle_*), the global bests, the estimates and the packing.
 
 #include "common/estimate.glsl"
@@ -13,27 +13,27 @@
 
 ivec2 global_texel(ivec2 texel)
 {
-    return place_of(texel) + ivec2(u_origin_x, u_origin_y);
+    return domain_texel_of(texel) + ivec2(u_origin_x, u_origin_y);
 }
 
 #ifdef START
 
-// Particle 0 of a seeded swarm stands on the estimate itself, further seeded ones around it, the rest anywhere.
-// u_seeded_dimensions has a bit for every dimension that the seed determines; the others are random.
-void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
+// Initial position and velocity. In a seeded swarm particle 0 starts at the estimate. Particles 1 … u_seeded − 1 start
+// near it in the dimensions whose bit is set in u_seeded_dimensions. All other coordinates are random.
+void initialise_particle(ivec2 texel, int particle, out float x[8], out float v[8])
 {
     float seed[8];
     encode(estimate_at(texel), reach_of(scale_at(texel)), seed);
     for (int block = 0; block < BLOCKS; block++) {
-        ivec2 at = global_texel(texel);
-        vec4 place = random_uniform(u_seed, u_iteration, at, particle, RANDOM_POSITION + block);
-        vec4 speed = random_uniform(u_seed, u_iteration, at, particle, RANDOM_VELOCITY + block);
+        ivec2 coord = global_texel(texel);
+        vec4 position = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_POSITION + block);
+        vec4 velocity = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_VELOCITY + block);
         for (int i = 0; i < 4; i++) {
             int d = 4 * block + i;
             float spread = particle == 0 ? 0.0 : u_seed_spread;
             bool seeded = particle < u_seeded && (particle == 0 || ((u_seeded_dimensions >> d) & 1) == 1);
-            x[d] = seeded ? clamp(seed[d] + spread * (2.0 * place[i] - 1.0), 0.0, 1.0) : place[i];
-            v[d] = u_start_speed * (2.0 * speed[i] - 1.0);
+            x[d] = seeded ? clamp(seed[d] + spread * (2.0 * position[i] - 1.0), 0.0, 1.0) : position[i];
+            v[d] = u_start_speed * (2.0 * velocity[i] - 1.0);
         }
     }
 }
@@ -49,17 +49,17 @@ void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8
     read_particle(u_particle_best, texel, particle, p);
     read_best(texel, g);
     for (int block = 0; block < BLOCKS; block++) {
-        ivec2 at = global_texel(texel);
-        vec4 r1 = random_uniform(u_seed, u_iteration, at, particle, RANDOM_R1 + block);
-        vec4 r2 = random_uniform(u_seed, u_iteration, at, particle, RANDOM_R2 + block);
+        ivec2 coord = global_texel(texel);
+        vec4 r1 = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_R1 + block);
+        vec4 r2 = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_R2 + block);
         for (int i = 0; i < 4; i++) {
             int d = 4 * block + i;
             // Eq. 2: v ← v + c1 R1 (p − x) + c2 R2 (g − x) + c3 A, with A of Eq. 4; inertia and constriction are 1 in
             // the paper (Shi & Eberhart 1998; Clerc & Kennedy 2002).
-            float speed = u_inertia * v[d] + u_c1 * r1[i] * (p[d] - x[d]) + u_c2 * r2[i] * (g[d] - x[d]);
-            speed = u_constriction * (speed + (u_c3 != 0.0 ? u_c3 * (mean[d] - x[d]) : 0.0));
-            v[d] = clamp(speed, -u_v_max, u_v_max);
-            // Eq. 3: x ← x + v, inside the walls.
+            float velocity = u_inertia * v[d] + u_c1 * r1[i] * (p[d] - x[d]) + u_c2 * r2[i] * (g[d] - x[d]);
+            velocity = u_constriction * (velocity + (u_c3 != 0.0 ? u_c3 * (mean[d] - x[d]) : 0.0));
+            v[d] = clamp(velocity, -u_v_max, u_v_max);
+            // Eq. 3: x ← x + v, clamped to [0, 1].
             float target = x[d] + v[d];
             x[d] = clamp(target, 0.0, 1.0);
 #if WALLS == WALLS_STOP
@@ -71,8 +71,8 @@ void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8
     }
 }
 
-// Moves the particle to the global best of one of the eight texels around, if that one is solved: a neighbour's best is
-// often right here too, and a swarm in a wrong optimum has no other way out.
+// Moves the particle to the global best of one of the eight adjacent texels, if that texel is solved. A neighbour's
+// best often fits here too. A swarm that has converged to a wrong optimum cannot leave it otherwise.
 void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
 {
     direction += direction >= 4 ? 1 : 0;
@@ -84,17 +84,17 @@ void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
 
 #endif
 
-// Interchangeable lobes stay in rising order, so that means over neighbours are meaningful.
+// Keeps interchangeable lobes in rising order, so that means over neighbours are meaningful.
 void order_lobes(inout float x[8], inout float v[8])
 {
 #ifdef LOBE_FIRST
     if (x[LOBE_FIRST] > x[LOBE_SECOND]) {
-        float kept = x[LOBE_FIRST];
+        float swapped = x[LOBE_FIRST];
         x[LOBE_FIRST] = x[LOBE_SECOND];
-        x[LOBE_SECOND] = kept;
-        kept = v[LOBE_FIRST];
+        x[LOBE_SECOND] = swapped;
+        swapped = v[LOBE_FIRST];
         v[LOBE_FIRST] = v[LOBE_SECOND];
-        v[LOBE_SECOND] = kept;
+        v[LOBE_SECOND] = swapped;
 #ifdef LOBE_WEIGHT
         x[LOBE_WEIGHT] = 1.0 - x[LOBE_WEIGHT];
         v[LOBE_WEIGHT] = -v[LOBE_WEIGHT];

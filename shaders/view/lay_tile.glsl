@@ -1,6 +1,6 @@
-// Over the picture of a whole domain, possibly reduced: writes a tile's own texels, leaves the others. Reads u_tile, the
-// picture of the tile with its halo. u_x, u_y: its origin in the domain; u_left to u_top: the tile's own texels; u_across,
-// u_up: texels of the domain per texel of the picture.
+// Over the picture of a whole domain, possibly at reduced size: copies a tile's own texels and leaves all others.
+// Reads u_tile, the picture of the tile with its halo. u_x, u_y: origin of u_tile in the domain; u_left to u_top: the
+// tile's own texels; u_across, u_up: domain texels per texel of the picture.
 
 bool texel_kernel(ivec2 texel)
 {

@@ -1,4 +1,4 @@
-// Measures of a texel in u_measure; negative where none exists yet.
+// Measures of a texel in u_measure. A negative value means: not measured yet.
 
 float measure_at(ivec2 texel, int number)
 {

@@ -1,5 +1,5 @@
-// A row of ESTIMATES + 1 texels about the texel (u_column, u_row) of the domain: the components of its estimate, then
-// (mean absolute error, weights, largest error, 1), all 0 where it is not solved.
+// Reads out the texel (u_column, u_row) of the domain, in a row of ESTIMATES + 1 texels: the components of its
+// estimate, then (mean absolute error, sum of weights, largest error, 1). All are 0 where the texel is not solved.
 // Reads u_packed, the estimates, the geometry, the sample stack and the observation table.
 
 #include "common/estimate.glsl"
@@ -8,12 +8,12 @@
 
 bool texel_kernel(ivec2 place)
 {
-    ivec2 at = packed_at(ivec2(u_column, u_row));
+    ivec2 packed_texel = packed_at(ivec2(u_column, u_row));
     o_numbers = vec4(0.0);
-    if (at.x < 0) {
+    if (packed_texel.x < 0) {
         return true;
     }
-    Material s = estimate_at(at);
+    Material s = estimate_at(packed_texel);
     float c[12];
     material_to(s, c);
     if (place.x < ESTIMATES) {
@@ -22,7 +22,7 @@ bool texel_kernel(ivec2 place)
         }
     }
     else {
-        o_numbers = vec4(mean_error(at, s).xyz, 1.0);
+        o_numbers = vec4(mean_error(packed_texel, s).xyz, 1.0);
     }
     return true;
 }

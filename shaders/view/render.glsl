@@ -1,5 +1,5 @@
-// Over W×H texels: the radiance that each texel sends to the camera of one observation under its light; the paper's
-// R(p̂) = ĉ. Reads the estimates, the geometry and the observation table. Alpha is 1 where the texel is covered.
+// Over W×H texels: radiance of each texel toward the camera of one observation under its light: the paper's R(p̂) = ĉ.
+// Reads the estimates, the geometry and the observation table. Alpha is 1 where the texel is covered.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"

@@ -1,7 +1,7 @@
-// Over the domain: one parameter as a picture. Reads u_packed, the estimates and u_measure: alpha is UNUSED where the
-// deviation of the number at u_at is over u_unknown.
-// u_at, u_components: which numbers of a material. u_encoding: a fraction of the range from u_low, u_width wide,
-// a colour, or a normal. A parameter of one number is grey, of two red and green, of four its first three.
+// Over the domain: shows one parameter. Reads u_packed, the estimates and u_measure. Alpha is UNUSED where the
+// deviation of number u_at exceeds u_unknown.
+// u_at, u_components: first number and count. u_encoding: a fraction of the range (u_low, u_width), a colour, or a
+// normal. One number is shown as grey, two as red and green, four as their first three.
 
 #define ENCODING_FRACTION 0
 #define ENCODING_COLOR 1
@@ -14,13 +14,13 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    ivec2 at = packed_at(texel);
+    ivec2 packed_texel = packed_at(texel);
     o_picture = vec4(0.0);
-    if (at.x < 0) {
+    if (packed_texel.x < 0) {
         return true;
     }
     float c[12];
-    material_to(estimate_at(at), c);
+    material_to(estimate_at(packed_texel), c);
     vec3 value = vec3(0.0);
     for (int i = 0; i < min(u_components, 3); i++) {
         value[i] = c[u_at + i];
@@ -29,7 +29,7 @@ bool texel_kernel(ivec2 texel)
         value = vec3(value.x);
     }
     if (u_encoding == ENCODING_NORMAL) {
-        // 1e-12: a vector without length has no direction.
+        // 1e-12: a zero vector has no direction.
         value = 0.5 * value * inversesqrt(max(dot(value, value), 1e-12)) + 0.5;
     }
     else if (u_encoding == ENCODING_COLOR) {
@@ -41,6 +41,6 @@ bool texel_kernel(ivec2 texel)
             value.z = 0.0;
         }
     }
-    o_picture = vec4(value, measure_at(at, u_at) > u_unknown ? UNUSED : 1.0);
+    o_picture = vec4(value, measure_at(packed_texel, u_at) > u_unknown ? UNUSED : 1.0);
     return true;
 }

@@ -1,7 +1,7 @@
-// Over the canvas of the web page: one tile, relit, as one of its maps, as an uncertainty, or as a photograph.
-// Reads u_planes: the maps (planes.glsl), uncertainties in 1…255 with 0 outside, or a photograph.
-// A pixel takes the four texels around it, weighted by its place between them, and shades once. At a texel's centre that is
-// the radiance that the solver fits.
+// Over the canvas of the web page: shows one tile, as a relit render, a map, an uncertainty or a photograph.
+// Reads u_planes: the maps (planes.glsl), uncertainties as 1…255 (0 is outside), or a photograph.
+// A pixel interpolates the maps of four texels bilinearly and shades once. At a texel's centre the result is the
+// radiance that the solver fits.
 
 #include "web/planes.glsl"
 #include "model.glsl"
@@ -13,16 +13,16 @@
 #define PHOTOGRAPH 3
 
 uniform int u_show;
-uniform vec2 u_canvas;        // its height in pixels, and texels per pixel
-uniform vec2 u_corner;        // the canvas's upper left corner in the picture, in texels of the finest level
-uniform vec3 u_tile;          // the first texel of the tile with its margin of one, in its own level, and texels per texel of it
-uniform vec3 u_place[3];      // the picture's upper left corner on the card, and one texel to the right and down
-uniform vec4 u_view;          // of the camera: its place and 1, or the direction to it and 0
-uniform vec4 u_light;         // likewise
+uniform vec2 u_canvas;        // height of the canvas in pixels, and texels per pixel
+uniform vec2 u_corner;        // upper left corner of the canvas in the picture, in texels of the finest level
+uniform vec3 u_tile;          // first texel of the tile with its margin of 1, in its level; finest texels per texel
+uniform vec3 u_place[3];      // the picture's upper left corner on the card, and the steps of one texel right and down
+uniform vec4 u_view;          // camera: position and 1, or direction to it and 0
+uniform vec4 u_light;         // light, likewise
 uniform vec3 u_intensity;
 uniform float u_exposure;
-uniform ivec2 u_parameter;    // of PARAMETER its first component and how many; of UNCERTAINTY first channel and how many
-uniform vec3 u_ramp[RAMP];    // colours of uncertainties, even steps
+uniform ivec2 u_parameter;    // first and count: components of PARAMETER, channels of UNCERTAINTY
+uniform vec3 u_ramp[RAMP];    // colours of uncertainties, at equal steps
 
 out vec4 o_color;
 
@@ -83,14 +83,14 @@ vec4 maps_at(ivec2 first, vec2 f, vec2 at)
     return vec4(u_show == LIT ? lit(c, at) : shown_parameter(c), 1.0) * share;
 }
 
-// The largest of some channels; 0 is outside.
+// Returns the colour of the largest of the channels in u_parameter; 0 is outside.
 vec4 uncertainty_at(ivec2 texel)
 {
-    float most = 0.0;
+    float largest = 0.0;
     for (int i = u_parameter.x; i < u_parameter.x + u_parameter.y; i++) {
-        most = max(most, bytes_at(texel, i / 3)[i % 3]);
+        largest = max(largest, bytes_at(texel, i / 3)[i % 3]);
     }
-    return most == 0.0 ? vec4(0.0) : vec4(ramp((most - 1.0) / 254.0), 1.0);
+    return largest == 0.0 ? vec4(0.0) : vec4(ramp((largest - 1.0) / 254.0), 1.0);
 }
 
 vec3 photograph_at(ivec2 first, vec2 f)

@@ -1,4 +1,4 @@
-// One tile of the web page as a strip of two triangles. u_quad: its left, lower, right and upper end on the canvas, −1…1.
+// One tile of the web page as a strip of two triangles. u_quad: its left, bottom, right and top on the canvas, −1…1.
 
 uniform vec4 u_quad;
 

@@ -1,8 +1,8 @@
-// Maps of a tile as bytes. u_planes, layer 0: the normal, octahedral (Cigolle et al. 2014, A Survey of Efficient
-// Representations for Independent Unit Vectors), twelve bits each: eight of u in red, eight of v in green, the lower four
-// of both in blue; 0 where the texel is outside. Layers 1 and on: the model's other components, three a layer, as the root
-// of their place in their range. exports/web/planes.py writes them, and "web/layout.glsl": PLANES, COMPONENTS, NORMAL (its
-// first component), LOW and SPAN of the ranges.
+// Maps of a tile as bytes, written by exports/web/planes.py. u_planes, layer 0: the normal, octahedral (Cigolle et al.
+// 2014, A Survey of Efficient Representations for Independent Unit Vectors), 12 bits each: the upper eight of u in red,
+// those of v in green, the lower four of both in blue; 0 where the texel is outside. Layers from 1: the model's other
+// components, three per layer, as the square root of their fraction of the range. exports/web/planes.py also writes
+// "web/layout.glsl": PLANES, COMPONENTS, NORMAL (its first component), LOW and SPAN of the ranges.
 
 #include "web/layout.glsl"
 
@@ -24,7 +24,7 @@ vec3 normal_of(vec3 bytes)
     return normalize(n);
 }
 
-// Adds ``share`` of a texel's components; returns what it has added: nothing where the texel is outside.
+// Adds the components of a texel, times ``share``. Returns the share added: 0 where the texel is outside.
 float add_texel(ivec2 at, float share, inout float c[12])
 {
     vec3 normal_bytes = bytes_at(at, 0);

@@ -1,4 +1,4 @@
-// Lines with round ends, and discs, with edges one pixel soft. All lengths in pixels.
+// Lines with round ends, and discs, with antialiased edges (1 pixel). All lengths are in pixels.
 
 #include "window/screen.glsl"
 

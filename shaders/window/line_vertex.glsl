@@ -1,12 +1,12 @@
-// Vertex stage of lines and points of any width, each a rectangle that faces the viewer: no backend but OpenGL has wide
-// lines. Reads begin and end of a line (equal: a point), their colours, and which corner of the rectangle this is
-// (x: 0 at the begin, 1 at the end; y: −1 or 1 across). u_size: the window in pixels. Everything else is in pixels.
+// Vertex stage of lines and points of any width, each a rectangle that faces the viewer: only OpenGL has wide lines.
+// Reads begin and end of a line (equal for a point), their colours, and the corner of the rectangle (x: 0 at the begin,
+// 1 at the end; y: −1 or 1 across). u_size: the window in pixels. All other lengths are in pixels.
 
 void main()
 {
     vec4 a = u_matrix * vec4(begin, 1.0);
     vec4 b = u_matrix * vec4(end, 1.0);
-    // Cuts off at the near plane: behind the eye a line would be reversed.
+    // Clips at the near plane. Behind the eye a line would be reversed.
     float near_a = a.z + a.w;
     float near_b = b.z + b.w;
     vec4 from = near_a < 0.0 && near_b > 0.0 ? mix(a, b, near_a / (near_a - near_b)) : a;
@@ -26,7 +26,7 @@ void main()
     vec2 along = v_end - v_begin;
     float length_px = length(along);
     along = length_px > 0.0 ? along / length_px : vec2(1.0, 0.0);
-    // One pixel more than half the width has room for the soft edge.
+    // Half the width plus one pixel for the antialiased edge.
     float reach = 0.5 * u_width + 1.0;
     vec2 middle = corner.x < 0.5 ? v_begin - reach * along : v_end + reach * along;
     v_place = middle + corner.y * reach * vec2(-along.y, along.x);

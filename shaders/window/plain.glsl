@@ -1,4 +1,4 @@
-// Coloured triangles, display values.
+// Coloured triangles, in display values.
 
 #include "window/screen.glsl"
 

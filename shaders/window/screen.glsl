@@ -1,6 +1,5 @@
-// Display values to frame buffer values. Blender sets srgbTarget if the buffer encodes by itself, as those of viewport and
-// image editor do: it then takes linear values.
-// The curve: IEC 61966-2-1.
+// Converts display values to frame buffer values. Blender sets srgbTarget if the buffer encodes linear values itself,
+// as in the viewport and the image editor. The curve: IEC 61966-2-1.
 
 vec4 on_screen(vec4 display)
 {

@@ -1,17 +1,17 @@
-// A picture on a surface: u_picture, and from the column u_split of the window on u_second. Display values, nearest
-// texel. Where alpha is below 1 (samples without weight), diagonal stripes u_stripes pixels apart, none where that is 0.
-// Nothing is drawn where alpha is 0 or uv leaves the picture.
+// Draws a picture on a surface: u_picture left of the window's column u_split, u_second right of it. Display values,
+// nearest texel. Where alpha is below 1 (samples without weight), it draws diagonal stripes, u_stripes pixels apart (0:
+// none). Nothing is drawn where alpha is 0 or uv is outside the picture.
 
 #include "window/screen.glsl"
 
 vec4 texel_of(sampler2D picture)
 {
     ivec2 size = textureSize(picture, 0);
-    // A uv of 1 is the far edge of the last texel.
+    // uv = 1 is the outer edge of the last texel.
     return texelFetch(picture, clamp(ivec2(v_uv * vec2(size)), ivec2(0), size - 1), 0);
 }
 
-// Dark stripes on bright colours, bright ones on dark colours.
+// Draws dark stripes on bright colours and bright stripes on dark colours.
 vec3 striped(vec3 color)
 {
     float phase = fract((gl_FragCoord.x + gl_FragCoord.y) / u_stripes);
@@ -21,7 +21,7 @@ vec3 striped(vec3 color)
 
 void main()
 {
-    // An edge of the mesh that lies on the picture's may be interpolated to a little beyond it.
+    // 1e-5: where a mesh edge lies on the picture's edge, interpolation may exceed it slightly.
     if (any(greaterThan(abs(v_uv - 0.5), vec2(0.5 + 1e-5)))) {
         discard;
         return;

@@ -1,4 +1,4 @@
-// Vertex stage of a surface with a picture on it. Reads position and uv; u_toward pulls its depth toward the viewer.
+// Vertex stage of a picture on a surface. Reads position and uv. u_toward moves the depth toward the viewer.
 
 void main()
 {

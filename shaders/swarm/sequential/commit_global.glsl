@@ -1,5 +1,5 @@
-// Pass C, over W×H texels, in place: the candidate becomes the global best if it is better. All swarms do so at once, after
-// all have moved, so that Eq. 4 always reads the bests of the previous iteration.
+// Pass C, over W×H texels, in place: a better candidate replaces the global best. This pass runs after all swarms have
+// moved, so Eq. 4 always reads the global bests of the previous iteration.
 
 bool texel_kernel(ivec2 texel)
 {

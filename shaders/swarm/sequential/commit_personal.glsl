@@ -1,13 +1,13 @@
-// Pass B, continued, over the swarm atlas, in place: the candidate becomes the personal best if it is better.
+// Pass B, second part, over the swarm atlas, in place: a better candidate replaces the personal best of its particle.
 
 #include "swarm/atlas.glsl"
 
-bool texel_kernel(ivec2 place)
+bool texel_kernel(ivec2 atlas_coord)
 {
     ivec2 texel;
     int block;
     int particle;
-    if (!atlas_owner(place, texel, block, particle)) {
+    if (!atlas_owner(atlas_coord, texel, block, particle)) {
         return false;
     }
     vec4 verdict = texelFetch(u_verdict, texel, 0);

@@ -1,14 +1,14 @@
-// Pass B, over the swarm atlas, in place: the moved particle takes the candidate's place and velocity. Reads the candidate
-// textures of pass A. A fragment cannot scatter, so every particle checks whether it was the one.
+// Pass B, over the swarm atlas, in place: writes the candidate's position and velocity to the moved particle. Reads the
+// candidate textures of pass A. A fragment cannot scatter, so every particle checks whether it is the moved one.
 
 #include "swarm/atlas.glsl"
 
-bool texel_kernel(ivec2 place)
+bool texel_kernel(ivec2 atlas_coord)
 {
     ivec2 texel;
     int block;
     int particle;
-    if (!atlas_owner(place, texel, block, particle)) {
+    if (!atlas_owner(atlas_coord, texel, block, particle)) {
         return false;
     }
     if (int(texelFetch(u_verdict, texel, 0).w) != particle) {

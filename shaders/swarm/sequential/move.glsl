@@ -1,8 +1,8 @@
-// Pass A, over W×H texels: moves one particle of every swarm and evaluates it.
+// Pass A, over W×H texels: moves one particle of every swarm and evaluates its fitness.
 // Reads the swarm atlas (u_particle_*), the global bests, the estimates, the geometry and the sample stack.
-// Writes the candidate: its place, its velocity, and in o_verdict (fitness, 1 if a personal best, 1 if a global best,
-// which particle; −1 where nothing moved).
-// With START it places particle u_particle instead of moving a random one.
+// Writes the candidate (position, velocity) and o_verdict: fitness; 1 if it is a personal best; 1 if it is a global
+// best; number of the particle, −1 if no particle moved.
+// With START it initialises particle u_particle instead of moving a random one.
 
 #include "fitness/fitness.glsl"
 #include "swarm/update.glsl"
@@ -18,17 +18,17 @@ bool texel_kernel(ivec2 texel)
     write_position(x);
     write_velocity(v);
     o_verdict = vec4(0.0, 0.0, 0.0, -1.0);
-    float best = texelFetch(u_best_fitness, texel, 0).x;
-    // A swarm that has reached the threshold h of the paper is done.
-    if (state_at(texel) != TEXEL_SOLVED || best <= u_threshold) {
+    float best_fitness = texelFetch(u_best_fitness, texel, 0).x;
+    // A swarm that has reached the paper's threshold h stops.
+    if (state_at(texel) != TEXEL_SOLVED || best_fitness <= u_threshold) {
         return true;
     }
 
     Texel t = observed_texel(texel);
 #ifdef START
     int particle = u_particle;
-    place_particle(texel, particle, x, v);
-    float personal = UNFIT;
+    initialise_particle(texel, particle, x, v);
+    float personal_fitness = UNFIT;
 #else
     uvec4 choice = random_bits(u_seed, u_iteration, global_texel(texel), 0, RANDOM_CHOICE) >> 8u;
     int particle = int(choice.x % uint(PARTICLES));
@@ -45,7 +45,7 @@ bool texel_kernel(ivec2 texel)
         try_neighbour(texel, t.frame, int(choice.y % 8u), x);
     }
 #endif
-    float personal = texelFetch(u_particle_fitness, atlas_texel(texel, 0, particle), 0).x;
+    float personal_fitness = texelFetch(u_particle_fitness, atlas_texel(texel, 0, particle), 0).x;
 #endif
     order_lobes(x, v);
 
@@ -57,13 +57,13 @@ bool texel_kernel(ivec2 texel)
 
     write_position(x);
     write_velocity(v);
-    // The first place is always a personal best.
+    // The initial position is always a personal best.
 #ifdef START
-    bool improved = true;
+    bool is_personal_best = true;
 #else
-    bool improved = fitness < personal;
+    bool is_personal_best = fitness < personal_fitness;
 #endif
-    bool leads = fitness < best || (u_iteration < 0 && particle == 0);
-    o_verdict = vec4(fitness, improved ? 1.0 : 0.0, leads ? 1.0 : 0.0, float(particle));
+    bool is_global_best = fitness < best_fitness || (u_iteration < 0 && particle == 0);
+    o_verdict = vec4(fitness, is_personal_best ? 1.0 : 0.0, is_global_best ? 1.0 : 0.0, float(particle));
     return true;
 }

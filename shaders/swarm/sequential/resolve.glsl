@@ -1,5 +1,5 @@
-// Over W×H texels: the material of the global bests, packed as estimates. Reads the global bests, and the estimates for the
-// parameters that are not searched.
+// Over W×H texels: decodes the global bests to materials. Reads the global bests, and the estimates for the parameters
+// that are not searched. Writes the estimates.
 
 #include "common/estimate.glsl"
 #include "swarm/neighbours.glsl"
@@ -9,9 +9,9 @@ bool texel_kernel(ivec2 texel)
 {
     Material s = estimate_at(texel);
     if (state_at(texel) != TEXEL_OUTSIDE) {
-        float g[8];
-        read_best(texel, g);
-        decode(g, reach_of(scale_at(texel)), s);
+        float best[8];
+        read_best(texel, best);
+        decode(best, reach_of(scale_at(texel)), s);
     }
     float c[12];
     material_to(s, c);

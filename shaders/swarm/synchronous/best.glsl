@@ -1,5 +1,5 @@
-// Pass C of the synchronous swarm, over W×H texels: the best of the generation becomes the global best if it is better.
-// Reads the old bests, and u_fitness and u_linear of the generation; writes the new bests.
+// Pass C of the synchronous swarm, over W×H texels: a better best of this generation replaces the global best.
+// Reads the old global bests, and u_fitness and u_linear of this generation. Writes the new global bests.
 
 #include "fitness/unfit.glsl"
 #include "swarm/synchronous/moved.glsl"
@@ -13,7 +13,7 @@ bool texel_kernel(ivec2 texel)
     o_best_fitness = texelFetch(u_best_fitness, texel, 0).x;
     if (state_at(texel) == TEXEL_SOLVED && o_best_fitness > u_threshold) {
 #ifdef START
-        // A global best is needed even without any observation.
+        // Every texel needs a global best, even without observations.
         float best = 2.0 * UNFIT;
 #else
         float best = o_best_fitness;
@@ -29,7 +29,7 @@ bool texel_kernel(ivec2 texel)
         }
         if (leader >= 0) {
             float v[8];
-            moved(texel, frame_at(texel), leader, x, v);
+            moved_particle(texel, frame_at(texel), leader, x, v);
             read_linear(texel, w);
             o_best_fitness = best;
         }

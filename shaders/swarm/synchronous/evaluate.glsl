@@ -1,12 +1,12 @@
-// Pass A of the synchronous swarm, over W×H texels: evaluates every particle at its new place.
+// Pass A of the synchronous swarm, over W×H texels: evaluates every particle at its new position.
 // Reads the swarm atlas and u_mean, the global bests with their linear weights, the estimates, the geometry with its
 // packing, the sample stack and the observation table.
-// Writes o_fitness, a number a particle, and in o_linear the linear weights of the best of them.
-// It does not write the new places: a pass has at most six outputs, and the commit passes compute them again cheaply. With
-// START it evaluates the places at which particles begin.
+// Writes o_fitness, one number per particle, and o_linear, the linear weights of the best particle. It does not write
+// the new positions: a pass has at most six outputs, and the commit passes can compute them again cheaply. With START
+// it evaluates the initial positions.
 //
 // CHUNK particles share one read of an observation. There are two loops: linear weights, then residual. In float32 the
-// residual does not follow from the sums of the first loop: Σc² − bᵀA⁻¹b stalls at 5 % in roughness.
+// residual does not follow from the sums of the first loop: Σc² − bᵀA⁻¹b stalls at an error of 5 % in roughness.
 
 #include "fitness/fitness.glsl"
 #include "swarm/synchronous/incumbent.glsl"
@@ -20,17 +20,17 @@ bool texel_kernel(ivec2 texel)
         fitness[i] = UNFIT;
     }
 #if LINEAR_BLOCKS > 0
-    Linear winner;
-    clear_linear(winner);
-    float lowest = 2.0 * UNFIT;
+    Linear best_linear;
+    clear_linear(best_linear);
+    float best_fitness = 2.0 * UNFIT;
 #endif
     if (state_at(texel) == TEXEL_SOLVED && texelFetch(u_best_fitness, texel, 0).x > u_threshold) {
         Texel t = observed_texel(texel);
         float scale = loss_scale(t.scale);
         float reach = reach_of(t.scale);
-        Material given = estimate_at(texel);
+        Material estimate = estimate_at(texel);
 #if LINEAR_BLOCKS > 0
-        Material incumbent = incumbent_at(texel);
+        Material incumbent = material_of_best(texel);
 #endif
         for (int first = 0; first < PARTICLES; first += CHUNK) {
             Material s[CHUNK];
@@ -42,8 +42,8 @@ bool texel_kernel(ivec2 texel)
             for (int p = 0; p < CHUNK; p++) {
                 float x[8];
                 float v[8];
-                moved(texel, t.frame, min(first + p, PARTICLES - 1), x, v);
-                s[p] = given;
+                moved_particle(texel, t.frame, min(first + p, PARTICLES - 1), x, v);
+                s[p] = estimate;
                 decode(x, reach, s[p]);
                 sum[p] = 0.0;
 #if LINEAR_BLOCKS > 0
@@ -76,13 +76,13 @@ bool texel_kernel(ivec2 texel)
             }
             for (int p = 0; p < CHUNK && first + p < PARTICLES; p++) {
                 float mean = with_priors(sum[p] / (3.0 * weights), weights, s[p]);
-                // NaN is unfit too: it must never become a best.
-                float worth = weights > 0.0 && mean < UNFIT ? mean : UNFIT;
-                fitness[first + p] = worth;
+                // NaN becomes UNFIT: it must never become a best.
+                float fitness_of_particle = weights > 0.0 && mean < UNFIT ? mean : UNFIT;
+                fitness[first + p] = fitness_of_particle;
 #if LINEAR_BLOCKS > 0
-                if (worth < lowest) {
-                    lowest = worth;
-                    winner = linear[p];
+                if (fitness_of_particle < best_fitness) {
+                    best_fitness = fitness_of_particle;
+                    best_linear = linear[p];
                 }
 #endif
             }
@@ -91,7 +91,7 @@ bool texel_kernel(ivec2 texel)
     write_fitness(fitness);
 #if LINEAR_BLOCKS > 0
     float w[8];
-    numbers_of(winner, w);
+    numbers_of(best_linear, w);
     write_linear(w);
 #endif
     return true;

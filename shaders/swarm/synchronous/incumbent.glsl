@@ -1,18 +1,18 @@
-// The material of a texel's global best, with its linear weights. Reads u_best and u_best_linear; before the first
-// generation, the estimate.
+// Material of a texel's global best with its linear weights; before the first generation the estimate. Reads u_best,
+// u_best_linear and the estimates.
 
 #include "basis.glsl"
 #include "swarm/update.glsl"
 
-Material incumbent_at(ivec2 texel)
+Material material_of_best(ivec2 texel)
 {
     Material s = estimate_at(texel);
 #ifndef START
-    float g[8];
+    float best[8];
     float w[8];
-    read_best(texel, g);
+    read_best(texel, best);
     read_best_linear(texel, w);
-    decode(g, reach_of(scale_at(texel)), s);
+    decode(best, reach_of(scale_at(texel)), s);
     linear_from(w, s);
 #endif
     return s;

@@ -1,4 +1,4 @@
-// Over W×H texels: the neighbourhood mean of Eq. 4, once for all particles of a synchronous swarm.
+// Over W×H texels: computes the neighbourhood mean of Eq. 4 once for all particles of a synchronous swarm.
 
 #include "swarm/neighbours.glsl"
 

@@ -1,21 +1,21 @@
-// The new place of a particle in this iteration: a pure function, so that every pass computes the same.
-// Reads u_mean: the neighbourhood means of Eq. 4.
+// New position of a particle in this iteration. A pure function: every pass that calls it computes the same position.
+// Reads u_mean, the neighbourhood means of Eq. 4.
 
 #include "swarm/update.glsl"
 
-void moved(ivec2 texel, Frame f, int particle, out float x[8], out float v[8])
+void moved_particle(ivec2 texel, Frame f, int particle, out float x[8], out float v[8])
 {
 #ifdef START
-    place_particle(texel, particle, x, v);
+    initialise_particle(texel, particle, x, v);
 #else
     float mean[8];
     read_mean(texel, mean);
     move_particle(texel, particle, mean, x, v);
 #if NEIGHBOUR_EVERY > 0
-    // The last four take the bests of the four texels beside this one: directions 1, 3, 4 and 6 of eight.
-    int last = PARTICLES - 1 - particle;
-    if ((u_iteration + 1) % NEIGHBOUR_EVERY == 0 && last < 4) {
-        try_neighbour(texel, f, last < 2 ? 1 + 2 * last : 2 * last, x);
+    // The last four particles take the bests of the four texels that share an edge: directions 1, 3, 4 and 6 of eight.
+    int from_end = PARTICLES - 1 - particle;
+    if ((u_iteration + 1) % NEIGHBOUR_EVERY == 0 && from_end < 4) {
+        try_neighbour(texel, f, from_end < 2 ? 1 + 2 * from_end : 2 * from_end, x);
     }
 #endif
 #endif

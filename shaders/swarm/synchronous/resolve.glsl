@@ -1,4 +1,4 @@
-// Over W×H texels: the material that the global bests and their linear weights stand for, packed as estimates.
+// Over W×H texels: decodes the global bests and their linear weights to materials. Writes the estimates.
 
 #include "swarm/synchronous/incumbent.glsl"
 
@@ -6,7 +6,7 @@ bool texel_kernel(ivec2 texel)
 {
     Material s = estimate_at(texel);
     if (state_at(texel) == TEXEL_SOLVED) {
-        s = incumbent_at(texel);
+        s = material_of_best(texel);
     }
     float c[12];
     material_to(s, c);
