@@ -96,22 +96,19 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
     sides = ("ahead", "behind") if central else ("ahead",)
     steps = [f"float by_{u};" for u in stepped] + [f"Material {side}_{u};" for u in stepped for side in sides]
     sums = [f"float slope_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
-    stepped_lines = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
-    stepped_lines += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
+    steps_taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
+    steps_taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
     if central:
-        stepped_lines += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
-    clear_lines = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
-    copy_lines = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
-    copy_lines += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
+        steps_taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
+    clears = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
+    copies = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
+    copies += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
     parts = [
         ("struct Steps", ["float none;", *steps]),
         ("struct NormalSums", sums),
-        ("void take_steps(inout float c[12], inout Steps p)", stepped_lines),
-        ("void clear_sums(out NormalSums n)", clear_lines),
-        (
-            "void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])",
-            copy_lines,
-        ),
+        ("void take_steps(inout float c[12], inout Steps p)", steps_taken),
+        ("void clear_sums(out NormalSums n)", clears),
+        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", copies),
         (
             "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
             " inout NormalSums n)",

@@ -18,7 +18,7 @@ _EXCHANGED = 160  # host bytes per texel while a round estimates indirect light 
 _RAY = 104  # host bytes per ray while an exchange is made (measured)
 _PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
-_TEXTURE, _SHARE = 1 << 30, 8  # bytes of a texture that software GL allows; part of a large device memory: 1/8
+_TEXTURE, _SHARE = 1 << 30, 8  # bytes of one texture that software GL allows; divisor of a large device memory
 _MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
 _SMALLEST = 8  # texels along the longer side: a tile this small is not cut
 
@@ -32,7 +32,7 @@ class Borders:
     middle: np.ndarray
     length: np.ndarray
 
-    def beside(self, box: Box, halo: int) -> float:
+    def length_in(self, box: Box, halo: int) -> float:
         """Return their total length in a box and up to ``halo`` texels around it."""
         x0, y0, width, height = box
         low, high = (x0 - halo, y0 - halo), (x0 + width + halo, y0 + height + halo)
@@ -227,13 +227,13 @@ def _tile_sizes(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | N
     part = coverage[_window(box, cost.reach, coverage.shape)]
     texels, seams = _texels(part), 0
     if borders is not None:
-        beside = borders.beside(box, cost.reach)
-        ghosts = int(beside * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
+        border_length = borders.length_in(box, cost.reach)
+        ghosts = int(border_length * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
         texels += min(ghosts, _texels(coverage) - texels)
         bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.
         places = _grid_places(texels)
-        layers = -(-int(beside * SEAM_REACH) // places)
+        layers = -(-int(border_length * SEAM_REACH) // places)
         seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
     return texels, device_bytes(texels, part.size, cost) + seams, host_bytes(texels, part.size, cost) + seams
 

@@ -74,7 +74,7 @@ def uv_borders(mesh: MeshData, shape: tuple[int, ...]) -> Borders:
 
 
 def scratch_folder(output: Path) -> Path:
-    """Return the folder of scratch files: TMPDIR where it is set, else beside the output folder."""
+    """Return the folder of scratch files: TMPDIR if it is set, else the nearest existing parent of the output."""
     if temporary := os.environ.get("TMPDIR"):
         return Path(temporary)
     return next(folder for folder in output.resolve().parents if folder.is_dir())

@@ -261,17 +261,15 @@ def resolve(
     observations: number of fitted ones; a prefit needs at least ``schedule.prefit.observations``. Raises InputError.
     """
     names = _searched_names(schedule, model)
-    free = [
-        p for p in model.parameters if p.name not in fixed and any(_is_searched(p, s, names) for s in schedule.stages)
-    ]
+    free = [p for p in model.parameters if p.name not in fixed and any(_in_stage(p, s, names) for s in schedule.stages)]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
     resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
-            in_stage = [p for p in free if _is_searched(p, stage, names) and not (has_prefit and p.is_normal)]
-            if in_stage and stage.iterations:
-                resolved.append(_resolve_swarm(schedule, model, in_stage, stage.iterations, cycle))
+            searched = [p for p in free if _in_stage(p, stage, names) and not (has_prefit and p.is_normal)]
+            if searched and stage.iterations:
+                resolved.append(_resolve_swarm(schedule, model, searched, stage.iterations, cycle))
     if free:
         parameters = tuple(free)
         resolved += _resolve_refinement(schedule.refinement, model, parameters)
@@ -310,6 +308,6 @@ def _resolve_swarm(
     return result
 
 
-def _is_searched(parameter: Parameter, stage: Stage, searched: set[str]) -> bool:
+def _in_stage(parameter: Parameter, stage: Stage, searched: set[str]) -> bool:
     names = {parameter.name, parameter.stage}
     return bool(({ALL} | names) & set(stage.search)) or (REST in stage.search and not names & searched)

@@ -17,7 +17,7 @@ from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
-REST = "rest"  # what no stage of the schedule names
+REST = "rest"  # all parameters that no stage of the schedule names
 FORMAT = 2  # of preset files; 1 had other names: survey, polish and their settings
 _TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")
 _ITERATIONS = "iterations"  # of every stage

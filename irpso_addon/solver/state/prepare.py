@@ -230,8 +230,8 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     vectors, irradiance = light_vectors(domain, texels)
     samples = domain.stack.texels(*texels)
     lights = irradiance > 0  # a coloured light may have none of a channel
-    seen = samples[..., 3] > 0
-    shades = [_shade(samples, seen, channel, irradiance[..., channel]) for channel in range(3)]
+    weighted = samples[..., 3] > 0
+    shades = [_shade(samples, weighted, channel, irradiance[..., channel]) for channel in range(3)]
     sums, channels = (shades[0] + shades[1]) + shades[2], lights.sum(axis=-1).astype(np.float64)
     grey = sums.astype(np.float64)
     with np.errstate(all="ignore"):
@@ -268,10 +268,10 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     return normal.astype(np.float32), albedo
 
 
-def _shade(samples: np.ndarray, seen: np.ndarray, channel: int, irradiance: np.ndarray) -> np.ndarray:
+def _shade(samples: np.ndarray, weighted: np.ndarray, channel: int, irradiance: np.ndarray) -> np.ndarray:
     """Return (K, T): one channel over irradiance/π; 0 where a sample has no weight or its light lacks the channel."""
     # A sample of weight 0 may be NaN, and 0 · NaN is NaN.
-    radiance = samples[..., channel] if seen.all() else np.where(seen, samples[..., channel], 0)
+    radiance = samples[..., channel] if weighted.all() else np.where(weighted, samples[..., channel], 0)
     lights = np.broadcast_to(irradiance > 0, radiance.shape)
     if lights.all():
         return radiance / irradiance
