@@ -1,4 +1,4 @@
-"""How well materials far from the estimates fit the photographs: what a linearised render does not see."""
+"""Fit of materials far from the estimates: other optima, which a linearised render does not show."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from ..state.textures import DomainTextures, Estimates, loss_constants
 class Alternatives:
     """The pass that measures, at every texel, how much worse the best material far from the estimate fits.
 
-    Far means: in one number, by 0.3 of its range or more. The other searched numbers and the normal stay, so an
-    alternative may look worse than its best; the linear weights are solved again. The measure is n log((F + ε) /
+    Far: one number differs by 0.3 of its range or more. The other searched numbers and the normal stay fixed, so an
+    alternative may fit worse than its optimum; the linear weights are solved again. The measure is n log((F + ε) /
     (F₀ + ε)), from −9 to 9: F is the fitness of the alternative, F₀ of the estimate, ε the NOISE_FLOOR of
     fitness/with_priors.glsl, n the number of independent samples. It is profile likelihood (Venzon and Moolgavkar
     1988, A Method for Computing Profile-Likelihood-Based Confidence Intervals) at a few values. It excludes numbers
-    with a normal prior, which chooses between optima by itself, and needs a robust loss: ε is in its units. One texel
-    alone says little: where a highlight falls between the lamps, matt paint looks like a mirror (modes.py).
+    with a normal prior, which alone selects between optima, and needs a robust loss: ε is in its units. A single texel
+    is weak evidence: a mirror whose highlight falls between the lamps fits matt paint, too (modes.py).
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Alternatives:
     def measuring(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Measure what ``read`` returns, in bands of rows of about ``seconds``; yields after each."""
+        """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each."""
         if self._pass is None:
             return
         if not self._targets:
@@ -81,7 +81,7 @@ def _solved(model: ReflectanceModel, fixed: Collection[str]) -> list[Parameter]:
     """Return the linear weights to solve again: the first MAX_WEIGHTS, the limit of the closed form."""
     solved: list[Parameter] = []
     for p in model.parameters:
-        room = MAX_WEIGHTS - sum(q.components for q in solved)
-        if p.name not in fixed and has_basis(p, model) and p.components <= room:
+        left = MAX_WEIGHTS - sum(q.components for q in solved)
+        if p.name not in fixed and has_basis(p, model) and p.components <= left:
             solved.append(p)
     return solved

@@ -1,4 +1,4 @@
-"""Coarse to fine: a recovery of the domain at half the size is the first guess of the next finer one."""
+"""Coarse to fine: a recovery of the domain at half the size gives the first guess of the next finer one."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .reconfigure import given
 from .recovery import Recovery
 from .successive import Successive
 
-_AT = "pyramid"  # in a checkpoint: the level, and the evaluations of those before it
+_AT = "pyramid"  # checkpoint array: the level, and the evaluations of the levels before it
 
 
 class Pyramid(Successive):
     """A ``RecoveryEngine`` over ``levels`` sizes of a domain. With one level it is a Recovery.
 
-    schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that all but the coarsest
-    make. Arguments and errors are as for Recovery; a domain with a halo raises ValueError.
+    schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that finer levels
+    run. Arguments and errors are as for Recovery; a domain with a halo raises ValueError.
     """
 
     def __init__(
@@ -52,13 +52,13 @@ class Pyramid(Successive):
         return maps
 
     def state(self, running: bool = True) -> Checkpoint:
-        """Return the state of the current level, its number, and the evaluations of those before it."""
+        """Return the state of the current level, its number, and the evaluations of the levels before it."""
         state = self._live.state(running)
-        return replace(state, arrays=state.arrays | {_AT: np.array([self._at, self._before])})
+        return replace(state, arrays=state.arrays | {_AT: np.array([self._at, self._earlier_evaluations])})
 
     def restore(self, saved: Checkpoint) -> None:
         self.close()
-        self._at, self._before = (int(number) for number in saved.arrays[_AT])
+        self._at, self._earlier_evaluations = (int(number) for number in saved.arrays[_AT])
         self._live = self._begin(None)
         self._live.restore(replace(saved, arrays={n: a for n, a in saved.arrays.items() if n != _AT}))
 
@@ -71,7 +71,7 @@ class Pyramid(Successive):
     def _texels(self, number: int) -> int:
         return int(np.count_nonzero(self._domains[number].solvable))
 
-    def _ending(self, number: int) -> str:
+    def _title_suffix(self, number: int) -> str:
         return "" if number == self.schedule.levels - 1 else f" at 1/{2 ** (self.schedule.levels - 1 - number)}"
 
     def _begin(self, guess: Maps | None) -> Recovery:
@@ -82,7 +82,7 @@ class Pyramid(Successive):
 
     def _next(self) -> Iterator[None]:
         guess = self._finer(self._live.maps(confidence=False), self._at)
-        self._before += self._live.progress.evaluations
+        self._earlier_evaluations += self._live.progress.evaluations
         self._live.close()
         self._at += 1
         self._live = self._begin(guess)
@@ -97,23 +97,23 @@ class Pyramid(Successive):
         }
         residual = finer_map(coarse, domain, present(maps.residual)[..., None], 0.0)[..., 0]
         deviations, alternatives = (
-            doubts and {name: finer_map(coarse, domain, value, 0.0) for name, value in doubts.items()}
-            for doubts in (maps.confidence, maps.alternatives)
+            measured and {name: finer_map(coarse, domain, value, 0.0) for name, value in measured.items()}
+            for measured in (maps.confidence, maps.alternatives)
         )
         return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
 
 
 def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
-    """Return the schedules of the levels, coarsest first; the others begin at its estimates and are shorter."""
+    """Return the schedules of the levels, coarsest first; finer ones start from earlier estimates and are shorter."""
     first = schedule.replaced(levels=1)
     part = schedule.level_iterations
-    stages = tuple(replace(stage, iterations=_part(stage.iterations, part)) for stage in first.stages)
-    prefit = replace(first.prefit, iterations=_part(first.prefit.iterations, part))
+    stages = tuple(replace(stage, iterations=_shortened(stage.iterations, part)) for stage in first.stages)
+    prefit = replace(first.prefit, iterations=_shortened(first.prefit.iterations, part))
     finer = replace(given(first.replaced(prefit=prefit)), stages=stages)
     return (first, *[finer] * (schedule.levels - 1))
 
 
-def _part(iterations: int, part: float) -> int:
+def _shortened(iterations: int, part: float) -> int:
     return max(1, round(part * iterations)) if iterations else 0
 
 

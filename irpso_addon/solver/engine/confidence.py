@@ -28,15 +28,15 @@ def deviation_pass(
 class Confidence:
     """The pass that measures the standard deviation of every parameter at every texel.
 
-    It linearises the render around the estimates and takes the noise from the residuals there: σ² = variance ·
-    (JᵀJ)⁻¹, over all n numbers that are not ``fixed`` jointly. The variance is a Σ w e² / (3 Σ w − n (1 + a) / 2), over
-    weighted samples and three channels. a = Σ w (e_r + e_g + e_b)² / Σ w e², 1 to 3, is how much the channels err
-    together: shifts, shading and JPEG's luminance are one error and not three. With a robust loss the deviation of a
-    sample is at least 0.3 % of the texel's scale. A wrong model stays unseen; alternatives.py and modes.py find other
-    optima. A number that the samples do not determine has its range for σ: one whose column of J is lost in rounding,
-    that is a mixture of others, or that noise moves by more than its range when all others may move with it. Numbers
-    that can be traded for it take their share, up to their own range: two lobes of one width leave r1, r2 and w open
-    (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than numbers all have their range.
+    The render is linearised at the estimates; the residuals there give the noise: σ² = variance · (JᵀJ)⁻¹, jointly over
+    all n numbers that are not ``fixed``. The variance is a Σ w e² / (3 Σ w − n (1 + a) / 2), over weighted
+    samples and three channels. a = Σ w (e_r + e_g + e_b)² / Σ w e², 1 to 3, shows how the channels' errors correlate:
+    shifts, shading and JPEG's luminance are one error, not three. With a robust loss the deviation of a sample is at
+    least 0.3 % of the texel's scale. Model errors are not detected; alternatives.py and modes.py detect other optima.
+    σ of an undetermined number is its range: its column of J is lost in rounding or depends linearly on others, or its
+    joint deviation exceeds its range. Numbers that can compensate for it get their share, up to their own range: two
+    lobes of one width leave r1, r2 and w undetermined (r1 by (1 − w) / w of r2's range), w = 1 leaves r2. With fewer
+    samples than numbers, σ of all is their range.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Confidence:
     def measuring(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Measure what ``read`` returns, in bands of rows of about ``seconds``; yields after each."""
+        """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each."""
         if not self._targets:
             self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         inputs = {**domain.textures, **estimates.bindings(resolved)}
@@ -57,7 +57,7 @@ class Confidence:
         yield from self._pass.in_bands("confidence", bands, seconds, self._targets, inputs, constants)
 
     def read(self) -> dict[str, np.ndarray]:
-        """Return the last measurement: name → (h, w, components) float32, packed, in its units; 0 where it is fixed.
+        """Return the last measurement: name → (h, w, components) float32, packed, in its units; 0 where fixed.
 
         A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
         """

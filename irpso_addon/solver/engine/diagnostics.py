@@ -1,4 +1,4 @@
-"""Maps, error and deviations of an unfinished recovery, measured in slices without disturbing the search."""
+"""Maps, error and deviations of an unfinished recovery, measured in slices; the search does not change."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Diagnostics:
         self._residual = residual_pass(model, domain.defines)
         self._residual.compile()
         self._error = textures.empty(*estimates.size)
-        self._doubts: tuple[Confidence, Alternatives] | None = None  # made when first asked for: two more shaders
+        self._measures: tuple[Confidence, Alternatives] | None = None  # made at first use: two more shaders
         self._bands = Bands()
         self._resolved = False  # whether ``maps`` returns the resolved estimates
         self._sample: tuple[Texture, Texture] | None = None  # places of texels, and their residuals
@@ -50,7 +50,7 @@ class Diagnostics:
     def finding(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Resolve a phase's estimates and measure them, in bands of about ``seconds``; yields after each.
 
-        phase: None where all are done. confidence: measure deviations and alternatives too. paced: as in Bands.
+        phase: None after the last one. confidence: measure deviations and alternatives too. paced: as in Bands.
         """
         self._bands.paced = paced
         self._resolved = False
@@ -64,14 +64,14 @@ class Diagnostics:
             lambda rows: self._residual.run(targets, inputs, constants, rows), lambda: self._residual.fence(targets),
         )  # fmt: skip
         if confidence:
-            if self._doubts is None:
+            if self._measures is None:
                 settings = self._model, self._fixed, self._fitness, self._domain.defines
-                self._doubts = Confidence(*settings), Alternatives(*settings)
-            for doubt in self._doubts:
-                yield from doubt.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)
+                self._measures = Confidence(*settings), Alternatives(*settings)
+            for measure in self._measures:
+                yield from measure.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:
-        """Return the last measurement of ``finding``."""
+        """Return the last measure of ``finding``."""
         packing, solvable = self._domain.packing, self._domain.domain.solvable
         values = {
             name: packing.unpack(value, self._model.parameter(name).default)
@@ -79,14 +79,14 @@ class Diagnostics:
         }
         error = packing.unpack(textures.download(self._error)[..., 0])
         deviations = alternatives = None
-        if confidence and self._doubts is not None:
+        if confidence and self._measures is not None:
             deviations, alternatives = (
-                {name: packing.unpack(value) for name, value in doubt.read().items()} for doubt in self._doubts
+                {name: packing.unpack(value) for name, value in measure.read().items()} for measure in self._measures
             )
         return Maps(self._model, values, solvable, error, deviations, alternatives=alternatives)
 
     def at(self, rows: np.ndarray, columns: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return what ``maps`` has at n texels: parameter name → (n, components), and (n,) the residual."""
+        """Return the values of ``maps`` at n texels: parameter name → (n, components), and (n,) residuals."""
         places = self._domain.packing.places(rows, columns)
         return self._estimates.at(places, self._resolved), textures.texels(self._error, places)[:, 0]
 
@@ -96,7 +96,7 @@ class Diagnostics:
         The texels are drawn once, at random and without replacement.
         """
         if self._sample is None:
-            self._sample = self._drawn()
+            self._sample = self._draw_sample()
         places, target = self._sample
         inputs = {**self._domain.textures, **shown, "u_sampled": places}
         self._sampled.run([target], inputs, {"u_observations": self._domain.domain.observations})
@@ -108,13 +108,13 @@ class Diagnostics:
         """Free shaders and textures."""
         self._residual.close()
         self._sampled.close()
-        for doubt in self._doubts or ():
-            doubt.close()
-        self._doubts = self._sample = None
+        for measure in self._measures or ():
+            measure.close()
+        self._measures = self._sample = None
         del self._error
 
-    def _drawn(self) -> tuple[Texture, Texture]:
-        """Return the packed texels that are sampled, −1 in spare places, and the texture of their residuals."""
+    def _draw_sample(self) -> tuple[Texture, Texture]:
+        """Return the positions of the sampled packed texels, −1 at unused ones, and the texture of their residuals."""
         packing = self._domain.packing
         own = np.flatnonzero(packing.pack(texel_states(self._domain.domain)) == SOLVED)
         chosen = np.sort(np.random.default_rng(0).permutation(own)[:_SAMPLED])

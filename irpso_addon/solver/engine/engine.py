@@ -1,4 +1,4 @@
-"""The base class of recoveries: what the window, the command line, MPI and Python drive, however a domain is solved."""
+"""Base class of recoveries: the interface that the window, the command line, MPI and Python drive."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from .halo import Box
 from .progress import Progress
 from .watch import Note, note_of
 
-_MOST_RUNNING = 1 << 21  # solvable texels whose running stage goes into a checkpoint: about a gigabyte
+_MOST_RUNNING = 1 << 21  # solvable texels: above it, checkpoints omit the running stage (about a gigabyte)
 _DIVIDED = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"
 
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a recovery can do beside stepping to its maps.
+    """Optional features of a recovery.
 
-    view: the live textures that it lends: of the whole domain, of the tiles on the device, or none. reconfigure:
-    whether it accepts other settings in mid-run. turns: whether tiles take turns on the device, so short steps cost.
-    watches: whether it has ``watch``.
+    view: which live textures it lends: of the whole domain, of the tiles on the device, or none. reconfigure: whether
+    it accepts other settings during the run. turns: whether tiles take turns on the device, which makes short steps
+    slow. watches: whether it has ``watch``.
     """
 
     view: Literal["whole", "tiles", "none"]
@@ -52,7 +52,7 @@ class Capabilities:
 
 
 class RecoveryEngine(ABC):
-    """One run: domain, model and schedule to maps. A context manager that closes it.
+    """One run from domain, model and schedule to maps. A context manager that closes it.
 
     The same seed, settings and device give the same maps bit for bit, however the steps were sliced, the domain was
     divided or the run was interrupted.
@@ -67,7 +67,7 @@ class RecoveryEngine(ABC):
         fixed: Mapping[str, np.ndarray] | None,
         entry: EntryChoice,
     ):
-        """Begin nothing yet.
+        """Store the arguments; nothing runs yet.
 
         fixed: parameter name → (H, W, components) or (components,) in the parameter's own units; these parameters are
         not searched. entry: of the shaders; "auto" is the one that the probe finds faster.
@@ -75,26 +75,26 @@ class RecoveryEngine(ABC):
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self.fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
-        self._told: tuple[np.ndarray, np.ndarray] | None = None  # a separation, and the share in it
+        self._separation_share: tuple[np.ndarray, np.ndarray] | None = None  # a separation, and its share
 
     @property
     @abstractmethod
     def capabilities(self) -> Capabilities:
-        """What it can do."""
+        """The optional features of this recovery."""
 
     @property
     @abstractmethod
     def progress(self) -> Progress:
-        """How far it is, bands of the current iteration included."""
+        """The progress, including the finished bands of the current iteration."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Doubts about the recovery itself, for the report."""
+        """Warnings about the recovery itself, for the report."""
         return ()
 
     @property
     def findings(self) -> dict[str, Any]:
-        """What it found besides the maps, for the report."""
+        """Results besides the maps, for the report."""
         if (separation := self.separation) is None:
             return {}
         share = separation[self.domain.solvable, 4]
@@ -116,7 +116,7 @@ class RecoveryEngine(ABC):
         """
 
     def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
-        """Return what maps() has of n texels; quick where one recovery holds the whole domain."""
+        """Return the values of maps() at n texels; fast if one recovery holds the whole domain."""
         return note_of(self.maps(confidence=False), self.progress.iteration_in_all, rows, columns)
 
     @abstractmethod
@@ -127,9 +127,9 @@ class RecoveryEngine(ABC):
         """
 
     def watch(self, rows: np.ndarray, columns: np.ndarray, due: Callable[[Progress], bool]) -> None:
-        """Note from now on what maps() has at n texels, after iterations that are ``due``; ``notes`` returns it.
+        """Record from now on the values of maps() at n texels after ``due`` iterations; ``notes`` returns them.
 
-        For tiles that take turns: to ask them for maps after an iteration would end their turns there.
+        For tiles that take turns: a call of maps() after an iteration would end their turns.
         """
         raise NotImplementedError
 
@@ -141,44 +141,44 @@ class RecoveryEngine(ABC):
     def separation(self) -> np.ndarray | None:
         """(H, W, SEPARATED) float32 by which indirect light was separated (state/separation.py); None: nowhere.
 
-        The same array as long as it is.
+        The array object changes only when its values change.
         """
         return None
 
     def indirect(self, observation: int) -> np.ndarray | float:
-        """Return the light that was taken off a photograph before the maps were found, (H, W, 3) or 0."""
+        """Return the indirect light that was subtracted from a photograph before the fit, (H, W, 3) or 0."""
         if (separation := self.separation) is None:
             return 0.0
         direct = SeparatedStack(self.domain, separation)
         return self.domain.stack.layer(observation)[..., :3] - direct.layer(observation)[..., :3]
 
     def indirect_in(self, domain: Domain) -> Generator[None, None, Callable[[int], np.ndarray | float]]:
-        """Yield often; return what gives the light that the maps make the subject throw on itself in an observation.
+        """Yield often; return a function that gives the indirect light of an observation, as the maps predict it.
 
-        domain: of the same texels, with observations that the maps need not have been found from. The light is
-        (H, W, 3), or 0 where the maps do not tell it.
+        domain: the same texels; its observations may be others than the fitted ones. The light is (H, W, 3), or 0 where
+        the recovery does not model it.
         """
         yield from ()
         return lambda observation: 0.0
 
     @property
     def indirect_share(self) -> np.ndarray | None:
-        """(H, W) float32, the part 0…1 of the light of the photographs that others of the subject sent to a texel.
+        """(H, W) float32: the indirect part, 0…1, of a texel's light, over all photographs that show the texel.
 
-        Over all photographs that show it, as last found. None before that, and where none was sought or found. A
-        later find is another array.
+        The last estimate; None before the first, and where none is made or no indirect light was detected. A new
+        estimate is a new array.
         """
         separation = self.separation
         if separation is None:
             return None
-        if self._told is None or self._told[0] is not separation:
-            self._told = separation, separation[..., 4]
-        return self._told[1]
+        if self._separation_share is None or self._separation_share[0] is not separation:
+            self._separation_share = separation, separation[..., 4]
+        return self._separation_share[1]
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Work for about a time on what ``maps`` returns; return whether it is ready, so that maps() is quick.
+        """Compute the result of ``maps`` for about ``time_budget_s``; return whether it is ready: then maps() is fast.
 
-        A divided recovery does that work in maps().
+        A tiled recovery computes it in maps().
         """
         return True
 
@@ -191,7 +191,7 @@ class RecoveryEngine(ABC):
         raise InputError(_DIVIDED)
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        """Return the pass that finds the deviations of what ``view`` lends, and its constants. Raises as ``view``."""
+        """Return the pass for the deviations of the estimates of ``view``, and its constants. Raises as ``view``."""
         raise InputError(_DIVIDED)
 
     @property
@@ -200,7 +200,7 @@ class RecoveryEngine(ABC):
         return None
 
     def tiles(self) -> list[tuple[Box, RecoveryEngine]]:
-        """Return the tiles on the device, to look at and not to step: boxes of their own texels, and recoveries."""
+        """Return (box of own texels, recovery) for each tile on the device. The caller must not step them."""
         return []
 
     def reconfigure(self, schedule: Schedule, seed: int | None = None) -> Self:
@@ -212,7 +212,7 @@ class RecoveryEngine(ABC):
 
     @property
     def settled(self) -> bool:
-        """Whether ``state`` need not first bring all tiles to the same iteration, which may take a turn of each."""
+        """Whether all tiles are at one iteration. If not, ``state`` finishes the round, perhaps a turn of each."""
         return True
 
     @abstractmethod
@@ -220,33 +220,33 @@ class RecoveryEngine(ABC):
         """Return all that a recovery of the same domain and settings needs to reach the same maps bit for bit.
 
         Its arrays are of the solvable texels of the whole domain, row by row (state/layout.py), however it is divided.
-        running: with what the running stage has found. Without it a resumed run makes the stage again; what is left
-        takes a twelfth to a half of the bytes. Ranks always return all, and so does a stage that began under settings
-        that have been changed since.
+        running: include the state of the running stage. Without it a resumed run repeats the stage, and the state has
+        a twelfth to a half of the bytes. Ranks always include it, and so does a stage whose settings have changed since
+        its begin.
         """
 
     @abstractmethod
     def restore(self, saved: Checkpoint) -> None:
-        """Continue from what ``state`` returned."""
+        """Continue from a result of ``state``."""
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What must be equal for a checkpoint to be resumed, as plain data."""
+        """The properties that must match to resume a checkpoint, as plain data."""
         settings = self.model, self.schedule, self.seed, self.entry, self.fixed
         return checkpoint.identity(self.domain, *settings, self.digest)
 
     @cached_property
     def digest(self) -> int:
-        """A number of all samples; found once, because it reads them all."""
+        """The digest of all samples; computed once, because it reads all of them."""
         return digest_of_texels(self.domain)
 
     def save(
         self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({}), running: bool | None = None
     ) -> bool:
-        """Write a checkpoint, from which ``load`` continues to the same maps bit for bit. Written whole or not at all.
+        """Write a checkpoint atomically. ``load`` continues from it to the same maps bit for bit.
 
-        notes: arrays of the caller's own, which ``load`` returns. running: as for ``state``; None: unless the domain is
-        large. Returns whether another in the same stage would hold more.
+        notes: arrays of the caller, which ``load`` returns. running: as for ``state``; None: True unless the domain is
+        large. Returns whether a later checkpoint in the same stage would hold more.
         """
         if running is None:
             running = bool(np.count_nonzero(self.domain.solvable) <= _MOST_RUNNING)
@@ -257,7 +257,7 @@ class RecoveryEngine(ABC):
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Continue from a checkpoint of the same domain, model, schedule and seed, and return its notes.
 
-        Raises InputError for another's.
+        Raises InputError for a checkpoint of another recovery.
         """
         saved = checkpoint.read(Path(path), self.identity)
         self.restore(saved)
@@ -265,7 +265,7 @@ class RecoveryEngine(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Free all that lies on the GPU."""
+        """Free all textures and shaders on the GPU."""
 
     def __enter__(self) -> Self:
         return self

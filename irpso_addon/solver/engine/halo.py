@@ -1,4 +1,4 @@
-"""The texels of one tile that others read: those in their halo, and those that they see across UV seams."""
+"""Texels of one tile that other tiles read: those in their halos, and those that are ghosts of their UV seams."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def place_of(box: Box, domain: Domain) -> Place:
 
 
 def overlaps_of(places: Sequence[Place]) -> list[list[HaloOverlap]]:
-    """Return for each tile the overlaps of its own texels with what others read."""
+    """Return for each tile the overlaps of its own texels with the reads of other tiles."""
     pairs = [
         [overlap_of(place, there, other) for other, there in enumerate(places) if number != other]
         for number, place in enumerate(places)
@@ -55,15 +55,15 @@ def overlaps_of(places: Sequence[Place]) -> list[list[HaloOverlap]]:
 
 
 def overlap_of(place: Place, there: Place, other: int, reach: int | None = None) -> HaloOverlap | None:
-    """Return the texels at ``place`` that the tile at ``there`` reads, None where it reads none.
+    """Return the texels at ``place`` that the tile at ``there`` reads; None where it reads none.
 
-    other: the reader's number. reach: how much of its halo it reads; all of it where None.
+    other: the reader's number. reach: width of the halo that it reads, in texels; None for all of it.
     """
-    here, beside = _in_halo(place, there, reach)
+    here, in_halo = _in_halo(place, there, reach)
     seen, ghosts = _in_ghosts(place, there)
     if not len(ghosts) and here[0].stop <= here[0].start:
         return None
-    return HaloOverlap(other, here, beside, seen, ghosts)
+    return HaloOverlap(other, here, in_halo, seen, ghosts)
 
 
 def part_of(box: Box) -> Part:

@@ -18,7 +18,7 @@ Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): o
 
 
 class HaloTransport(Protocol):
-    """Brings results of tiles' own texels to the tiles that have them in their halos or behind their seams.
+    """Sends results of a tile's own texels to the tiles that have these texels in their halo or as ghosts.
 
     Tiles are numbered in their process. All processes call ``exchange``, ``all`` and ``publish`` in the same order.
     """
@@ -26,13 +26,13 @@ class HaloTransport(Protocol):
     connected: bool  # whether any tile reads another
 
     def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
-        """Give (H, W, n) results of a tile's texels. reach: how much of the halos the next iteration reads."""
+        """Publish (H, W, n) results of a tile's texels. reach: width of the halos that the next iteration reads."""
 
     def exchange(self) -> None:
-        """Bring over what was published: all tiles of this process have published, at the same iteration."""
+        """Send what was published. All tiles of this process have published, at the same iteration."""
 
     def received(self, tile: int) -> Sequence[Received]:
-        """Return what others have published of the texels that a tile reads."""
+        """Return the results that other tiles have published for the texels that a tile reads."""
 
     def all(self, value: Value) -> list[Value]:
         """Return the value of each process."""
@@ -44,15 +44,15 @@ class LocalTransport:
     def __init__(self, places: Sequence[Place]):
         self._overlaps = overlaps_of(places)
         self.connected = any(self._overlaps)
-        self._coming: list[dict[int, Received]] = [{} for _ in places]
+        self._arriving: list[dict[int, Received]] = [{} for _ in places]
         self._held: list[dict[int, Received]] = [{} for _ in places]
 
     def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
         for overlap in self._overlaps[tile]:
-            self._coming[overlap.other][tile] = overlap, taken(overlap, found)
+            self._arriving[overlap.other][tile] = overlap, taken(overlap, found)
 
     def exchange(self) -> None:
-        self._held, self._coming = self._coming, [{} for _ in self._held]
+        self._held, self._arriving = self._arriving, [{} for _ in self._held]
 
     def received(self, tile: int) -> Sequence[Received]:
         return list(self._held[tile].values())
@@ -64,8 +64,8 @@ class LocalTransport:
 class LockStep:
     """Drives the tiles of one process so that all tiles of the domain make the same iterations.
 
-    halo: texels around every tile. A round receives what was published, iterates tile after tile up to the next
-    iteration that reads neighbours, and publishes what that reads.
+    halo: texels around every tile. A round receives the published halos, iterates tile after tile up to the next
+    iteration that reads neighbours, and publishes the halos for that iteration.
     """
 
     def __init__(self, pool: TilePool, transport: HaloTransport, halo: int):
@@ -73,29 +73,29 @@ class LockStep:
         self._published = False  # whether the next iteration's halos have been exchanged
         self._samples: list[np.ndarray] = []  # of this process's tiles, for the next iteration
         self._sample: np.ndarray | None = None  # of all tiles
-        self._made = 0  # iterations of the last round
+        self._iterations_made = 0  # iterations of the last round
         self._work: Iterator[None] | None = None
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> None:
         """Advance as RecoveryEngine.step.
 
         With a time budget it may stop while some tiles are ahead of others; the next step continues there. Where tiles
-        take turns, that first finishes the round, however few iterations the caller wants, and ends with it.
+        take turns, the next step finishes this round, even if that exceeds ``iterations``, and then returns.
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
         while self._work is not None or not self._done and (left is None or left > 0 or self._placing):
             if self._work is None:
-                # Longer rounds save turns only: without turns the next call then has little to finish.
+                # Longer rounds only save turns. Without turns, short ones leave little for the next call to finish.
                 most = 1 if left is None and deadline is not None and self._pool.resident else left
                 self._work = self._round(0 if self._placing else most, deadline is not None)
             for _ in self._work:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return
             self._work = None
-            left = None if left is None else left - self._made
+            left = None if left is None else left - self._iterations_made
             if deadline is not None and not self._pool.resident:
-                return  # all tiles are at the same iteration: the moment for a checkpoint, which else takes a turn
+                return  # all tiles are at the same iteration: a checkpoint now takes no extra turn
 
     def finish_round(self) -> None:
         """Bring all tiles to the same iteration."""
@@ -105,7 +105,7 @@ class LockStep:
             self._work = None
 
     def restart(self) -> None:
-        """Forget the round and what was published: the tiles' recoveries have changed."""
+        """Discard the round and the published halos: the tiles' recoveries have changed."""
         self._work, self._published, self._sample = None, False, None
 
     @property
@@ -122,10 +122,10 @@ class LockStep:
         return any(tile.progress.iteration < 0 for tile in self._pool.tiles)
 
     def _round(self, most: int | None, paced: bool) -> Iterator[None]:
-        """Let all tiles make the same iterations: ``most`` at most.
+        """Run the same iterations on all tiles, at most ``most``.
 
-        The first tile finds out how many: it stops before an iteration that reads neighbours, and at the threshold.
-        Yields after each iteration of a tile; paced: every few milliseconds, after waiting for each band.
+        The first tile sets their number: it stops before an iteration that reads neighbours, and at the threshold.
+        Yields after each iteration of a tile; paced: every few milliseconds, after each band has ended.
         """
         order = self._pool.order()
         if self._pool.recovery(order[0]).reach and not self._published:
@@ -135,7 +135,7 @@ class LockStep:
         count, budget = most, BAND_SECONDS if paced else None
         for turn, number in enumerate(order):
             tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
-            tile.seen = None
+            tile.round_maps = None
             self._receive(number)
             if most == 0:
                 yield from self._stepping(number, 0, budget)
@@ -148,17 +148,17 @@ class LockStep:
                 if turn == 0 and (recovery.reach or self._reached(recovery)):
                     break
             count = made
-            if made and made == most and not self._pool.resident:  # the caller will look; the tile is here now
-                tile.seen = recovery.maps(confidence=False)
+            if made and made == most and not self._pool.resident:  # for the caller, while the tile is here
+                tile.round_maps = recovery.maps(confidence=False)
             self._publish(number)
-        self._made = count or 0
+        self._iterations_made = count or 0
         self._exchange()
         reached = all(tile.reached for tile in self._pool.tiles)
         if self._pool.active.looks_at_threshold and all(self._transport.all(reached)):
             yield from self._finish_stage()
 
     def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
-        """Let a tile make iterations, and keep its progress."""
+        """Run iterations of a tile, and record its progress."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
         for _ in recovery.stepping(iterations, budget):
             tile.progress = recovery.progress
@@ -167,7 +167,7 @@ class LockStep:
         tile.look()
 
     def _reached(self, recovery: TileRecovery) -> bool:
-        """Whether the first tile of any process has reached the threshold."""
+        """Return whether the first tile of any process has reached the threshold."""
         return recovery.looks_at_threshold and any(self._transport.all(recovery.reached))
 
     def _finish_stage(self) -> Iterator[None]:
@@ -176,9 +176,9 @@ class LockStep:
             tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
             before = recovery.progress.iteration_in_all
             recovery.finish_stage()
-            tile.progress, tile.reached, tile.seen = recovery.progress, False, None
+            tile.progress, tile.reached, tile.round_maps = recovery.progress, False, None
             if tile.watch is not None and recovery.progress.iteration_in_all != before:
-                tile.watch.forget(before)  # the whole domain solved at once has passed it
+                tile.watch.forget(before)  # an untiled recovery would not have recorded it
             tile.look()
             self._publish(number)
             yield
@@ -204,7 +204,7 @@ class LockStep:
             self._transport.exchange()
 
     def _receive(self, number: int) -> None:
-        """Give a tile what others have published, if its next iteration reads it."""
+        """Copy the published halos into a tile, if its next iteration reads them."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
         if not recovery.reach:
             return
@@ -223,5 +223,5 @@ class LockStep:
 
 
 def taken(overlap: HaloOverlap, found: np.ndarray) -> np.ndarray:
-    """Return (n, channels) of a tile's results (H, W, channels): those of another's halo, then of its ghosts."""
+    """Return (n, channels) of a tile's results (H, W, channels): at texels of another's halo, then at its ghosts."""
     return np.concatenate([found[overlap.here].reshape(cells_of(overlap), found.shape[-1]), found[overlap.seen]])

@@ -1,4 +1,4 @@
-"""Materials of a surface that leave a number open between two distant values."""
+"""Detection of materials for which a number has two distant optima."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ...results.maps import Maps
-from ..phases.mixture import belonging, features_of, merged, mixture, sampled
+from ..phases.mixture import features_of, memberships, merged, mixture, sampled
 from ..settings.groups import Materials
 
-_TEXELS = 40  # that decide together: as many as the spatial prior reads (kernels/spatial_prior.taps_of)
+_TEXELS = 40  # whose evidence is pooled: as many as the spatial prior reads (kernels/spatial_prior.taps_of)
 _CONTRADICTED = 9.0  # −2 log of the likelihoods' ratio: three standard deviations
 _AT_ONCE = 1 << 16  # texels
 
@@ -19,10 +19,10 @@ _AT_ONCE = 1 << 16  # texels
 def with_modes(maps: Maps) -> Maps:
     """Return the maps of a whole domain with ``two_modes`` set; the same maps where there are no alternatives.
 
-    The texels of a material decide together. One texel cannot: a mirror whose highlight falls between the lamps nearly
-    always fits matt paint, too. Materials are a mixture (phases/mixture.py) over a sample of the maps. A number has two
-    modes in a material where the mean of its texels' ``alternatives``, times _TEXELS (or their number, if smaller), is
-    under _CONTRADICTED.
+    The evidence of all texels of a material is pooled. One texel does not suffice: a mirror whose highlight falls
+    between the lamps nearly always fits matt paint, too. Materials are a mixture (phases/mixture.py) over a sample of
+    the maps. A number has two modes in a material where the mean of its texels' ``alternatives``, times _TEXELS (or the
+    number of texels, if smaller), is under _CONTRADICTED.
     """
     if not maps.alternatives or not maps.covered.any():
         return maps
@@ -36,17 +36,17 @@ def with_modes(maps: Maps) -> Maps:
         return maps
     materials = mixture(features[finite], Materials().count)
     count = len(materials[0])
-    weights, worse = np.zeros(count), np.zeros((count, len(names)))
+    weights, deviance_sums = np.zeros(count), np.zeros((count, len(names)))
     material = np.zeros(maps.covered.shape, np.uint8)
     for rows, columns, values in _texels(maps):
-        weight = belonging(features_of(maps.model, parameters, np.pad(values, ((0, 0), (3, 0)))), *materials)
+        weight = memberships(features_of(maps.model, parameters, np.pad(values, ((0, 0), (3, 0)))), *materials)
         material[rows, columns] = weight.argmax(axis=1)
         deviances = np.column_stack([maps.alternatives[name][rows, columns].min(axis=-1) for name in names])
         weights += weight.sum(axis=0)
-        worse += weight.T @ deviances.astype(np.float64)
-    mean = worse / np.maximum(weights, 1e-9)[:, None]
-    two = mean * np.minimum(weights, _TEXELS)[:, None] < _CONTRADICTED
-    return replace(maps, two_modes={name: two[material, i] & maps.covered for i, name in enumerate(names)})
+        deviance_sums += weight.T @ deviances.astype(np.float64)
+    mean = deviance_sums / np.maximum(weights, 1e-9)[:, None]
+    bimodal = mean * np.minimum(weights, _TEXELS)[:, None] < _CONTRADICTED
+    return replace(maps, two_modes={name: bimodal[material, i] & maps.covered for i, name in enumerate(names)})
 
 
 def _texels(maps: Maps) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..settings.resolve import Resolved
 
-_LEAST_FRACTION = 0.003  # of the work, for a pace of the run
-_LEAST_OF_STAGE = 0.02  # of the work, for a pace of the stage
+_LEAST_FRACTION = 0.003  # of the work: least sample for the pace of the run
+_LEAST_OF_STAGE = 0.02  # of the work: least sample for the pace of the stage
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Progress:
 class Course:
     """The stages of a recovery and their shares of the work.
 
-    works: for each stage the work of its iterations, those of its placing first.
+    works: for each stage the work of each iteration; the placing of swarms comes first.
     """
 
     def __init__(self, stages: Sequence[Resolved], works: Sequence[Sequence[float]]):
@@ -72,8 +72,8 @@ class Course:
 class TimeLeft:
     """The seconds that a run has left, from its progress at several times.
 
-    The current stage has its own pace, once that is known, the others have the run's. A resumed run is measured from
-    its checkpoint on.
+    The current stage uses its own pace once that is known, the other stages the pace of the run. A resumed run is timed
+    from its checkpoint.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class TimeLeft:
         self._number = -1
 
     def after(self, seconds: float, progress: Progress) -> float | None:
-        """Return the seconds left after ``seconds`` of work; None as long as the pace is unknown."""
+        """Return the seconds left after ``seconds`` of work; None while the pace is unknown."""
         now = seconds, progress.fraction
         if self._run is None or now[0] < self._run[0]:
             self._run, self._number = now, -1
@@ -93,12 +93,12 @@ class TimeLeft:
         pace = _pace(self._run, now, _LEAST_FRACTION)
         if pace is None:
             return None
-        own = _pace(self._stage, now, _LEAST_OF_STAGE)
-        here = max(0.0, progress.stage_end - progress.fraction)
-        return here * (pace if own is None else own) + (1 - progress.fraction - here) * pace
+        stage_pace = _pace(self._stage, now, _LEAST_OF_STAGE)
+        stage_left = max(0.0, progress.stage_end - progress.fraction)
+        return stage_left * (pace if stage_pace is None else stage_pace) + (1 - progress.fraction - stage_left) * pace
 
 
 def _pace(since: tuple[float, float], now: tuple[float, float], least: float) -> float | None:
-    """Return the seconds for all of the work, None if less than ``least`` of it is done."""
+    """Return the seconds for all of the work; None if less than ``least`` of it has been timed."""
     made = now[1] - since[1]
     return (now[0] - since[0]) / made if made >= least else None

@@ -1,4 +1,4 @@
-"""Other settings in mid-run: which parts of a recovery continue, and which restart around the current estimates."""
+"""Other settings during a run: which parts of a recovery continue, and which restart from the current estimates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Kept:
     """The parts of a recovery that continue under another schedule.
 
     index: of the stage that it begins with. phase: the current phase continues. swarms: the phase whose swarms the next
-    one continues with. samples: the samples on the GPU stay.
+    one inherits. samples: the samples on the GPU stay.
     """
 
     index: int
@@ -41,13 +41,13 @@ def kept(
     phase: Phase | None,
     model: ReflectanceModel,
 ) -> Kept:
-    """Return what continues. old, stages: of the schedules before and after. running: the index of the stage."""
+    """Return the parts that continue. old, stages: of the schedules before and after. running: index of the stage."""
     index = finished_alike(old[:running], stages)
-    goes_on, swarms = False, None
+    phase_continues, swarms = False, None
     if index < len(stages) and index == running:
-        goes_on = _settings_of(before, old[running]) == _settings_of(after, stages[index])
-        swarms = None if goes_on else _same_swarms(phase, model, before, after, stages[index])
-    return Kept(index, goes_on, swarms, not _samples_differ(before.fitness, after.fitness))
+        phase_continues = _settings_of(before, old[running]) == _settings_of(after, stages[index])
+        swarms = None if phase_continues else _same_swarms(phase, model, before, after, stages[index])
+    return Kept(index, phase_continues, swarms, not _samples_differ(before.fitness, after.fitness))
 
 
 def given(schedule: Schedule) -> Schedule:
@@ -59,17 +59,17 @@ def given(schedule: Schedule) -> Schedule:
 
 
 def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> int:
-    """Return how many of the finished stages another schedule begins with, whatever its constants are."""
+    """Return the number of finished stages with which another schedule begins, too; constants may differ."""
     count = 0
     for done, stage in zip(before, stages, strict=False):
-        if not _one_search(done, stage):
+        if not _same_search(done, stage):
             break
         count += 1
     return count
 
 
-def _one_search(a: Resolved, b: Resolved) -> bool:
-    """Whether two phases are of one kind and search the same, and the first measures what the second would."""
+def _same_search(a: Resolved, b: Resolved) -> bool:
+    """Return whether two phases have one kind and one search, and the first makes all measurements of the second."""
     if isinstance(a, ResolvedPrefit) and isinstance(b, ResolvedPrefit) and b.seeks and not a.seeks:
         return False
     cycles = (a.cycle, b.cycle) if isinstance(a, ResolvedSwarm) and isinstance(b, ResolvedSwarm) else (0, 0)
@@ -84,12 +84,12 @@ def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
 def _same_swarms(
     phase: Phase | None, model: ReflectanceModel, before: Schedule, after: Schedule, stage: Resolved
 ) -> SwarmPhase | None:
-    """Return the current swarms if another schedule can use them: their positions and fitnesses mean the same."""
+    """Return the current swarms if another schedule can use them: positions and fitnesses have the same meaning."""
     if not isinstance(phase, SwarmPhase) or not isinstance(stage, ResolvedSwarm) or phase.iteration < 0:
         return None
     encoding = build_encoding(model, stage, after.swarm.normal)
     same = (
-        _one_search(phase.stage, stage)
+        _same_search(phase.stage, stage)
         and stage.solved == phase.stage.solved
         and before.fitness == after.fitness
         and (before.swarm.update, before.swarm.linear_reach) == (after.swarm.update, after.swarm.linear_reach)
@@ -99,9 +99,9 @@ def _same_swarms(
 
 
 def _samples_differ(a: Fitness, b: Fitness) -> bool:
-    """Whether scales or the weights of samples differ."""
+    """Return whether scales or the weights of samples differ."""
 
-    def dropped(fitness: Fitness) -> float:
+    def shadow_limit(fitness: Fitness) -> float:
         return fitness.shadow if fitness.loss == "robust" else 0.0
 
-    return (a.percentile, a.bounds, dropped(a)) != (b.percentile, b.bounds, dropped(b))
+    return (a.percentile, a.bounds, shadow_limit(a)) != (b.percentile, b.bounds, shadow_limit(b))

@@ -1,4 +1,4 @@
-"""The base class of recoveries that are made of several, each of which begins with what the one before has found."""
+"""Base class of engines that run several recoveries in turn, each from the results of the one before."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .progress import Progress
 class Successive(RecoveryEngine):
     """A ``RecoveryEngine`` that runs one recovery after another. A subclass makes them.
 
-    _live: the running one, number ``_at`` of ``_schedules``. _before: evaluations of those that are done.
+    _live: the running one, number ``_at`` of ``_schedules``. _earlier_evaluations: evaluations of the finished ones.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class Successive(RecoveryEngine):
         entry: EntryChoice,
         schedules: Sequence[Schedule],
     ):
-        """Begin nothing yet. schedules: of the recoveries; the others are as for RecoveryEngine."""
+        """Store the arguments; nothing runs yet. schedules: of the recoveries. Others as for RecoveryEngine."""
         super().__init__(domain, model, schedule, seed, fixed, entry)
         self._schedules = tuple(schedules)
-        self._at, self._before = 0, 0
-        self._passing: Iterator[None] | None = None
+        self._at, self._earlier_evaluations = 0, 0
+        self._transition: Iterator[None] | None = None
         self._programs = KeptPrograms()
         self._live: RecoveryEngine
 
@@ -56,12 +56,12 @@ class Successive(RecoveryEngine):
         """Return how many texels a recovery solves."""
 
     @abstractmethod
-    def _ending(self, number: int) -> str:
-        """Return what is added to the titles of a recovery's stages."""
+    def _title_suffix(self, number: int) -> str:
+        """Return the suffix of the titles of a recovery's stages."""
 
     @abstractmethod
     def _next(self) -> Iterator[None]:
-        """Close the live recovery, which is done, and make the next; yields often, while the live one is open."""
+        """Close the live recovery, which is done, and start the next; yields often before the live one closes."""
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance as RecoveryEngine.step, through all recoveries: the step that ends one begins the next."""
@@ -70,43 +70,43 @@ class Successive(RecoveryEngine):
         while True:
             before = self._live.progress
             budget = None if deadline is None else max(0.0, deadline - time.perf_counter())
-            # One at a time counts exactly where a threshold ends a stage; tiles that take turns make all at once.
-            asked = left if not left or self.capabilities.turns else 1
-            after = self._live.step(asked, budget)
+            # Single iterations count exactly where a threshold ends a stage; tiles that take turns run all at once.
+            requested = left if not left or self.capabilities.turns else 1
+            after = self._live.step(requested, budget)
             if after.done and self._at == len(self._schedules) - 1:
                 return self.progress
-            if after.done and not self._passed(deadline):
+            if after.done and not self._finish_transition(deadline):
                 return self.progress
             made = after.iteration_in_all - before.iteration_in_all
-            left = left - min(made, asked) if left and asked else left
+            left = left - min(made, requested) if left and requested else left
             placed = self._live.progress.iteration >= 0
             if (left == 0 and placed) or (deadline is not None and time.perf_counter() >= deadline):
                 return self.progress
 
-    def _passed(self, deadline: float | None) -> bool:
-        """Work until a deadline on what is between two recoveries; return whether the next one is live."""
-        self._passing = self._passing or self._next()
-        for _ in self._passing:
+    def _finish_transition(self, deadline: float | None) -> bool:
+        """Run the transition between two recoveries until a deadline; return whether the next one is live."""
+        self._transition = self._transition or self._next()
+        for _ in self._transition:
             if deadline is not None and time.perf_counter() >= deadline:
                 return False
-        self._passing = None
+        self._transition = None
         return True
 
     @property
     def progress(self) -> Progress:
-        """How far the run is: stages and iterations count through all recoveries, the fraction through their texels."""
+        """The progress of the run: stages and iterations of all recoveries, and the fraction weighted by texels."""
         live, at = self._live.progress, self._at
         done = sum(self._costs[:at]) + live.fraction * self._costs[at]
         return replace(
             live,
             stage=sum(self._stages[:at]) + live.stage,
             stages=sum(self._stages),
-            title=live.title + self._ending(at),
+            title=live.title + self._title_suffix(at),
             iteration_in_all=sum(self._iterations[:at]) + live.iteration_in_all,
             iterations_in_all=sum(self._iterations),
             fraction=done / sum(self._costs),
             stage_end=(done + (live.stage_end - live.fraction) * self._costs[at]) / sum(self._costs),
-            evaluations=self._before + live.evaluations,
+            evaluations=self._earlier_evaluations + live.evaluations,
             done=live.done and at == len(self._schedules) - 1,
         )
 
@@ -122,7 +122,7 @@ class Successive(RecoveryEngine):
 
     @property
     def capabilities(self) -> Capabilities:
-        return replace(self._live.capabilities, watches=False)  # its maps may be others than the live one's
+        return replace(self._live.capabilities, watches=False)  # its maps may differ from the live recovery's
 
     @property
     def separation(self) -> np.ndarray | None:
@@ -143,14 +143,14 @@ class Successive(RecoveryEngine):
         return self._live.deviation_pass()
 
     def close(self) -> None:
-        self._passing = None
+        self._transition = None
         self._live.close()
         self._programs.close()
 
     def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:
         """Return a run that continues from here, or from the next recovery if between two, under other schedules."""
-        if self._passing is not None:
-            self._passed(None)
+        if self._transition is not None:
+            self._finish_transition(None)
         result = copy(self)
         result.schedule, result.seed = schedule, self.seed if seed is None else seed
         result._schedules = tuple(schedules)[: len(self._schedules)]
@@ -163,7 +163,7 @@ class Successive(RecoveryEngine):
         return self.fixed
 
     def _count(self) -> None:
-        """Find stages, iterations and costs of all recoveries."""
+        """Count stages, iterations and costs of all recoveries."""
         observations = self.domain.observations
         self._stages, self._iterations, self._costs = [], [], []
         for number, schedule in enumerate(self._schedules):

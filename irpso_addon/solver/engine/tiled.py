@@ -1,4 +1,4 @@
-"""A recovery of a domain that does not fit into memory: tiles in lock step, with the maps of the whole bit for bit."""
+"""Recovery of a domain that does not fit into memory: tiles in lock step, with an untiled one's maps bit for bit."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from .watch import Note, Watch, noted_by_all
 
 
 class TiledRecovery(RecoveryEngine):
-    """A ``RecoveryEngine`` over tiles: the maps are those of the whole domain at once, bit for bit.
+    """A ``RecoveryEngine`` over tiles. Its maps equal those of an untiled recovery bit for bit.
 
     boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
-    least the reach of every phase. on_device: how many tiles are on the device at once, None for all. Fewer take turns,
-    up to the next iteration that reads neighbours; the others' state waits in memory, or in files in the folder
-    ``scratch``. prepared, guess: as for Recovery. Errors are those of Recovery. solver/views/tiled_view.py shows it.
+    least the reach of every phase. on_device: most tiles on the device at once, None for all. If fewer, tiles take
+    turns, up to the next iteration that reads neighbours; the others' state is in memory, or in files in the folder
+    ``scratch``. prepared, guess: as for Recovery. Errors are those of Recovery. Shown by solver/views/tiled_view.py.
     """
 
     def __init__(
@@ -57,15 +57,15 @@ class TiledRecovery(RecoveryEngine):
         context.ensure()
         super().__init__(domain, model, schedule, seed, fixed, entry)
         self._halo = halo
-        self._watched: list[tuple[Watch, np.ndarray]] = []  # with the numbers of its texels among the watched
-        self._once: int | None = None  # a stage that cannot be made again from its begin
+        self._watched: list[tuple[Watch, np.ndarray]] = []  # with the indices of its texels among the watched
+        self._once: int | None = None  # a stage that cannot restart from its begin
         _check_boxes(boxes, domain)
         prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
         if guess is not None:
             prepared = replace(prepared, guess=dict(guess))
         tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
         self._pool = TilePool(tiles, model, schedule, seed, self.entry, on_device, scratch)
-        self._found: tuple[int, np.ndarray | None] | None = None  # the separation at a stage
+        self._separation: tuple[int, np.ndarray | None] | None = None  # the separation at a stage
         self._driver = LockStep(self._pool, LocalTransport([part.place for part in tiles]), halo)
 
     @property
@@ -85,7 +85,7 @@ class TiledRecovery(RecoveryEngine):
 
     @property
     def progress(self) -> Progress:
-        """The progress of the slowest tile; its fraction includes what the others are ahead."""
+        """The progress of the slowest tile; the fraction includes the lead of the others."""
         parts = self._pool.tiles
         slowest = min((part.progress for part in parts), key=lambda p: (p.done, p.stage, p.iteration))
         ahead = sum(part.solved * (part.progress.fraction - slowest.fraction) for part in parts)
@@ -95,9 +95,9 @@ class TiledRecovery(RecoveryEngine):
         return replace(slowest, fraction=fraction, stage_end=end, evaluations=evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return the maps so far, as RecoveryEngine.maps; tiles that take turns take one each.
+        """Return the maps so far, as RecoveryEngine.maps; tiles that take turns need one turn each.
 
-        Not where a step has just made all the iterations that it was asked for, and no confidence is wanted.
+        No turn is needed without ``confidence`` after a step that has run all the requested iterations.
         """
         self._driver.finish_round()
         shape = self.domain.shape
@@ -105,20 +105,20 @@ class TiledRecovery(RecoveryEngine):
         for p in self.model.parameters:
             values[p.name][:] = p.default
         residual = np.zeros(shape, np.float32)
-        doubts: tuple[dict[str, np.ndarray], ...] = {}, {}  # deviations, alternatives
+        uncertainties: tuple[dict[str, np.ndarray], ...] = {}, {}  # deviations, alternatives
         for number in self._pool.order():
             part = self._pool.tiles[number]
-            seen, part.seen = part.seen, None
-            maps = self._pool.recovery(number).maps(confidence) if confidence or seen is None else seen
+            round_maps, part.round_maps = part.round_maps, None
+            maps = self._pool.recovery(number).maps(confidence) if confidence or round_maps is None else round_maps
             texels, own = part_of(part.box), own_of(part.domain)
             residual[texels] = present(maps.residual)[own]
             for name, value in maps.values.items():
                 values[name][texels] = value[own]
-            for wholes, parts in zip(doubts, (maps.confidence, maps.alternatives), strict=True):
+            for wholes, parts in zip(uncertainties, (maps.confidence, maps.alternatives), strict=True):
                 for name, value in (parts or {}).items():
                     whole = wholes.setdefault(name, np.zeros((*shape, value.shape[-1]), np.float32))
                     whole[texels] = value[own]
-        deviations, alternatives = doubts if confidence else (None, None)
+        deviations, alternatives = uncertainties if confidence else (None, None)
         return Maps(self.model, values, self.domain.solvable, residual, deviations, alternatives=alternatives)
 
     def watch(self, rows: np.ndarray, columns: np.ndarray, due: Callable[[Progress], bool]) -> None:
@@ -140,16 +140,16 @@ class TiledRecovery(RecoveryEngine):
     @property
     def separation(self) -> np.ndarray | None:
         stage = self.progress.stage
-        if self._found is None or self._found[0] != stage:
+        if self._separation is None or self._separation[0] != stage:
             whole = np.zeros((*self.domain.shape, SEPARATED), np.float32)
             for number, part in enumerate(self._pool.tiles):
                 if (found := self._pool.separation(number)) is not None:
                     whole[part_of(part.box)] = found[own_of(part.domain)]
-            self._found = stage, whole if whole.any() else None
-        return self._found[1]
+            self._separation = stage, whole if whole.any() else None
+        return self._separation[1]
 
     def state(self, running: bool = True) -> Checkpoint:
-        """Return the state of all tiles, in memory or in files as theirs."""
+        """Return the state of all tiles, in memory or in files like the tiles' own."""
         self._driver.finish_round()
         numbers, at, particle_tiles = (
             numbered(self.domain.solvable),
@@ -189,7 +189,7 @@ class TiledRecovery(RecoveryEngine):
                 part.progress = replace(part.progress, evaluations=part.memory.evaluations)
 
     def mean_error(self) -> float:
-        """Return the mean error over a few thousand texels of each tile; of a waiting tile the last one, if any."""
+        """Return the mean error over a few thousand texels of each tile; of a waiting tile its last value, if any."""
         for part in self._pool.tiles:
             if part.recovery is not None:
                 part.error = part.recovery.mean_error()

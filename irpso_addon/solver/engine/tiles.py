@@ -1,4 +1,4 @@
-"""Tiles of a domain: recoveries on the device, and the memory of those that wait for their turn."""
+"""Tiles of a domain: recoveries on the device, and the stored state of tiles that wait for their turn."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .watch import Watch
 
 
 class TileRecovery(Recovery):
-    """A recovery that does not stop at the threshold by itself: only the whole domain may."""
+    """A recovery that does not end a stage at the threshold by itself: all tiles must reach it."""
 
     reached = False  # whether every swarm of the tile was at the threshold after the last iteration
 
@@ -46,9 +46,9 @@ class TileRecovery(Recovery):
 class Tile:
     """A tile and its recovery.
 
-    domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: of the recovery
-    while that is not on the device. files: the memory's arrays, if they are in files. seen: its maps at the end of a
-    round that the caller wanted to end there, until they are asked for, or the next round. watch: of its own texels.
+    domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: state of the
+    recovery while it is not on the device. files: the arrays of ``memory``, if they are in files. round_maps: at the
+    end of a round with all requested iterations, until they are read or the next round starts. watch: of own texels.
     """
 
     box: Box
@@ -60,7 +60,7 @@ class Tile:
     progress: Progress = field(init=False)  # set by the pool
     reached: bool = False
     error: float | None = None
-    seen: Maps | None = None
+    round_maps: Maps | None = None
     watch: Watch | None = None
     memory: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
@@ -71,7 +71,7 @@ class Tile:
         return place_of(self.box, self.domain)
 
     def look(self) -> None:
-        """Let the watch of its texels take a note if one is due."""
+        """Record a note of the watched texels if one is due."""
         if self.watch is not None and self.recovery is not None:
             self.watch.look(self.recovery.progress, self.recovery.note)
 
@@ -79,8 +79,8 @@ class Tile:
 class TilePool:
     """The tiles of one process.
 
-    most: how many are on the device at once, None for all. Fewer take turns; the others' state waits in memory, or in
-    files in the folder ``scratch``.
+    most: most tiles on the device at once, None for all. If fewer, tiles take turns; the others' state is in memory, or
+    in files in the folder ``scratch``.
     """
 
     def __init__(
@@ -106,21 +106,21 @@ class TilePool:
         return self._most == len(self.tiles)
 
     def fill(self) -> None:
-        """Put on the device as many as there is room for; the others have the first one's progress."""
+        """Put as many tiles on the device as ``most`` allows; the others get the progress of the first one."""
         for number in range(self._most):
             self.recovery(number)
         for tile in self.tiles[self._most :]:
             tile.progress = self.tiles[0].progress
 
     def order(self) -> list[int]:
-        """The tiles, those on the device first: each turn uploads a part of the sample stack."""
+        """Return the tiles' numbers, those on the device first: each turn uploads a part of the sample stack."""
         return sorted(range(len(self.tiles)), key=lambda number: self.tiles[number].recovery is None)
 
     def recovery(self, number: int) -> TileRecovery:
-        """Return a tile's recovery, put on the device if it is not there."""
+        """Return a tile's recovery; put it on the device if it is not there."""
         tile = self.tiles[number]
         if tile.recovery is None:
-            # The last one used leaves: the next round begins with those before it.
+            # The tile used last leaves the device: the next round begins with the tiles used before it.
             last = self.tiles[self._last]
             if last.recovery is not None and sum(other.recovery is not None for other in self.tiles) == self._most:
                 last.memory = self._stored(last, last.recovery.memory())
@@ -140,7 +140,7 @@ class TilePool:
         return self.recovery(self._last)
 
     def separation(self, number: int) -> np.ndarray | None:
-        """Return the separation of a tile, as RecoveryEngine.separation, without bringing it onto the device."""
+        """Return the separation of a tile, as RecoveryEngine.separation, without putting it on the device."""
         tile = self.tiles[number]
         if tile.recovery is not None:
             return tile.recovery.separation
@@ -152,15 +152,15 @@ class TilePool:
         tile = self.tiles[number]
         if tile.recovery is not None:
             tile.recovery.close()
-        tile.recovery = tile.seen = None
+        tile.recovery = tile.round_maps = None
         tile.memory = self._stored(tile, memory)
 
     def close(self) -> None:
-        """Free all that lies on the device, and the files."""
+        """Free all recoveries on the device, and the files."""
         for tile in self.tiles:
             if tile.recovery is not None:
                 tile.recovery.close()
-            tile.recovery = tile.memory = tile.seen = None
+            tile.recovery = tile.memory = tile.round_maps = None
             tile.files = {}
         self._programs.close()
 
@@ -169,7 +169,7 @@ class TilePool:
         return np.zeros(shape, dtype) if self._scratch is None else mapped_array(self._scratch, shape, dtype)
 
     def _stored(self, tile: Tile, memory: Checkpoint) -> Checkpoint:
-        """Return a tile's memory, moved to files if there is a folder for them."""
+        """Return a tile's state, moved to files if there is a folder for them."""
         if self._scratch is None:
             return memory
         files = {}

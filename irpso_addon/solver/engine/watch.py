@@ -1,4 +1,4 @@
-"""What a few texels show while a recovery runs, noted at the iterations that ask for it and not by stopping there."""
+"""Values of a few texels during a recovery, recorded after the iterations that are due, without stopping there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .progress import Progress
 
 @dataclass(frozen=True)
 class Note:
-    """What ``maps`` returns of n texels after an iteration, counted over all stages.
+    """The values of ``maps`` at n texels after an iteration, which is counted over all stages.
 
     values: parameter name → (n, components). residual: (n,).
     """
@@ -32,7 +32,7 @@ def note_of(maps: Maps, iteration: int, rows: np.ndarray, columns: np.ndarray) -
 
 @dataclass
 class Watch:
-    """Takes notes of n texels of a recovery, (n,) rows and columns, after the iterations that are ``due``."""
+    """Records notes of n texels of a recovery, (n,) rows and columns, after the iterations that are ``due``."""
 
     rows: np.ndarray
     columns: np.ndarray
@@ -41,22 +41,22 @@ class Watch:
     last: int = 0  # iteration of the last note: the placing of a stage's swarms is no new one
 
     def look(self, progress: Progress, note: Callable[[np.ndarray, np.ndarray], Note]) -> None:
-        """Take a note if one is due. progress, note: of the texels' recovery."""
+        """Record a note if one is due. progress, note: of the texels' recovery."""
         if progress.iteration_in_all != self.last and self.due(progress):
             self.last = progress.iteration_in_all
             self.notes.append(note(self.rows, self.columns))
 
     def forget(self, iteration: int) -> None:
-        """Drop the note of an iteration that turned out to be the last of its stage."""
+        """Remove the note of an iteration that was the last of its stage."""
         self.notes = [note for note in self.notes if note.iteration != iteration]
 
 
 def noted_by_all(watches: Sequence[tuple[Watch, np.ndarray]]) -> list[Note]:
-    """Take from watches the notes that all of them have, joined.
+    """Remove from watches the notes that all of them have, and return these merged.
 
-    With each watch the numbers of its texels among all that are watched.
+    watches: each with the indices of its texels among all watched texels.
     """
-    found = []
+    merged = []
     texels = sum(len(numbers) for _, numbers in watches)
     for notes in zip(*(watch.notes for watch, _ in watches), strict=False):
         whole = {name: np.empty((texels, value.shape[1]), np.float32) for name, value in notes[0].values.items()}
@@ -65,7 +65,7 @@ def noted_by_all(watches: Sequence[tuple[Watch, np.ndarray]]) -> list[Note]:
             residual[numbers] = note.residual
             for name, value in note.values.items():
                 whole[name][numbers] = value
-        found.append(Note(notes[0].iteration, whole, residual))
+        merged.append(Note(notes[0].iteration, whole, residual))
     for watch, _ in watches:
-        del watch.notes[: len(found)]
-    return found
+        del watch.notes[: len(merged)]
+    return merged

@@ -1,4 +1,4 @@
-"""Encoding of particles: places in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
+"""Encoding of particles: positions in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
 
-_ROOM = 8  # dimensions of a particle, at most
+_MOST_DIMENSIONS = 8  # of a particle
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """dimensions: n of 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
+    """dimensions: n, 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
 
     lambert_dimensions: bit mask of the dimensions that a Lambertian seed sets: those of normal and albedo.
     """
@@ -32,7 +32,7 @@ class Encoding:
     @property
     def packed(self) -> Packed:
         """Layout of a particle in textures."""
-        return Packed(self.blocks, _ROOM)
+        return Packed(self.blocks, _MOST_DIMENSIONS)
 
 
 def blocks_of(dimensions: int) -> int:
@@ -42,11 +42,11 @@ def blocks_of(dimensions: int) -> int:
 
 def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: NormalSearch) -> Encoding:
     """Return the encoding of a stage: its parameters one after the other, each component scaled to its range."""
-    decode, encode, places = [], [], {}
+    decode, encode, offsets = [], [], {}
     defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
     at = mask = 0
     for p in stage.parameters:
-        places[p.name] = at
+        offsets[p.name] = at
         if p.is_normal or p.is_albedo:
             mask |= (1 << stage.size(p, normal)) - 1 << at
         if p.is_normal:
@@ -65,11 +65,11 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
             decode.append(f"{field} = {low!r} + {span} * x[{at}];")
             encode.append(f"x[{at}] = clamp(({field} - {low!r}) / ({span}), 0.0, 1.0);")
             at += 1
-    found = {*places, *(p.name for p in stage.solved)}  # what is solved afterwards follows the order by itself
-    if model.ordered and set(model.ordered) <= set(places) and set(model.complement) <= found:
-        defines |= {"LOBE_FIRST": places[model.ordered[0]], "LOBE_SECOND": places[model.ordered[1]]}
-        if model.complement and model.complement[0] in places:
-            defines["LOBE_WEIGHT"] = places[model.complement[0]]
+    free = {*offsets, *(p.name for p in stage.solved)}  # solved parameters follow the order of the searched ones
+    if model.ordered and set(model.ordered) <= set(offsets) and set(model.complement) <= free:
+        defines |= {"LOBE_FIRST": offsets[model.ordered[0]], "LOBE_SECOND": offsets[model.ordered[1]]}
+        if model.complement and model.complement[0] in offsets:
+            defines["LOBE_WEIGHT"] = offsets[model.complement[0]]
     clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
     source = "\n".join(
         ['#include "material.glsl"', '#include "swarm/encoding.glsl"',

@@ -1,4 +1,4 @@
-"""The numbers that a model leaves to be found, of all its parameters at once, as GLSL."""
+"""The unknowns of a model, of all free parameters jointly, as GLSL."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from ...reflectance.model import Parameter, ReflectanceModel, Start
 
 @dataclass(frozen=True)
 class FreeParameters:
-    """The numbers that a model leaves to be found. count: a normal is two.
+    """The unknowns of a model. count: a normal counts as two.
 
-    source: their table, and which of them are searched, as GLSL.
+    source: GLSL of their table, and of the predicate for searched unknowns.
     """
 
     count: int
@@ -24,8 +24,8 @@ def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> Fr
     """Return the free parameters of a model: all but those named ``fixed``.
 
     ``FreeParameter free_at(int u)`` gives component, low end and width of its range. The normal is two numbers, from
-    NORMAL_FREE on (−1 if it is fixed), of the component NORMAL_COMPONENT. ``bool searched(int u)``: u is neither the
-    normal's (``is_normal``) nor linear; SEARCHED is their count.
+    NORMAL_FREE on (−1 if it is fixed), of the component NORMAL_COMPONENT. ``bool searched(int u)``: u is neither of
+    the normal (``is_normal``) nor linear; SEARCHED is their count.
     """
     rows: list[tuple[int, float, float]] = []
     searched: list[int] = []
@@ -57,12 +57,11 @@ def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> Fr
 def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool) -> tuple[FreeParameters, str]:
     """Return the unknowns, and slopes.glsl: sums of the normal equations.
 
-    STEPPED unknowns have no derivative but by differences: normals and what is searched. The others' derivative is
-    their basis. central: differences to both sides, else to one. LOBE_… name the components of
-    interchangeable lobes.
+    STEPPED counts unknowns that are differentiated numerically: normals and searched ones. The derivative of the others
+    is their basis. central: central differences, else forward ones. LOBE_…: the components of interchangeable lobes.
 
-    slopes.glsl is written out, number by number: in loops over arrays a compiler that does not unroll them copies whole
-    arrays at every observation, which took half of a step's time.
+    slopes.glsl has no loops: a compiler that does not unroll a loop over arrays copies whole arrays at every
+    observation, which took half of a step's time.
     """
     free = build_free_parameters(model, fixed)
     stepped: list[int] = []
@@ -73,7 +72,7 @@ def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool)
         if has_basis(p, model):
             lines.append(f"basis = {p.width!r} * basis_{p.name}(s, l, v);")
             lines += [f"vec3 slope_{u + i} = basis;" for i in range(p.components)]
-            # A colour's number has a slope in its own channel alone.
+            # A component of a colour has a slope in its own channel alone.
             channels += [""] if p.components == 1 else list("rgb")
         else:
             for i in range(u, u + count):
@@ -97,19 +96,19 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
     sides = ("ahead", "behind") if central else ("ahead",)
     steps = [f"float by_{u};" for u in stepped] + [f"Material {side}_{u};" for u in stepped for side in sides]
     sums = [f"float slope_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
-    taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
-    taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
+    steps_taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
+    steps_taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
     if central:
-        taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
-    cleared = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
-    copied = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
-    copied += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
+        steps_taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
+    clears = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
+    copies = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
+    copies += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
     parts = [
         ("struct Steps", ["float none;", *steps]),
         ("struct NormalSums", sums),
-        ("void take_steps(inout float c[12], inout Steps p)", taken),
-        ("void clear_sums(out NormalSums n)", cleared),
-        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", copied),
+        ("void take_steps(inout float c[12], inout Steps p)", steps_taken),
+        ("void clear_sums(out NormalSums n)", clears),
+        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", copies),
         (
             "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
             " inout NormalSums n)",
@@ -123,7 +122,7 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
 
 
 def _products(channels: Sequence[str]) -> list[str]:
-    """Lines that add every product of two slopes; those of two channels have none ("" is all channels)."""
+    """Return lines that add the products of pairs of slopes; slopes of two channels have none ("": all channels)."""
     lines = []
     for row, channel in enumerate(channels):
         part = f".{channel}" if channel else ""
@@ -141,9 +140,9 @@ def _product(a: str, b: str, channel: str) -> str:
 
 
 def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
-    """Return ``void take_start(int start, inout float c[12])``, which puts a start's values in; −1 leaves all.
+    """Return ``void take_start(int start, inout float c[12])``, which sets the values of a start; −1 sets none.
 
-    ``bool mirrors(int start)`` says whether it turns the normal to the brightest sample's mirror direction.
+    ``bool mirrors(int start)``: whether the start turns the normal to the brightest sample's mirror direction.
     """
     lines = [
         f"    if (start == {k}) {{ {' '.join(sets)} }}"
@@ -159,12 +158,12 @@ def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
 
 
 def _predicate(name: str, numbers: Sequence[int]) -> list[str]:
-    """Lines of ``bool name(int u)``: whether u is one of the numbers."""
+    """Return the lines of ``bool name(int u)``: whether u is one of the numbers."""
     return [f"bool {name}(int u)", "{", f"    return {' || '.join(f'u == {u}' for u in numbers) or 'false'};", "}"]
 
 
 def has_basis(p: Parameter, model: ReflectanceModel) -> bool:
-    """Whether the derivative of a parameter is a basis function, and its optimum one of linear least squares."""
+    """Return whether a parameter's derivative is a basis function, and linear least squares give its optimum."""
     return p.kind == "linear" and p.name in model.bases and p.components in (1, 3)
 
 

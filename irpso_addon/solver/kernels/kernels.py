@@ -32,7 +32,7 @@ LOSSES, _WALLS = defined("fitness/loss.glsl", "FITNESS_"), defined("swarm/update
 
 
 def take_halo_pass(encoding: Encoding, defines: Defines) -> Pass:
-    """Compile the pass that takes given bests at the texels of neighbouring tiles."""
+    """Compile the pass that copies received bests to the texels of neighbouring tiles."""
     outputs, samplers = (Output("o_best", encoding.packed),), {"u_given": encoding.packed, **GEOMETRY}
     return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, SIZE, defines, {}))
 
@@ -50,7 +50,7 @@ def schedule_defines(schedule: Schedule) -> Defines:
 
 
 def fitness_defines(fitness: Fitness, loss: str = "") -> Defines:
-    """Return the constants of a fitness that are compiled in, or of another loss in its place."""
+    """Return the constants of a fitness that are compiled in. loss: replaces the fitness's own, "" for none."""
     return {"FITNESS": LOSSES[(loss or fitness.loss).upper()], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
 
 
@@ -60,7 +60,7 @@ def residual_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
 
 
 def sampled_residual_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
-    """Return the same pass over the texels that u_sampled names, in places of its own."""
+    """Compile the residual pass for the texels listed in u_sampled; its output is as large as that list."""
     samplers = {"u_estimate": packed(model), **OBSERVATIONS, "u_sampled": FLOAT_2D}
     outputs = (Output("o_residual"),)
     includes = model_includes(model)
@@ -77,7 +77,7 @@ def render_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
 
 
 def exchange_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
-    """Compile the pass that gathers, over the elements of a surface, what they send one another and on to a camera."""
+    """Compile the pass that gathers the light that elements of a surface send to each other and to a camera."""
     samplers = {
         "u_estimate": packed(model), **OBSERVATIONS, "u_rays": LAYERS, "u_lit": FLOAT_2D, "u_received": FLOAT_2D
     }  # fmt: skip
@@ -89,24 +89,24 @@ def exchange_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
 def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: Defines) -> Pass:
     """Compile the pass of standard deviations; ``free``: the source of free_parameters.glsl."""
     outputs, samplers = (Output("o_deviation", packed(model)),), {"u_estimate": packed(model), **OBSERVATIONS}
-    given = {**model_includes(model), "free_parameters.glsl": free}
+    includes = {**model_includes(model), "free_parameters.glsl": free}
     defines = {**defines, **fitness_defines(fitness)}
-    return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, FITNESS, defines, given))
+    return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, FITNESS, defines, includes))
 
 
 def alternatives_pass(
     model: ReflectanceModel, free: FreeParameters, linear: LinearWeights, fitness: Fitness, defines: Defines
 ) -> Pass:
-    """Compile the pass that measures the fit of materials far from the estimates; ``linear`` is solved for each."""
+    """Compile the pass that measures the fit of materials far from the estimates; it solves ``linear`` for each."""
     outputs = (Output("o_alternative", Packed(-(-int(defines["ALTERNATIVES"]) // 4))),)
     samplers = {"u_estimate": packed(model), **OBSERVATIONS}
-    given = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
+    includes = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
     defines = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
-    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
+    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, includes))
 
 
 def copy_pass() -> Pass:
-    """Compile the pass that copies a texture, so that what a compute dispatch wrote can be read back."""
+    """Compile the pass that copies a texture, so that the output of a compute dispatch can be read back."""
     return Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {"u_source": FLOAT_2D}, {}, {}))
 
 
@@ -118,7 +118,7 @@ def _model_pass(
 
 
 def model_includes(model: ReflectanceModel) -> Includes:
-    """Return what a kernel's includes of material.glsl, model.glsl and priors.glsl bring."""
+    """Return the sources of a kernel's includes: material.glsl, model.glsl and priors.glsl."""
     return {
         "material.glsl": material_declaration(model),
         "model.glsl": model.shader,
@@ -127,5 +127,5 @@ def model_includes(model: ReflectanceModel) -> Includes:
 
 
 def packed(model: ReflectanceModel) -> Packed:
-    """Return how a model's components lie in textures."""
+    """Return the texture layout of a model's components."""
     return Packed(-(-model.components // 4))

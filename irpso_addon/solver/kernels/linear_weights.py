@@ -14,7 +14,7 @@ MAX_WEIGHTS = 8  # two RGBA texels hold the linear weights of a swarm's best
 
 @dataclass(frozen=True)
 class LinearWeights:
-    """The parameters solved in closed form, and what shaders/fitness/linear.glsl needs of them.
+    """The parameters solved in closed form, and the GLSL that shaders/fitness/linear.glsl includes for them.
 
     colors: of three components, each of which multiplies its own channel. numbers: of one. source: basis.glsl.
     """
@@ -40,7 +40,7 @@ class LinearWeights:
 
     @property
     def defines(self) -> dict[str, int]:
-        """The constants of the kernels; arrays have room for one where there is none."""
+        """The constants of the kernels; GLSL arrays have at least one element."""
         colors, numbers = len(self.colors), len(self.numbers)
         return {
             "COLORS": colors,
@@ -52,14 +52,14 @@ class LinearWeights:
 
 
 def linear_weights(model: ReflectanceModel, solved: Sequence[Parameter]) -> LinearWeights:
-    """Return the closed form of the parameters ``solved``; the model's other linear ones are held as they are.
+    """Return the closed form of the parameters ``solved``; the model's other linear parameters stay fixed.
 
     Raises InputError where they are too many, or have neither one component nor three.
     """
     colors = tuple(p for p in solved if p.components == 3)
     numbers = tuple(p for p in solved if p.components == 1)
-    if odd := [p.name for p in solved if p.components not in (1, 3)]:
-        raise InputError(f"model {model.name}: linear parameter '{odd[0]}' must have one component or three")
+    if unsupported := [p.name for p in solved if p.components not in (1, 3)]:
+        raise InputError(f"model {model.name}: linear parameter '{unsupported[0]}' must have one component or three")
     weights = LinearWeights(colors, numbers, _source(model, colors, numbers))
     if weights.components > MAX_WEIGHTS:
         raise InputError(
@@ -71,10 +71,10 @@ def linear_weights(model: ReflectanceModel, solved: Sequence[Parameter]) -> Line
 
 def _source(model: ReflectanceModel, colors: Sequence[Parameter], numbers: Sequence[Parameter]) -> str:
     solved = {p.name for p in (*colors, *numbers)}
-    held = [p for p in model.parameters if p.name in model.bases and p.name not in solved]
+    fixed = [p for p in model.parameters if p.name in model.bases and p.name not in solved]
     rest = ["basis_fixed(s, l, v)"] if "fixed" in model.bases else []
-    rest += [f"s.{p.name} * basis_{p.name}(s, l, v)" for p in held]
-    bases, ranges, to, clear, pack, unpack = [], [], [], [], [], []
+    rest += [f"s.{p.name} * basis_{p.name}(s, l, v)" for p in fixed]
+    bases, ranges, assign, clear, pack, unpack = [], [], [], [], [], []
     for kind, chosen in (("color", colors), ("number", numbers)):
         zero = "vec3(0.0)" if kind == "color" else "0.0"
         if not chosen:
@@ -85,7 +85,7 @@ def _source(model: ReflectanceModel, colors: Sequence[Parameter], numbers: Seque
             bases.append(f"    {kind}s[{i}] = basis_{p.name}(s, l, v);")
             ranges.append(f"    {kind}_range[{i}] = vec2({p.range[0]!r}, {p.range[1]!r});")
             clear.append(f"    w.{kind}s[{i}] = {zero};")
-            to.append(f"    s.{p.name} = w.{kind}s[{i}];")
+            assign.append(f"    s.{p.name} = w.{kind}s[{i}];")
             at = 3 * i if kind == "color" else 3 * len(colors) + i
             for c in range(p.components):
                 part = f"[{c}]" if p.components > 1 else ""
@@ -96,7 +96,7 @@ def _source(model: ReflectanceModel, colors: Sequence[Parameter], numbers: Seque
         "void basis_at(Material s, vec3 l, vec3 v, out vec3 colors[COLOR_ROOM], out vec3 numbers[NUMBER_ROOM],",
         "              out vec3 rest) {", *bases, f"    rest = {' + '.join(rest) or 'vec3(0.0)'};", "}",
         "void linear_range(out vec2 color_range[COLOR_ROOM], out vec2 number_range[NUMBER_ROOM]) {", *ranges, "}",
-        "void linear_to(Linear w, inout Material s) {", *to, "}",
+        "void linear_to(Linear w, inout Material s) {", *assign, "}",
         "void clear_linear(out Linear w) {", *clear, "}",
         "void numbers_of(Linear w, out float x[8]) {", "    for (int i = 0; i < 8; i++) { x[i] = 0.0; }", *pack, "}",
         "void linear_from(inout float x[8], inout Material s) {", *unpack, "}", "",

@@ -18,16 +18,16 @@ from .kernels import FITNESS, FLOAT_2D, GEOMETRY, OBSERVATIONS, PACKING, fitness
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
-SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/refine/spread.glsl, votes.glsl)
-_OFFERS = {True: 8, False: 4}  # of the neighbours: twice four where something is searched
+SPREAD_REACH = 2  # largest distance, in texels, of candidates and votes (shaders/refine/spread.glsl, votes.glsl)
+_OFFERS = {True: 8, False: 4}  # neighbours' materials in a spread: twice four where unknowns are searched
 
 
 @dataclass(frozen=True)
 class RefinementPasses:
-    """The compiled passes of a refinement. evaluations: renders of all observations of a step; offers: of a spread.
+    """The compiled passes of a refinement. evaluations: renders of all observations in a step; offers: in a spread.
 
-    vote: in place of ``keep`` after a spread, None where neighbours have no votes. ``keep`` is always a fragment pass:
-    what it wrote may be read back.
+    vote: replaces ``keep`` after a spread; None without votes. ``keep`` is always a fragment pass, because its output
+    may be read back.
     """
 
     begin: Pass
@@ -46,7 +46,7 @@ class RefinementPasses:
 
 
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
-    """Return the renders of all observations that a step and a spread make at a texel."""
+    """Return the renders of all observations per texel in a step and in a spread."""
     free, _ = resolved_slopes(model, resolved)
     evaluations = slope_renders(free, resolved.refinement) + CANDIDATES
     if isinstance(resolved, ResolvedMaterials):
@@ -55,9 +55,9 @@ def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int,
 
 
 def slope_renders(free: FreeParameters, settings: Refinement) -> int:
-    """Return the renders of all observations that the normal equations take."""
+    """Return the renders of all observations that the normal equations need."""
     stepped = free.defines["STEPPED"] * (2 if settings.central else 1)
-    # The bases of the linear parameters make up another render.
+    # All bases of the linear parameters together cost one more render.
     return 1 + stepped + (1 if free.defines["STEPPED"] < free.count else 0)
 
 
@@ -78,7 +78,7 @@ def build_refinement_passes(
     entry: Entry,
     penalty: Path = NO_PENALTY,
 ) -> RefinementPasses:
-    """Compile the passes of a refinement. penalty: the shader of what is added to the loss."""
+    """Compile the passes of a refinement. penalty: shader of the term added to the loss."""
     settings = resolved.refinement
     free, slopes = resolved_slopes(model, resolved)
     evaluations, offers = renders(model, resolved)
@@ -91,27 +91,27 @@ def build_refinement_passes(
     if isinstance(resolved, ResolvedMaterials):
         spread, materials = "materials/offer", {"u_materials": FLOAT_2D}
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
-    given = {
+    includes = {
         **model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes,
         "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": penalty,
         "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
     }  # fmt: skip
     outputs = Output("o_estimate", packed(model)), Output("o_status")
-    held: Samplers = {"u_estimate": packed(model), "u_status": FLOAT_2D}
+    best: Samplers = {"u_estimate": packed(model), "u_status": FLOAT_2D}
     work: Samplers = {"u_work": packed(model), "u_work_status": FLOAT_2D}
 
-    voted = settings.votes > 0 and free.defines["SEARCHED"] > 0
+    has_votes = settings.votes > 0 and free.defines["SEARCHED"] > 0
 
     def make(name: str, samplers: Samplers, constants: Mapping[str, str], how: Entry = entry) -> Pass:
-        return Pass(Kernel(f"{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
+        return Pass(Kernel(f"{name}.glsl", outputs, {**best, **samplers}, constants, defines, includes), how)
 
     return RefinementPasses(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("refine/step", OBSERVATIONS, STEP),
         spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
         keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
-        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if voted else None,
+        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if has_votes else None,
         evaluations=evaluations,
         offers=offers,
     )

@@ -25,7 +25,7 @@ from .kernels import (
 
 @dataclass(frozen=True)
 class SequentialSwarmPasses:
-    """The compiled passes of a stage. ``resolve`` is always a fragment pass: what it wrote may be read back."""
+    """The compiled passes of a stage. ``resolve`` is always a fragment pass: its output may be read back."""
 
     start: Pass
     move: Pass
@@ -52,7 +52,7 @@ def build_sequential_swarm_passes(
 ) -> SequentialSwarmPasses:
     """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
     estimates = packed(model)
-    given = {**model_includes(model), "particle_encoding.glsl": encoding.source}
+    includes = {**model_includes(model), "particle_encoding.glsl": encoding.source}
     defines = {
         **domain_defines, **encoding.defines, **schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across
     }  # fmt: skip
@@ -66,7 +66,7 @@ def build_sequential_swarm_passes(
         source: str, outputs: tuple[Output, ...], samplers: Samplers, constants: Mapping[str, str],
         how: Entry = entry, **more: int,
     ) -> Pass:  # fmt: skip
-        kernel = Kernel(f"swarm/sequential/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
+        kernel = Kernel(f"swarm/sequential/{source}.glsl", outputs, samplers, constants, {**defines, **more}, includes)
         return Pass(kernel, how)
 
     read = {**particle, "u_best_fitness": FLOAT_2D, **fixed, **OBSERVATIONS}

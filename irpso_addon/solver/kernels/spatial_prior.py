@@ -35,7 +35,7 @@ _KINDS = {"other": 0, "color": 1, "scalar": 2}
 class PriorPasses:
     """The compiled passes of a prior, in their order.
 
-    ``keep`` is always a fragment pass: what it wrote may be read back.
+    ``keep`` is always a fragment pass, because its output may be read back.
     """
 
     noise: Pass
@@ -68,15 +68,15 @@ def build_prior_passes(
     model: ReflectanceModel, resolved: ResolvedPrior, schedule: Schedule, domain_defines: Defines, entry: Entry
 ) -> PriorPasses:
     """Compile the passes of a prior."""
-    prior, held = resolved.prior, _held(model, resolved.parameters)
-    free = build_free_parameters(model, held)
+    prior, fixed = resolved.prior, _fixed_names(model, resolved.parameters)
+    free = build_free_parameters(model, fixed)
     common = {
-        **domain_defines, **free.defines, **_lobes(model, held),
+        **domain_defines, **free.defines, **_lobes(model, fixed),
         **_settings(prior, schedule.refinement), **fitness_defines(schedule.fitness), "COMPONENTS": model.components,
     }  # fmt: skip
     numbers = packed(model)
     estimates, own, work = ({f"u_{name}": numbers} for name in ("estimate", "own", "work"))
-    belief = {"u_mean": numbers, "u_deviation": numbers}
+    pooled_inputs = {"u_mean": numbers, "u_deviation": numbers}
     mean, deviation, estimate = (Output(f"o_{name}", numbers) for name in ("mean", "deviation", "estimate"))
     includes = {
         **model_includes(model), "components.glsl": components_source(model, resolved),
@@ -91,14 +91,14 @@ def build_prior_passes(
         noise=make("prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),
         variance=make("prior/variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
         deviation=make("diagnostics/confidence", (deviation,), {**estimates, **OBSERVATIONS, **_NOISE}, NOISE_GIVEN=1),
-        pool=make("prior/pool", (mean, deviation), {**estimates, **belief, **own, **PACKING}),
-        pool_last=make("prior/pool", (mean, deviation), {**estimates, **belief, **own, **PACKING}, LAST=1),
+        pool=make("prior/pool", (mean, deviation), {**estimates, **pooled_inputs, **own, **PACKING}),
+        pool_last=make("prior/pool", (mean, deviation), {**estimates, **pooled_inputs, **own, **PACKING}, LAST=1),
         begin=make(
             "prior/begin",
             (estimate, Output("o_status"), Output("o_penalty", "R32F")),
-            {**estimates, **belief, **own, **_NOISE, **GEOMETRY},
+            {**estimates, **pooled_inputs, **own, **_NOISE, **GEOMETRY},
         ),
-        step=_step_pass(model, resolved, common, {**estimates, **belief, **_NOISE}, includes, entry),
+        step=_step_pass(model, resolved, common, {**estimates, **pooled_inputs, **_NOISE}, includes, entry),
         keep=make(
             "prior/keep",
             (estimate,),
@@ -113,8 +113,8 @@ def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: 
     """Return the renders of all observations that an iteration makes at a texel that has not converged."""
     if iteration == NOISE:
         return 1
-    if iteration == DEVIATION:  # the render, and two for each derivative
-        return 1 + 2 * build_free_parameters(model, _held(model, resolved.parameters)).count
+    if iteration == DEVIATION:  # one at the estimate, two for each derivative
+        return 1 + 2 * build_free_parameters(model, _fixed_names(model, resolved.parameters)).count
     return 0 if iteration < FIRST_ROUND + resolved.prior.rounds else renders(model, resolved.step)[0]
 
 
@@ -142,7 +142,7 @@ def _step_pass(
     entry: Entry,
 ) -> Pass:
     free, slopes_source = resolved_slopes(model, resolved.step)
-    # Lobes are put in order at the end: the prior of one lobe is not that of the other.
+    # Lobes are ordered only at the end: each lobe has its own prior.
     slopes = {name: value for name, value in free.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
     penalty = SHADERS / "prior" / "penalty.glsl"
@@ -169,10 +169,10 @@ def _settings(prior: Prior, refinement: Refinement) -> Defines:
     }
 
 
-def _lobes(model: ReflectanceModel, held: set[str]) -> dict[str, int]:
-    defines = build_slopes(model, held, central=False)[0].defines
+def _lobes(model: ReflectanceModel, fixed: set[str]) -> dict[str, int]:
+    defines = build_slopes(model, fixed, central=False)[0].defines
     return {name: value for name, value in defines.items() if name.startswith("LOBE_")}
 
 
-def _held(model: ReflectanceModel, parameters: tuple[Parameter, ...]) -> set[str]:
+def _fixed_names(model: ReflectanceModel, parameters: tuple[Parameter, ...]) -> set[str]:
     return {p.name for p in model.parameters} - {p.name for p in parameters}

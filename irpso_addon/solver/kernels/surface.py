@@ -1,4 +1,4 @@
-"""The kernels of the surface that the normals belong to."""
+"""The kernels of the surface phase, which makes normals integrable."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .kernels import FITNESS, FLOAT_2D, OBSERVATIONS, PACKING, fitness_defines, 
 from .refinement import slope_renders
 
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
-SWEEPS = 7  # of a round: each reads the next texels, and the normals read one further
+SWEEPS = 7  # in a round: each reads adjacent texels, and the normals one texel further
 NOISE_REACH, REACH = 2, SWEEPS + 1
 _NOISE_TAPS = 24  # shaders/common/taps.glsl
 
 
 @dataclass(frozen=True)
 class SurfacePasses:
-    """The compiled passes, in their order. ``bend`` is always a fragment pass: what it wrote may be read back."""
+    """The compiled passes, in their order. ``bend`` is always a fragment pass: its output may be read back."""
 
     noise: Pass
     variance: Pass
@@ -39,7 +39,7 @@ class SurfacePasses:
 def build_surface_passes(
     model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule, domain_defines: Defines, entry: Entry
 ) -> SurfacePasses:
-    """Compile the passes of the surface."""
+    """Compile the passes of the surface phase."""
     free, slopes = _slopes(model, resolved, schedule)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _NOISE_TAPS,
@@ -74,10 +74,10 @@ def evaluations_of(resolved: ResolvedSurface, model: ReflectanceModel, schedule:
 
 
 def _slopes(model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule) -> tuple[FreeParameters, str]:
-    """Return the slopes of the normal and of the linear parameters.
+    """Return the unknowns, normal and linear parameters, and their slopes.glsl.
 
-    What is searched is held. Few samples of one texel hardly tell it from the normal, but by now it is known from
-    others: with it free, bending doubled the error of texels that three lights see.
+    Searched parameters are fixed. A texel's few samples hardly separate them from the normal, but earlier phases have
+    estimated them from other texels. With free ones, bending doubled the error of texels that three lights see.
     """
     fixed = {p.name for p in model.parameters} - {
         p.name for p in resolved.parameters if p.is_normal or has_basis(p, model)

@@ -1,4 +1,4 @@
-"""The kernels of swarms that move all their particles at once."""
+"""The kernels of swarms that move all particles in each iteration."""
 
 from __future__ import annotations
 
@@ -49,37 +49,37 @@ def build_synchronous_swarm_passes(
     """Compile the passes for ``particles`` in an atlas ``across`` tiles wide."""
     estimates, fitness = kernels.packed(model), Packed(-(-particles // 4), MAX_PARTICLES)
     state = {f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
-    best_so_far: Samplers = {
+    best_inputs: Samplers = {
         "u_best": encoding.packed, "u_best_linear": linear.packed, "u_best_fitness": kernels.FLOAT_2D, **kernels.PACKING
     }  # fmt: skip
-    found = {"u_fitness": fitness, "u_linear": linear.packed}
-    # Particles are placed by the estimates and moved by the means: all together are more than 16 textures.
-    placed = {**best_so_far, "u_estimate": estimates}
-    moved = {**best_so_far, **state, "u_mean": encoding.packed, "u_estimate": Packed(0)}
+    fitness_inputs = {"u_fitness": fitness, "u_linear": linear.packed}
+    # Placing reads the estimates, moving reads the means: both together would exceed 16 textures.
+    place_inputs = {**best_inputs, "u_estimate": estimates}
+    move_inputs = {**best_inputs, **state, "u_mean": encoding.packed, "u_estimate": Packed(0)}
     defines = {
         **domain_defines, **encoding.defines, **linear.defines, **kernels.schedule_defines(schedule),
         "PARTICLES": particles, "TILES_X": across,
         "CHUNK": min(_CHUNK, particles),
     }  # fmt: skip
-    given = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source, "basis.glsl": linear.source}
+    includes = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source, "basis.glsl": linear.source}
 
     def make(source: str, outputs: tuple[Output, ...], samplers: Samplers, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/synchronous/{source}.glsl"
-        return Pass(Kernel(name, outputs, samplers, kernels.MOVE, {**defines, **more}, given), how)
+        return Pass(Kernel(name, outputs, samplers, kernels.MOVE, {**defines, **more}, includes), how)
 
-    finds = Output("o_fitness", fitness), Output("o_linear", linear.packed)
-    commits = Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")
+    fitness_outputs = Output("o_fitness", fitness), Output("o_linear", linear.packed)
+    committed = Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")
     best = (
         Output("o_best", encoding.packed), Output("o_best_linear", linear.packed), Output("o_best_fitness", "R32F")
     )  # fmt: skip
     return SynchronousSwarmPasses(
-        place=make("evaluate", finds, {**placed, **kernels.OBSERVATIONS}, START=1),
-        place_commit=make("commit", commits, {**placed, **state, **found}, START=1),
-        place_best=make("best", best, {**placed, **found}, START=1),
-        mean=make("mean", (Output("o_mean", encoding.packed),), best_so_far),
-        move=make("evaluate", finds, {**moved, "u_estimate": estimates, **kernels.OBSERVATIONS}),
-        commit=make("commit", commits, {**moved, **found}),
-        best=make("best", best, {**moved, **found}),
-        resolve=make("resolve", (Output("o_estimate", estimates),), {**placed, **state}, how="fragment"),
+        place=make("evaluate", fitness_outputs, {**place_inputs, **kernels.OBSERVATIONS}, START=1),
+        place_commit=make("commit", committed, {**place_inputs, **state, **fitness_inputs}, START=1),
+        place_best=make("best", best, {**place_inputs, **fitness_inputs}, START=1),
+        mean=make("mean", (Output("o_mean", encoding.packed),), best_inputs),
+        move=make("evaluate", fitness_outputs, {**move_inputs, "u_estimate": estimates, **kernels.OBSERVATIONS}),
+        commit=make("commit", committed, {**move_inputs, **fitness_inputs}),
+        best=make("best", best, {**move_inputs, **fitness_inputs}),
+        resolve=make("resolve", (Output("o_estimate", estimates),), {**place_inputs, **state}, how="fragment"),
         take_halo=kernels.take_halo_pass(encoding, defines),
     )

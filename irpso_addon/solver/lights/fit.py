@@ -17,10 +17,10 @@ from ..views.forward import Renderer
 GAINS, MOVES = 3, 3  # free parameters of a light: log intensities, and angles (a near light's third: its distance)
 _TURN = 2e-3  # radians, of a normal or a light: small against the width of a highlight, large against float32
 _STEP = 2e-3  # of a parameter's range
-_GAIN_PRIOR = 2.0  # standard deviation of a logarithm: weak, it fixes undetermined gains only
+_GAIN_PRIOR = 2.0  # standard deviation of a logarithm: weak, it only fixes undetermined gains
 _GROUPS = 8  # of texels, for the deviations
 _LARGEST_STEP = 0.5  # of a logarithm
-_FAR, _DARKEST = 0.7, 0.05  # shadow and highlight are not recognised under a light off by more than a factor of two
+_FAR, _DARKEST = 0.7, 0.05  # above this log error, a factor of two, shadows and highlights are not detected
 _SAMPLED_AS = 100.0  # independent texels: errors of neighbours are correlated, so more texels add no information
 
 
@@ -29,8 +29,8 @@ class LightStep:
     """gains: (K, 3) log intensities to add. moves: (K, 3) radians, or fractions of the distance, along ``axes_of``.
 
     deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982).
-    determined: how well the texels determine the gains, the second smallest eigenvalue of their normalised matrix: 1
-    where the shading of every light is known, near 0 where all texels face one way. explained: the fraction of the
+    determined: second smallest eigenvalue of the gains' normalised matrix: 1 where the shading of every light is known,
+    near 0 where all texels face one way and so do not determine the gains. explained: the fraction of the
     weighted squared error that the step removes.
     """
 
@@ -43,7 +43,7 @@ class LightStep:
 
 @dataclass(frozen=True)
 class Moving:
-    """Moves of lights. start: (K, 4) given lights. axes: their ``axes_of``. moves: (K, 3) so far, along the axes.
+    """Moves of lights. start: (K, 4) initial lights. axes: their ``axes_of``. moves: (K, 3) so far, along the axes.
 
     sigma: prior standard deviation of the moves, in radians and as a fraction of a near light's distance.
     """
@@ -73,7 +73,7 @@ def axes_of(domain: Domain) -> np.ndarray:
     toward = vectors - np.where(near[:, None], middle, 0.0)
     length = np.linalg.norm(toward, axis=-1, keepdims=True)
     toward /= length
-    first, second = _across(toward)
+    first, second = _perpendicular(toward)
     axes = np.stack([first, second, np.where(near[:, None], toward, 0.0)], axis=1)
     return axes * np.where(near[:, None], length, 1.0)[:, None]
 
@@ -106,16 +106,16 @@ def light_step(
     try:
         for k in range(domain.observations):
             render, texel_part, move_part = renders.of(k)
-            seen = stack[k, rows, columns].astype(np.float64)
-            difference = _difference(seen, render)
+            samples = stack[k, rows, columns].astype(np.float64)
+            difference = _difference(samples, render)
             outlying = difference
             if gains:
-                # Relative to the light's effect on most texels: a light that is off as a whole is no outlier.
-                outlying = difference - render * _typical(difference, render, seen[:, 3:])
-                off = _off_as_a_whole(domain.stack.layer(k)[texels].astype(np.float64), render)
-                if abs(off.mean()) > _FAR:
-                    far[k] = off
-            weight = seen[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
+                # Relative to the error of most texels: a wrong intensity of the whole light is no outlier.
+                outlying = difference - render * _median_ratio(difference, render, samples[:, 3:])
+                logarithms = _log_factors(domain.stack.layer(k)[texels].astype(np.float64), render)
+                if abs(logarithms.mean()) > _FAR:
+                    far[k] = logarithms
+            weight = samples[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
             equations.add(
                 difference / level, weight, render / level, texel_part / level[..., None],
                 None if move_part is None else move_part / level[..., None],
@@ -131,7 +131,7 @@ def light_step(
 
 @dataclass(frozen=True)
 class _Step:
-    """A free parameter of all texels: its values one step up and down, and each texel's total step."""
+    """A free parameter of all texels: values one step up and down, sum of both steps, and spread of its prior."""
 
     name: str
     up: np.ndarray
@@ -148,7 +148,7 @@ def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixe
         value = values[parameter.name]
         shape = value.shape[:2]
         if parameter.is_normal:
-            for axis in _across(value.astype(np.float64)):
+            for axis in _perpendicular(value.astype(np.float64)):
                 up, down = (_unit(value + side * _TURN * axis).astype(np.float32) for side in (1, -1))
                 steps.append(_Step(parameter.name, up, down, np.full(shape, 2 * _TURN), 1.0))
             continue
@@ -164,7 +164,7 @@ def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixe
 
 
 class _Renders:
-    """Renders of the texels: as they are, with each parameter a step up and down, and with each light moved."""
+    """Renders of the texels: at the estimates, with each parameter a step up and down, and with each light moved."""
 
     def __init__(
         self,
@@ -182,30 +182,30 @@ class _Renders:
             p.name: np.concatenate([{**values, **change}[p.name] for change in changed]) for p in model.parameters
         }
         bake = domain.bake.each(lambda array: np.tile(array, (len(changed), *(1,) * (array.ndim - 1))))
-        self._all = Renderer(bake, model, stacked, domain.lights, domain.intensities, domain.views, domain.card)
-        self._aside = None
+        self._stepped = Renderer(bake, model, stacked, domain.lights, domain.intensities, domain.views, domain.card)
+        self._moved = None
         if moving is not None:
             sides = [side * _TURN * np.eye(MOVES)[axis] for axis in range(MOVES) for side in (1, -1)]
             lights = np.concatenate([moving.lights(side) for side in sides])
             intensities, views = (np.tile(table, (2 * MOVES, 1)) for table in (domain.intensities, domain.views))
-            self._aside = Renderer(domain.bake, model, values, lights, intensities, views, domain.card)
+            self._moved = Renderer(domain.bake, model, values, lights, intensities, views, domain.card)
 
     def of(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return observation k's radiance (T, 3), and its derivatives by parameters (T, 3, P) and light (T, 3, 3)."""
+        """Return observation k's radiance (T, 3), and the derivatives by parameters (T, 3, P) and light (T, 3, 3)."""
         rows, columns = self._texels
-        images = self._all.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)[:, rows, columns]
+        images = self._stepped.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)[:, rows, columns]
         differences = (images[1::2] - images[2::2]).transpose(1, 2, 0)
         texel_part = differences / self._widths[:, None] if self._widths is not None else differences
-        if self._aside is None:
+        if self._moved is None:
             return images[0], texel_part, None
-        renders = [self._aside.render(s * self._count + k)[..., :3].astype(np.float64) for s in range(2 * MOVES)]
+        renders = [self._moved.render(s * self._count + k)[..., :3].astype(np.float64) for s in range(2 * MOVES)]
         sides = np.stack([render[self._texels] for render in renders], axis=-1)
         return images[0], texel_part, (sides[..., ::2] - sides[..., 1::2]) / (2 * _TURN)
 
     def close(self) -> None:
-        self._all.close()
-        if self._aside is not None:
-            self._aside.close()
+        self._stepped.close()
+        if self._moved is not None:
+            self._moved.close()
 
 
 class _Equations:
@@ -252,33 +252,33 @@ class _Equations:
         matrices, rights = self._reduced(steps, noise)
         count = self._observations
         whole = matrices.sum(axis=0)
-        prior, toward = self._prior(len(self._groups), noise)
-        answers = []
+        prior, prior_right = self._prior(len(self._groups), noise)
+        solutions = []
         for left_out in (None, *range(_GROUPS)):
             matrix, right = whole, rights.sum(axis=0)
             if left_out is not None:
                 matrix, right = whole - matrices[left_out], right - rights[left_out]
-            answers.append(np.linalg.solve(matrix + prior, right + toward).reshape(count, self._size))
-        answer, parts = answers[0], np.stack(answers[1:])
+            solutions.append(np.linalg.solve(matrix + prior, right + prior_right).reshape(count, self._size))
+        solution, parts = solutions[0], np.stack(solutions[1:])
         spread = np.sqrt((_GROUPS - 1) / _GROUPS * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0))
-        nothing = np.zeros((count, GAINS))
-        gains, deviations = (a[:, :GAINS] if self._gains else nothing for a in (answer, spread))
-        moves = answer[:, self._size - MOVES :] if self._moving is not None else nothing
+        zeros = np.zeros((count, GAINS))
+        gains, deviations = (a[:, :GAINS] if self._gains else zeros for a in (solution, spread))
+        moves = solution[:, self._size - MOVES :] if self._moving is not None else zeros
         return LightStep(
             np.clip(gains, -_LARGEST_STEP, _LARGEST_STEP), moves, deviations,
             self._determined(whole) if self._gains else 1.0,
-            float(answer.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
+            float(solution.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
         )  # fmt: skip
 
     def _reduced(self, steps: list[_Step], noise: float) -> tuple[np.ndarray, np.ndarray]:
-        """(G, KQ, KQ) and (G, KQ): the lights' reduced equations, per group of texels."""
+        """Return (G, KQ, KQ) and (G, KQ): the lights' equations without the texels, per group of texels."""
         count, size = self._observations, self._size
         texels = len(self._groups)
         own, right = np.stack(self._own, axis=1), np.stack(self._right, axis=1)
         cross = np.stack(self._cross, axis=2).reshape(texels, -1, count * size)
         if steps:
-            held = np.array([noise / step.spread**2 for step in steps])
-            gram = self._texel + np.eye(len(steps)) * (held + 1e-9 * np.einsum("tpp->tp", self._texel)[:, None])
+            precision = np.array([noise / step.spread**2 for step in steps])
+            gram = self._texel + np.eye(len(steps)) * (precision + 1e-9 * np.einsum("tpp->tp", self._texel)[:, None])
             root = np.linalg.inv(np.linalg.cholesky(gram))
             cross, texel_right = root @ cross, np.einsum("tpr,tr->tp", root, self._texel_right)
         matrices = np.zeros((_GROUPS, count * size, count * size))
@@ -295,7 +295,7 @@ class _Equations:
         return matrices, rights
 
     def _prior(self, texels: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
-        """(KQ, KQ) and (KQ,): the prior; gains keep the scale of each channel."""
+        """Return (KQ, KQ) and (KQ,): the prior's equations; gains keep the scale of each channel."""
         count, size = self._observations, self._size
         matrix, right = np.zeros((count * size,) * 2), np.zeros(count * size)
         strength = noise * max(1.0, texels / _SAMPLED_AS)
@@ -305,29 +305,29 @@ class _Equations:
                 matrix[of, of] += strength / _GAIN_PRIOR**2
                 matrix[np.ix_(of, of)] += self._weights / count**2
         if self._moving is not None:
-            trust = strength / self._moving.sigma**2
+            precision = strength / self._moving.sigma**2
             for axis in range(MOVES):
                 of = np.arange(count) * size + size - MOVES + axis
-                matrix[of, of] += trust
-                right[of] -= trust * self._moving.moves[:, axis]
+                matrix[of, of] += precision
+                right[of] -= precision * self._moving.moves[:, axis]
         return matrix, right
 
     def _determined(self, whole: np.ndarray) -> float:
-        """The second smallest eigenvalue of the grey gains' matrix, normalised by its diagonal."""
+        """Return the second smallest eigenvalue of the grey gains' matrix, normalised by its diagonal."""
         count, size = self._observations, self._size
         blocks = whole.reshape(count, size, count, size)[:, :GAINS, :, :GAINS].sum(axis=(1, 3))
         spread = np.sqrt(np.maximum(np.diag(blocks), 1e-30))
         return float(np.linalg.eigvalsh(blocks / np.outer(spread, spread))[min(1, count - 1)])
 
 
-def _difference(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
-    """(T, 3) difference of samples (T, 4) and render, 0 at weight 0."""
-    return np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
+def _difference(samples: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """Return (T, 3): samples (T, 4) minus render, 0 at weight 0."""
+    return np.where(samples[:, 3:] > 0, samples[:, :3] - render, 0.0)
 
 
-def _off_as_a_whole(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
-    """(3,) log factors between most samples (T, 4) and their render, under the assumption of no shadow."""
-    return np.log(np.maximum(1 + _typical(_difference(seen, render), render, seen[:, 3:]), _DARKEST))
+def _log_factors(samples: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """Return (3,) log factors between most samples (T, 4) and their render, if no sample lies in shadow."""
+    return np.log(np.maximum(1 + _median_ratio(_difference(samples, render), render, samples[:, 3:]), _DARKEST))
 
 
 def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -339,12 +339,12 @@ def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.
         for k in range(domain.observations):
             render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack.layer(k)))
             difference = _difference(seen, render)
-            factors[k] = np.maximum(1 + _typical(difference, render, seen[:, 3:]), 1e-3)
+            factors[k] = np.maximum(1 + _median_ratio(difference, render, seen[:, 3:]), 1e-3)
     return factors
 
 
-def _typical(difference: np.ndarray, render: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(3,) medians of differences (T, 3) relative to the render, weighted by the render."""
+def _median_ratio(difference: np.ndarray, render: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return (3,): medians of differences (T, 3) relative to the render, weighted by the render."""
     values, weight = difference / np.maximum(render, 1e-9), np.maximum(render, 0) * weight
     order = np.argsort(values, axis=0)
     ordered, summed = np.take_along_axis(values, order, 0), np.cumsum(np.take_along_axis(weight, order, 0), axis=0)
@@ -352,8 +352,8 @@ def _typical(difference: np.ndarray, render: np.ndarray, weight: np.ndarray) -> 
     return ordered[places, np.arange(values.shape[1])]
 
 
-def _across(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (…, 3) perpendicular to unit vectors and to each other."""
+def _perpendicular(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors (…, 3), perpendicular to unit vectors and to each other."""
     least = np.eye(3)[np.abs(vectors).argmin(axis=-1)]
     first = _unit(np.cross(vectors, least))
     return first, np.cross(vectors, first)

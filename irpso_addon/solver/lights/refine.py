@@ -31,15 +31,15 @@ _SETTLED = 1e-3  # RMS change (relative intensities, radians of directions) of t
 # under 20 lights with 44 % initial error, eight rounds end at 0.2 % with these widths, and at 8.8 % without.
 _WIDTHS = (0.2, 0.1, 0.05)
 _SLICE_SECONDS = 0.02
-_BRIGHT = 95.0  # percentile of the albedos that a common factor lowers to _WHITE where it exceeds 1
+_BRIGHT = 95.0  # percentile of the albedos; a common factor lowers it to _WHITE where it exceeds 1
 _WHITE = 0.9
-_DETERMINED = 0.01  # least LightStep.determined; below, a linear trend of the intensities is free
+_DETERMINED = 0.01  # least LightStep.determined; below it a linear trend of the intensities is undetermined
 _SMALL = 256  # texels for the check of given intensities
 _CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
 # Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
 # matte model on a glossy surface, 0.01 for correct intensities.
 _EXPLAINED = 0.6
-_LEAST_LIGHTS = 8  # for an estimate of intensities
+_LEAST_LIGHTS = 8  # least number for an estimate of intensities
 
 Intensities = Literal["auto", "given", "estimate"]
 
@@ -51,7 +51,7 @@ class Lights:
     factors: (K, 3) on the given intensities. deviations: (K, 3) relative standard deviations of the intensities from
     the scatter between texels, without model error. turned: (K,) degrees between the given and the estimated light, as
     seen from the centre of the texels. determined: see LightStep. rounds: recoveries of the texels. change: RMS change
-    of the last round.
+    in the last round.
     """
 
     lights: np.ndarray
@@ -68,7 +68,7 @@ class Lights:
         return with_lights(domain, self.lights, self.intensities)
 
     def summary(self) -> str:
-        """Return one line about their difference from the given lights."""
+        """Return one line about the difference from the given lights."""
         parts = []
         if (self.factors != 1).any():
             low, high = self.factors.mean(axis=-1).min(), self.factors.mean(axis=-1).max()
@@ -78,7 +78,7 @@ class Lights:
         return ", ".join(parts) or "as given"
 
     def report(self, numbers: Sequence[int] | None = None) -> dict[str, Any]:
-        """Return their table for the report, as plain data. numbers: of the lights, in the order of the report."""
+        """Return a table for the report, as plain data. numbers: of the lights, in the order of the report."""
         order = np.argsort(numbers) if numbers is not None else slice(None)
         return {
             "intensities": np.round(self.intensities, 6)[order].tolist(),
@@ -90,7 +90,7 @@ class Lights:
         }
 
     def warnings(self, asked: bool = True) -> list[str]:
-        """Return one line per doubt. asked: the user asked for intensities."""
+        """Return one line per warning. asked: whether the user requested intensities."""
         lines = []
         if not asked and (self.factors != 1).any():
             lines.append(
@@ -125,13 +125,13 @@ def light_steps(
     """Return the lights that best explain about a thousand texels of a domain.
 
     The start is semi-calibrated photometric stereo (Cho et al. 2016). Then recoveries of the texels and Gauss–Newton
-    steps of the lights alternate until neither changes. Images determine intensities up to one scale per channel: the
+    steps of the lights alternate until both converge. Images determine intensities up to one scale per channel: the
     mean logarithm stays as given, except for a common factor where the surface would be brighter than white.
     schedule: of the texels' recovery, ``standard`` by default, without spatial phases. fixed: as for a Recovery.
     intensities: estimate them, each channel by itself. refine_degrees: standard deviation of the error of the given
     directions (for near lights as seen from the texels), 0…20; 0 keeps them. fitted: the observations in the fit, all
     by default; the others get the intensity that matches their own image. sample: from ``sample.draw`` with the same
-    seed and observations, drawn here by default. Yields the fraction done, 0…1. Raises InputError; otherwise as a
+    seed and observations, drawn here by default. Yields the fraction done, 0…1. Raises InputError; otherwise like a
     Recovery.
     """
     check(intensities, refine_degrees)
@@ -146,7 +146,7 @@ def light_steps(
         np.radians(refine_degrees), entry,
     )  # fmt: skip
     step = yield from search.rounds()
-    return search.found(domain, step)
+    return search.result(domain, step)
 
 
 estimate_lights = at_once("estimate_lights", light_steps)
@@ -164,10 +164,10 @@ def chosen_steps(
     entry: EntryChoice = "auto",
     sample: LightSample | None = None,
 ) -> Generator[float, None, Lights | None]:
-    """Yield the fraction done, 0…1; return the estimated lights, or None where the given ones stay.
+    """Yield the fraction done, 0…1; return the estimated lights, or None if the given ones stay.
 
-    intensities: "given", "estimate", or "auto": estimated where all are given as 1, the images contradict that, and the
-    lights suffice. The others: as for ``light_steps``.
+    intensities: "given", "estimate", or "auto": estimated if all are given as 1, the images contradict that, and the
+    lights determine them. The others: as for ``light_steps``.
     """
     chosen = _indices(domain, fitted)
 
@@ -211,15 +211,15 @@ def _contradicted(
     entry: EntryChoice,
     sample: LightSample,
 ) -> Generator[float, None, bool]:
-    """Recover some texels under the given lights, with yields; return whether the images contradict the lights.
+    """Yield while some texels are recovered under the given lights; return whether the images contradict the lights.
 
     No recovery runs where the first estimate, for matt texels, is near the given intensities.
     """
-    if not len(sample.rows) or _size(np.log(sample.factors)) < _CONTRADICTED:
+    if not len(sample.rows) or _rms(np.log(sample.factors)) < _CONTRADICTED:
         return False
     few = light_sample.draw(domain, seed, fitted, _SMALL)
-    part, held = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
-    with Recovery(part, model, sample_schedule(), seed, held, entry) as recovery:
+    part, fixed_values = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
+    with Recovery(part, model, sample_schedule(), seed, fixed_values, entry) as recovery:
         while not recovery.step(time_budget_s=_SLICE_SECONDS).done:
             yield 0.0
         values = recovery.maps(confidence=False).values
@@ -237,7 +237,7 @@ def check(intensities: bool, refine_degrees: float) -> None:
 
 
 def sample_schedule(schedule: Schedule | None = None) -> Schedule:
-    """Return a schedule, by default ``standard``, for texels without neighbours, under lights that may be wrong."""
+    """Return a schedule, by default ``standard``, for texels without neighbours and lights that may be wrong."""
     return (schedule or load_schedule("standard")).replaced(
         c3=0.0, neighbour_every=0, refinement_rounds=0, prior_rounds=0, levels=1,
         interreflection_rounds=0, prefit_indirect_share=0.0,
@@ -247,7 +247,7 @@ def sample_schedule(schedule: Schedule | None = None) -> Schedule:
 def contradiction(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str], seed: int = 0
 ) -> str:
-    """Return a warning where recovered maps contradict the given intensities, else "".
+    """Return a warning if recovered maps contradict the given intensities, else "".
 
     values: parameter name → (H, W, components) of the whole domain.
     """
@@ -265,19 +265,19 @@ def contradiction(
     )
     return (
         "the images contradict the lights' intensities, all given as 1: they differ by some"
-        f" {_size(step.gains):.0%} from light to light; give them, or {remedy}"
+        f" {_rms(step.gains):.0%} from light to light; give them, or {remedy}"
     )
 
 
 def _disagreement(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str]
 ) -> LightStep | None:
-    """Return the step to better intensities, None where recovered texels do not support one."""
+    """Return the step to better intensities; None if the recovered texels do not support one."""
     fitness = load_schedule("standard").fitness
     scale = texel_scale(domain, fitness.percentile)
     fitness = replace(fitness, delta=_WIDTHS[1])
     step = run_steps(light_step(domain, model, values, fixed, scale, fitness, True, None))
-    return step if _size(step.gains) >= _CONTRADICTED and step.explained >= _EXPLAINED else None
+    return step if _rms(step.gains) >= _CONTRADICTED and step.explained >= _EXPLAINED else None
 
 
 class _Search:
@@ -303,7 +303,7 @@ class _Search:
             self._moving = Moving(self._base.lights, axes_of(self._base), np.zeros((len(fitted), MOVES)), sigma)
         self._factors = sample.factors if intensities else np.ones((len(fitted), GAINS))
         if intensities:
-            self._factors = self._factors * _not_above_white(_divided(self._base, self._factors))
+            self._factors = self._factors * _white_factor(_with_divided_images(self._base, self._factors))
         self._change, self._round = np.inf, 0
         self._values: dict[str, np.ndarray] = {}
         self._programs = KeptPrograms()  # for all rounds
@@ -314,8 +314,8 @@ class _Search:
             width = _WIDTHS[self._round] if self._round < len(_WIDTHS) else 0.0
             schedule = self._schedule.replaced(delta=max(self._schedule.fitness.delta, width))
             self._round += 1
-            # Divide the images instead of multiplying the lights: dim images then count like bright ones.
-            domain = _divided(self._base, self._factors)
+            # Divide images instead of multiplying lights: dim images then have the weight of bright ones.
+            domain = _with_divided_images(self._base, self._factors)
             if self._moving is not None:
                 domain = with_lights(domain, self._moving.lights(), domain.intensities)
             self._values = yield from self._solved(domain, schedule)
@@ -330,11 +330,11 @@ class _Search:
                 self._factors = normalised(self._factors * np.exp(step.gains)) * common
             if self._moving is not None:
                 self._moving = replace(self._moving, moves=self._moving.moves + step.moves)
-            self._change = max(_size(step.gains), _size(step.moves))
+            self._change = max(_rms(step.gains), _rms(step.moves))
             if self._round == _ROUNDS or (self._round >= len(_WIDTHS) and self._change <= _SETTLED):
                 return step
 
-    def found(self, domain: Domain, step: LightStep) -> Lights:
+    def result(self, domain: Domain, step: LightStep) -> Lights:
         """Return the lights of a domain after the last step, including those outside the fit."""
         count = domain.observations
         lights, factors = domain.lights.copy(), np.ones((count, GAINS))
@@ -367,18 +367,18 @@ def _indices(domain: Domain, fitted: Sequence[int] | None) -> np.ndarray:
     return np.arange(domain.observations) if fitted is None else np.asarray(fitted, np.intp)
 
 
-def _divided(domain: Domain, factors: np.ndarray) -> Domain:
+def _with_divided_images(domain: Domain, factors: np.ndarray) -> Domain:
     """Return the domain with its images divided by (K, 3) factors."""
     divisors = np.concatenate([factors, np.ones((len(factors), 1))], axis=1)[:, None, None]
     return with_samples(domain, (np.stack([*domain.stack.layers()]) / divisors).astype(np.float32))
 
 
-def _not_above_white(domain: Domain) -> float:
-    """Return a common factor on the intensities that keeps nearly all of the surface darker than white."""
+def _white_factor(domain: Domain) -> float:
+    """Return a common factor on the intensities with which nearly all of the surface is darker than white."""
     albedo = lambert_seed(domain)[1][domain.solvable]
     bright = float(np.percentile(albedo.max(axis=-1), _BRIGHT)) if len(albedo) else 0.0
     return bright / _WHITE if bright > 1 else 1.0
 
 
-def _size(changes: np.ndarray) -> float:
+def _rms(changes: np.ndarray) -> float:
     return float(np.sqrt((changes**2).mean()))

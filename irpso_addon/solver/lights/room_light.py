@@ -11,7 +11,7 @@ from ..state.prepare import light_vectors
 
 
 def room_light(domain: Domain, seed: int = 0) -> float:
-    """Return ``capture.inspect.room_light`` of some texels."""
+    """Return ``capture.inspect.room_light`` for a random sample of texels."""
     places = np.flatnonzero(domain.solvable)
     chosen = np.sort(np.random.default_rng(seed % 2**32).permutation(places)[: pixels.PIXELS])
     texels = np.divmod(chosen, domain.shape[1])

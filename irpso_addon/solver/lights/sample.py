@@ -12,12 +12,12 @@ from ...geometry.domain import Domain, laid_on
 from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
-_TEXELS = 1024  # at most; 5 % noise of a sample is then 0.2 % of a light
-_SAMPLES = 1 << 16  # at most, over all observations; but at least _LEAST texels
+_TEXELS = 1024  # at most; 5 % noise per sample then gives 0.2 % error per light
+_SAMPLES = 1 << 16  # at most, over all observations, but at least _LEAST texels
 _LEAST = 384
-_WIDTH = 64  # of their grid
+_WIDTH = 64  # of the sample's grid, in texels
 _CANDIDATES = 3  # candidates per texel; each is read from all layers of a stack, which may be on disk
-_EVERY_LIGHT = 128  # texels per light, where so many see it
+_EVERY_LIGHT = 128  # texels per light, if so many are lit by it
 _CELLS = 5  # cells along each axis of the histogram of normals
 
 
@@ -26,8 +26,8 @@ class LightSample:
     """Some texels of a domain, and the first estimate of its lights.
 
     domain: h×w independent texels; neighbours in it are not neighbours in the source. factors: (n, 3) on the given
-    intensities of the fitted observations. rows, columns: places in the source of its texels, row by row; the rest of
-    the grid is not covered.
+    intensities of the fitted observations. rows, columns: positions of its texels in the source, row by row; the rest
+    of the grid is not covered.
     """
 
     domain: Domain
@@ -36,7 +36,7 @@ class LightSample:
     columns: np.ndarray
 
     def part(self, value: np.ndarray) -> np.ndarray:
-        """Return (h, w, …) of a map (H, W, …) of the source."""
+        """Return (h, w, …): a map (H, W, …) of the source at the sample's texels."""
         return _grid(value[self.rows, self.columns], self.domain.shape)
 
 
@@ -52,12 +52,12 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     rows, columns = np.divmod(chosen, domain.shape[1])
     stack = without_bounds(domain.stack.texels(rows, columns))  # bounds do not determine lights
     vectors, irradiance = (a[fitted] for a in light_vectors(domain, (rows, columns)))
-    kept = _well_lit(stack[fitted], 2 * count)
-    vectors, irradiance = (a if a.shape[1] == 1 else a[:, kept] for a in (vectors, irradiance))
-    rows, columns, stack = rows[kept], columns[kept], stack[:, kept]
-    seen = stack[fitted]
-    radiance = np.where(seen[..., 3:] > 0, seen[..., :3], 0).astype(np.float64)
-    factors, normals = relative_intensities(radiance, seen[..., 3].astype(np.float64), vectors, irradiance)
+    lit = _well_lit(stack[fitted], 2 * count)
+    vectors, irradiance = (a if a.shape[1] == 1 else a[:, lit] for a in (vectors, irradiance))
+    rows, columns, stack = rows[lit], columns[lit], stack[:, lit]
+    samples = stack[fitted]
+    radiance = np.where(samples[..., 3:] > 0, samples[..., :3], 0).astype(np.float64)
+    factors, normals = relative_intensities(radiance, samples[..., 3].astype(np.float64), vectors, irradiance)
     world = np.einsum("tc,tcd->td", normals, domain.bake.frames((rows, columns)))
     order = np.sort(evenly_facing(world, rng)[:count])
     part = _gathered(domain, stack[:, order], rows[order], columns[order])
@@ -70,20 +70,20 @@ def fixed_at(fixed: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, 
 
 
 def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:
-    """Indices of the ``count`` texels with the most observations, and of some texels for each observation."""
-    seen = (stack[..., 3] > 0) & (stack[..., :3] > 0).any(axis=-1)
-    order = np.argsort(-seen.sum(axis=0), kind="stable")
-    wanted = np.zeros(len(order), bool)
-    wanted[order[:count]] = True
-    for layer in seen:
-        short = _EVERY_LIGHT - int((layer & wanted).sum())
+    """Return the indices of the ``count`` texels with the most observations, and of some texels per observation."""
+    lit = (stack[..., 3] > 0) & (stack[..., :3] > 0).any(axis=-1)
+    order = np.argsort(-lit.sum(axis=0), kind="stable")
+    chosen = np.zeros(len(order), bool)
+    chosen[order[:count]] = True
+    for layer in lit:
+        short = _EVERY_LIGHT - int((layer & chosen).sum())
         if short > 0:
-            wanted[order[layer[order] & ~wanted[order]][:short]] = True
-    return np.flatnonzero(wanted & (seen.sum(axis=0) >= 3))
+            chosen[order[layer[order] & ~chosen[order]][:short]] = True
+    return np.flatnonzero(chosen & (lit.sum(axis=0) >= 3))
 
 
 def evenly_facing(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Indices in an order in which every prefix holds about equally many texels of each normal."""
+    """Return indices in an order in which every prefix has about equally many texels of each normal."""
     cells = np.floor((normals + 1) * (_CELLS / 2)).clip(0, _CELLS - 1).astype(int) @ (1, _CELLS, _CELLS**2)
     shuffled = rng.permutation(len(cells))
     by_cell = shuffled[np.argsort(cells[shuffled], kind="stable")]

@@ -1,4 +1,4 @@
-"""The phase of a resolved stage."""
+"""Creation of the phase of a resolved stage."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from .synchronous_swarm import SynchronousSwarmPhase
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
-# What prefits and the phases between them measure, by name, and the kind of stage that does.
+# Measurements of prefits and of the phases between them: name → kind of the stage that makes it.
 MEASURED = {
     FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, SHADOW: ResolvedIndirect,
     SEPARATION: ResolvedSeparation, CHOSEN: ResolvedSheen,
@@ -63,9 +63,9 @@ def begin_phase(
 ) -> Phase:
     """Return the phase of stage ``index``.
 
-    seed: of the recovery. acceptance: makes the test of its result. prefit: what prefits before have measured.
+    seed: of the recovery. acceptance: creates the test of the result. prefit: measurements of earlier prefits.
     """
-    # Every stage has its own random numbers: with the first one's each cycle would start at the same places.
+    # Every stage has its own random numbers: with equal ones each cycle would start at the same positions.
     seed = (seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
     if isinstance(stage, ResolvedRefinement):
         test = acceptance() if any(p.is_normal for p in stage.parameters) else None
@@ -88,6 +88,6 @@ def begin_phase(
 
 
 def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return of what has been measured that of some first stages of the recovery."""
+    """Return the measurements that were made by ``stages``, the first ones of a recovery."""
     ended = {type(stage) for stage in stages}
     return {name: array for name, array in measured.items() if MEASURED[name] in ended}

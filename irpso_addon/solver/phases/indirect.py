@@ -1,4 +1,4 @@
-"""The search for texels whose light is mostly indirect: there darker samples count as shadow from here on."""
+"""Detection of texels with mostly indirect light. In later phases their darker samples count as shadow."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from .neighbour_test import NeighbourTest
 from .prefit import EVIDENCE
 
 SHADOW = "prefit_shadow"
-# On rendered captures like DiLiGenT's both are exceeded at 38 % of the texels of a goblet and at 23 % of those of a
-# concave mix, whose normals are off by 55 and 27° there; at 3 % of convex metal, 2 % of velvet, and nowhere on a bunny
-# that only casts shadows.
+# Share of texels above both limits on rendered captures like DiLiGenT's: goblet 38 % and concave mix 23 %, with normal
+# errors of 55 and 27° there; convex metal 3 %, velvet 2 %, a bunny that only casts shadows 0.
 _LEAST_MISFIT, _LEAST_SURPLUS = 0.2, 0.03
 
 
 class IndirectPhase(NeighbourTest):
-    """A NeighbourTest of the evidence of indirect light, which raises the shadow."""
+    """A NeighbourTest of the evidence of indirect light. It raises the shadow threshold of texels that exceed it."""
 
     def __init__(
         self,
@@ -36,24 +35,24 @@ class IndirectPhase(NeighbourTest):
         entry: Entry,
         measured: Mapping[str, np.ndarray],
     ):
-        self._known = {name: array for name, array in measured.items() if name != EVIDENCE}
+        self._other_measurements = {name: array for name, array in measured.items() if name != EVIDENCE}
         super().__init__(
             resolved, model, schedule, domain, estimates, entry, indirect_table(), "prefit/indirect.glsl",
             limits(schedule), measured.get(EVIDENCE),
         )  # fmt: skip
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Leave the estimates as they are: what is accepted twice is as it was."""
+        """Leave the estimates unchanged: this swap and that of the caller cancel."""
         yield
         self.estimates.accept()
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what is known by name, the shadow (h, w) of each texel, packed, in place of the evidence.
+        """Return name → measurement, packed; the shadow threshold (h, w) of each texel replaces the evidence.
 
-        It is 0 where the light is not indirect.
+        The threshold is 0 where the light is not indirect.
         """
         yield
-        return {**self._known, SHADOW: self.read(self.decided)[..., 0]}
+        return {**self._other_measurements, SHADOW: self.read(self.decided)[..., 0]}
 
 
 def limits(schedule: Schedule) -> dict[str, float]:

@@ -23,7 +23,7 @@ _MIX = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)  # SplitMix6
 def sampled(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return (n, 3 + C) float64: rank, row, column and values of the texels in the sample.
 
-    rows, columns: (T,) places in the whole domain. values: (T, C). A texel's rank depends on its place only; the SAMPLE
+    rows, columns: (T,) in the whole domain. values: (T, C). A texel's rank depends on its place only; the SAMPLE
     lowest ranks are the sample, so ``merged`` samples of a domain's parts are the sample of the whole.
     """
     place = (rows.astype(np.uint64) << np.uint64(32)) | columns.astype(np.uint64)
@@ -63,7 +63,7 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
 def material_table(features: np.ndarray, count: int) -> np.ndarray:
     """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/materials/shared.glsl.
 
-    features: (n, d), d ≤ 12; rows that differ by less than 1 are alike, rows that are not finite are ignored.
+    features: (n, d), d ≤ 12; rows that differ by less than 1 are equal; rows that are not finite are ignored.
     Expectation maximisation (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of
     k-means++ (Arthur and Vassilvitskii 2007).
     """
@@ -84,31 +84,31 @@ def mixture(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     variance = np.ones_like(mean)
     share = np.full(len(mean), 1.0 / len(mean))
     for _ in range(_ROUNDS):
-        weight = belonging(x, share, mean, variance)
+        weight = memberships(x, share, mean, variance)
         texels = weight.sum(axis=0)
-        kept = texels >= min(_LEAST_TEXELS, texels.max())
-        weight, texels = weight[:, kept], texels[kept]
+        large = texels >= min(_LEAST_TEXELS, texels.max())
+        weight, texels = weight[:, large], texels[large]
         mean = (weight.T @ x) / texels[:, None]
         variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _LEAST_VARIANCE)
         share = texels / texels.sum()
     return share, mean, variance
 
 
-def belonging(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def memberships(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return (n, K): the probability that each row of x (n, d) belongs to each Gaussian of ``mixture``."""
     inverse = 1.0 / variance
-    apart = (x * x) @ inverse.T - 2.0 * x @ (mean * inverse).T + (mean * mean * inverse).sum(axis=1)
-    log = np.log(share) - 0.5 * (apart + np.log(variance).sum(axis=1))
+    squared = (x * x) @ inverse.T - 2.0 * x @ (mean * inverse).T + (mean * mean * inverse).sum(axis=1)
+    log = np.log(share) - 0.5 * (squared + np.log(variance).sum(axis=1))
     weight = np.exp(log - log.max(axis=1, keepdims=True))
     return weight / weight.sum(axis=1, keepdims=True)
 
 
 def _seeds(x: np.ndarray, count: int) -> np.ndarray:
-    """Return rows of x, each drawn by its squared distance from those before; the first is nearest the median."""
+    """Return rows of x: first the one nearest the median, then each drawn by its squared distance from earlier ones."""
     draw = np.random.default_rng(0)
     chosen = [int(np.argmin(((x - np.median(x, axis=0)) ** 2).sum(axis=1)))]
-    apart = ((x - x[chosen[0]]) ** 2).sum(axis=1)
-    while len(chosen) < count and apart.max() > 1.0:
-        chosen.append(int(np.searchsorted(np.cumsum(apart), draw.random() * apart.sum())))
-        apart = np.minimum(apart, ((x - x[chosen[-1]]) ** 2).sum(axis=1))
+    squared = ((x - x[chosen[0]]) ** 2).sum(axis=1)
+    while len(chosen) < count and squared.max() > 1.0:
+        chosen.append(int(np.searchsorted(np.cumsum(squared), draw.random() * squared.sum())))
+        squared = np.minimum(squared, ((x - x[chosen[-1]]) ** 2).sum(axis=1))
     return x[chosen]

@@ -1,4 +1,4 @@
-"""What phases share that decide at every texel by what prefits have measured of it and its neighbours."""
+"""Base class of phases that decide for each texel from prefit measurements at the texel and its neighbours."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ REACH, TAPS = 8, taps_of(Prior(scales=3))
 
 
 class NeighbourTest(TexturePhase):
-    """A Phase of one iteration: it compares what was measured of a texel and its neighbours with limits.
+    """A Phase of one iteration: it compares measurements at a texel and its neighbours with limits.
 
-    table: of two groups, what was measured and the decisions. measured: the first one's array (h, w, 4), packed; None
-    where a state follows. limits: by the names that the shader has for them.
+    table: two groups, measurements and decisions. measured: the measurements (h, w, 4), packed; None if ``restore``
+    follows. limits: by their names in the shader.
     """
 
-    placed = False  # it moves no estimate
+    placed = False  # it changes no estimate
     passes: Pass
 
     def __init__(
@@ -46,15 +46,15 @@ class NeighbourTest(TexturePhase):
         measured: np.ndarray | None,
     ):
         super().__init__(resolved, model, schedule, domain, estimates, entry)
-        self._given, self.decided = table.groups
-        self.shared = (self._given,)
+        self._measurements, self.decided = table.groups
+        self.shared = (self._measurements,)
         self.textures = PhaseTextures(table, *estimates.size)
         self.passes = decision_pass(source, self.decided, limits, domain.defines)
         self._measured = measured
 
     @property
     def evaluations(self) -> int:
-        """Return 0: it renders nothing."""
+        """0: this phase renders nothing."""
         return 0
 
     @property
@@ -63,15 +63,15 @@ class NeighbourTest(TexturePhase):
         return 0 if self.done else REACH
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Decide, in bands."""
-        self._make()
-        held = self.textures
-        inputs = {**held.bound(self._given, held.of(self._given)), **self.domain.textures}
-        yield from self.passes.in_bands(self.title, bands, seconds, held.of(self.decided), inputs, {})
+        """Make the decisions, in bands."""
+        self._ensure_inputs()
+        textures = self.textures
+        inputs = {**textures.bound(self._measurements, textures.of(self._measurements)), **self.domain.textures}
+        yield from self.passes.in_bands(self.title, bands, seconds, textures.of(self.decided), inputs, {})
         self.iteration += 1
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return by name, packed, what is known after the decisions."""
+        """Return name → measurement after the decisions, packed."""
         raise NotImplementedError
 
     def reached(self, threshold: float) -> bool:
@@ -80,24 +80,24 @@ class NeighbourTest(TexturePhase):
 
     def read(self, *names: str) -> np.ndarray:
         """Return (h, w, channels) of the current textures of some groups, channels side by side."""
-        self._make()
+        self._ensure_inputs()
         return super().read(*names)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration, by name."""
-        self._make()
+        """Return name → array of all that persists between iterations."""
+        self._ensure_inputs()
         return super().state()
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Continue from the ``state`` of an iteration."""
-        self._make()
+        self._ensure_inputs()
         super().restore(arrays, iteration)
 
-    def _make(self) -> None:
-        """Allocate the textures, and give them what was measured, at first use."""
+    def _ensure_inputs(self) -> None:
+        """Allocate the textures and upload the measurements, at first use."""
         self.textures.ensure()
         if self._measured is not None:
-            self.textures.upload(self._given, [self._measured])
+            self.textures.upload(self._measurements, [self._measured])
             self._measured = None
 
 

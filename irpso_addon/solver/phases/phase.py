@@ -1,4 +1,4 @@
-"""The contract of a phase, and what the phases with textures of their own share."""
+"""The interface of a phase, and the base class of phases with their own textures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def band_seconds(time_budget_s: float | None) -> float:
 class Phase(Protocol):
     """A sequence of iterations. It reads the current estimates and writes the resolved ones.
 
-    title: of what is searched, for display. iterations: their number. Textures and shaders are made at first use, in
+    title: searched parameters, for display. iterations: their number. Textures and shaders are made at first use, in
     slices of ``advance``.
     """
 
@@ -51,7 +51,7 @@ class Phase(Protocol):
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        """Renders of all observations in the next iteration, at a texel that has not converged."""
 
     @property
     def reach(self) -> int:
@@ -81,15 +81,15 @@ class Phase(Protocol):
         return False
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray] | None]:
-        """Return, after its end, what later phases need to know, packed, by name; None if it measures nothing."""
+        """Return, after the last iteration, name → packed measurement for later phases; None if there are none."""
         yield from ()
         return None
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: what neighbours read of a texel; NaN where none is solved."""
+        """Return (H, W, n) float32 over the domain: the data that neighbours read; NaN where no texel is solved."""
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
+        """Set (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own texels do not change."""
 
     def sample(self) -> np.ndarray | None:
         """Return this tile's part of the domain's sample (mixture.py) that the next iteration needs; None if none.
@@ -99,11 +99,11 @@ class Phase(Protocol):
         return None
 
     def take_sample(self, sample: np.ndarray) -> None:
-        """Take the sample of the whole domain."""
+        """Set the sample of the whole domain."""
         return None
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration, by name."""
+        """Return name → array of all that persists between iterations."""
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Continue from the ``state`` of an iteration."""
@@ -132,7 +132,7 @@ class Passes(Protocol):
 class TexturePhase(Phase):
     """A phase whose textures a table declares. A subclass sets ``textures`` and ``passes``.
 
-    acceptance: test of what it resolves, if there is one. shared: the groups that neighbours read, of RGBA textures.
+    acceptance: test of the resolved estimates, or None. shared: groups of RGBA textures that neighbours read.
     """
 
     iteration = 0
@@ -161,14 +161,14 @@ class TexturePhase(Phase):
         return np.concatenate([self.reader.read(texture) for texture in self.textures.of(*names)], axis=-1)
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: the shared groups; NaN where none is solved."""
+        """Return (H, W, n) float32 over the domain: the shared groups; NaN where no texel is solved."""
         return self.domain.packing.unpack(self.read(*self.shared), np.nan)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
+        """Set (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own texels do not change."""
         packing = self.domain.packing
-        theirs = packed_states(self.domain.domain, packing)[..., None] == HALO
-        merged = np.where(theirs, packing.pack(values, ghosts), self.read(*self.shared))
+        of_other_tiles = packed_states(self.domain.domain, packing)[..., None] == HALO
+        merged = np.where(of_other_tiles, packing.pack(values, ghosts), self.read(*self.shared))
         parts = iter(np.split(merged, merged.shape[-1] // 4, axis=-1))
         for name in self.shared:
             self.textures.upload(name, [next(parts) for _ in self.textures.of(name)])
@@ -183,9 +183,9 @@ class TexturePhase(Phase):
         return bool((self.fitness()[solved] <= threshold).all())
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration, by name."""
+        """Return name → array of all that persists between iterations."""
         self.textures.ensure()
-        return {name: self.reader.read(texture) for name, texture in self.textures.remembered.items()}
+        return {name: self.reader.read(texture) for name, texture in self.textures.persistent.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Continue from the ``state`` of an iteration."""

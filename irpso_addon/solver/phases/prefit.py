@@ -1,4 +1,4 @@
-"""Prefit: normals by a model with few assumptions, before the recovery's own model."""
+"""Prefit: estimates normals with a model of few assumptions, before the recovery's own model."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from .phase import Phase
 from .refinement import RefinementPhase
 from .synchronous_swarm import SynchronousSwarmPhase
 
-# With fewer samples per unknown a prefit cannot test other results: under 16 near lamps noise would turn the normals of
-# metals (metallic of a gilding 0.056, not 0.042). With this limit the mean error in hollows of bunny_specular, which
-# few of its 50 lights reach, falls from 0.82 to 0.69°.
+# With fewer samples per unknown a prefit is no reference for other fits: under 16 near lamps noise would turn the
+# normals of metals (metallic of a gilding 0.056, not 0.042). With this limit the mean error in hollows of
+# bunny_specular, which few of its 50 lights reach, falls from 0.82 to 0.69°.
 _SAMPLES_PER_UNKNOWN = 3
 _ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally good
-FITNESS, EVIDENCE, SHEEN = "prefit_fitness", "prefit_evidence", "prefit_sheen"  # of what prefits measure
-# Of the first prefit, where one with sheen is made: SheenPhase adopts none whose neighbourhood fits better than 0.37.
-# On captures like DiLiGenT's it takes 0.35 to 0.47 of the time on clay and glaze, all of it on velvet and metal paint;
-# the normals' mean error changes by less than 0.03°.
+FITNESS, EVIDENCE, SHEEN = "prefit_fitness", "prefit_evidence", "prefit_sheen"  # measurements
+# Least fitness of the first prefit for a second one with sheen: SheenPhase adopts none whose neighbourhood fits better
+# than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
+# metal paint; the normals' mean error changes by less than 0.03°.
 _LEAST_FITNESS = 0.3
-UNFIT = np.float32(1e30)  # shaders/fitness/unfit.glsl: no measure
+UNFIT = np.float32(1e30)  # shaders/fitness/unfit.glsl: no measurement
 _PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
-# Of the prior on the exponent, of mean 1, under narrow lights. On balls under 12 lights within 22° it lowers the mean
-# error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the exponent:
-# with the prior the error on bunny_lambert would rise by 0.08°.
+# Of the prior on the falloff's exponent (mean 1) under narrow lights. On balls under 12 lights within 22° it lowers the
+# mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the
+# exponent: with the prior the error on bunny_lambert would rise by 0.08°.
 _FALLOFF_DEVIATION = 0.15
 
 
@@ -47,9 +47,9 @@ class PrefitPhase(Phase):
     """A Phase: swarms, then a refinement, on grey samples with the prefit's own model.
 
     Its result is the estimates of the recovery's model with the prefit's normals. inner: the swarms, later the
-    refinement. own: the estimates of the prefit's model. before: what an earlier prefit has measured. An indirect one
-    moves nothing but the texels whose shadow is raised, each by itself. One with sheen moves nothing at all: it solves
-    the texels that the first fits badly, and SheenPhase adopts its normals.
+    refinement. own: the estimates of the prefit's model. before: measurements of an earlier prefit. A prefit of
+    indirect light changes only texels with a raised shadow threshold or separated light, without neighbours. A prefit
+    with sheen changes no estimates: it solves the texels that the first one fits badly; SheenPhase adopts its normals.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class PrefitPhase(Phase):
         if self._chosen is not None:
             schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where(self._chosen)
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
-        self._domain, self._estimates, self._before = grey(domain, schedule), estimates, before
+        self._domain, self._estimates, self._earlier = grey(domain, schedule), estimates, before
         self._model, self.title = resolved.model, resolved.title
         self._domain.defines |= {
             "FALLOFF_COMPONENT": self._model.offset("falloff"), "FALLOFF_DEVIATION": f"{_FALLOFF_DEVIATION:.9f}",
@@ -81,7 +81,7 @@ class PrefitPhase(Phase):
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
         self._evidence = _evidence_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
         self._refining = False
-        if schedule.swarm.seed == "given":  # a first guess has a normal, but no parameter of the prefit's model
+        if schedule.swarm.seed == "given":  # a given guess has a normal, but no parameters of the prefit's model
             schedule = schedule.replaced(seed="lambert")
         self.inner: SynchronousSwarmPhase | RefinementPhase = SynchronousSwarmPhase(
             resolved.stage, self._model, schedule, seed, self._domain, self.own, entry
@@ -95,7 +95,7 @@ class PrefitPhase(Phase):
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        """Renders of all observations in the next iteration, at a texel that has not converged."""
         return self.inner.evaluations
 
     @property
@@ -120,7 +120,7 @@ class PrefitPhase(Phase):
         """Write the normals so far into the resolved estimates."""
         yield from self.inner.conclude(bands, seconds)
         if self._resolved.sheen:
-            self._estimates.accept()  # what is accepted twice is as it was
+            self._estimates.accept()  # this swap and that of the caller cancel
             return
         yield from self._adopt.at_once(bands, self._estimates.resolved, self._inputs(self.own.resolved))
 
@@ -136,10 +136,10 @@ class PrefitPhase(Phase):
         return {**self._estimates.bindings(), **self._domain.textures, **prefit}
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return by name, packed, float32: the fitness (h, w) of the prefit's model with what is resolved. In bands.
+        """Return name → packed float32 array: the fitness (h, w) of the resolved estimates of the prefit's model.
 
-        With what was measured before; where indirect light is sought, its evidence (h, w, 4), too. Of a prefit with
-        sheen its normals and fitness (h, w, 4).
+        Includes earlier measurements and, where the stage ``seeks`` it, the evidence of indirect light (h, w, 4). Of a
+        prefit with sheen: normals and fitness (h, w, 4). In bands.
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(resolved=True), **self._domain.textures}
@@ -147,27 +147,27 @@ class PrefitPhase(Phase):
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         fitness = textures.download(targets[0])[..., 0]
         if self._chosen is not None:
-            fitness = np.where(self._chosen, fitness, self._before[FITNESS])
+            fitness = np.where(self._chosen, fitness, self._earlier[FITNESS])
         if self._resolved.sheen:
             normals = normals_of(self.own, self._model, resolved=True)
-            return {**self._before, SHEEN: np.concatenate([normals, fitness[..., None]], axis=-1)}
+            return {**self._earlier, SHEEN: np.concatenate([normals, fitness[..., None]], axis=-1)}
         if self._evidence is None:
-            return {**self._before, FITNESS: fitness}
+            return {**self._earlier, FITNESS: fitness}
         targets = [textures.empty(*self.own.size)]
         constants = {"u_observations": constants["u_observations"]}
         yield from self._evidence.in_bands("evidence", bands, seconds, targets, inputs, constants)
         return {FITNESS: fitness, EVIDENCE: textures.download(targets[0])}
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: what neighbours read of a texel; NaN where none is solved."""
+        """Return (H, W, n) float32 over the domain: the data that neighbours read; NaN where no texel is solved."""
         return self.inner.halo()
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
+        """Set (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own texels do not change."""
         self.inner.take_halo(values, ghosts)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration, by name."""
+        """Return name → array of all that persists between iterations."""
         own = {f"own_{i}": textures.download(texture) for i, texture in enumerate(self.own.current)}
         return {**self.inner.state(), **own}
 
@@ -234,7 +234,7 @@ class AcceptanceTest:
 
 
 def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
-    """Return the same textures, for kernels that see grey samples under lights of intensity 1."""
+    """Return the same textures, for kernels that read grey samples under lights of intensity 1."""
     result = copy(domain)
     result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.prefit.shadow:.9f}"}
     result.brightness = 1.0
@@ -244,7 +244,7 @@ def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
 def _first_estimates(
     own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates, domain: DomainTextures
 ) -> Estimates:
-    """The prefit's first estimates: the recovery's normals, on matt surfaces of each texel's own scale."""
+    """Return the prefit's first estimates: the recovery's normals, and a matt surface of each texel's own scale."""
     normals = normals_of(estimates, model)
     values = {
         p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*normals.shape[:2], p.components))
@@ -265,8 +265,8 @@ def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
     packed = kernels.packed(model)
     samplers: Samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
     defines = {**defines, "NORMAL_COMPONENT": model.offset(normal)}
-    outputs, given = (Output("o_estimate", packed),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, given))
+    outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, includes))
 
 
 def adopt_where(
@@ -278,13 +278,13 @@ def adopt_where(
     chosen: np.ndarray,
     normals: np.ndarray,
 ) -> Iterator[None]:
-    """Write normals (h, w, 3) into the resolved estimates where chosen (h, w) bool; elsewhere stay the current ones.
+    """Write normals (h, w, 3) into the resolved estimates where chosen, (h, w) bool; elsewhere the current ones stay.
 
     adopt: from ``adopt_pass``.
     """
     normals = np.where(chosen[..., None], normals, normals_of(estimates, model))
-    given = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
-    inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": given}
+    uploaded = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
+    inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": uploaded}
     yield from adopt.at_once(bands, estimates.resolved, inputs)
 
 
@@ -297,8 +297,8 @@ def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defin
         **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
-    outputs, given = (Output("o_estimate", packed),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.FITNESS, defines, given))
+    outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.FITNESS, defines, includes))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
@@ -307,8 +307,8 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines)
         **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
         "LEAST_SAMPLES": _least_samples(model, schedule),
     }  # fmt: skip
-    outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, given))
+    outputs, includes = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, includes))
 
 
 def _evidence_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
@@ -317,12 +317,12 @@ def _evidence_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines
         **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "LEAST_SAMPLES": _least_samples(model, schedule),
         "RAISED_SHADOW": f"{schedule.prefit.indirect_shadow:.9f}",
     }  # fmt: skip
-    outputs, given = (Output("o_evidence"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/evidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, given))
+    outputs, includes = (Output("o_evidence"),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/evidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
 
 
 def _least_samples(model: ReflectanceModel, schedule: Schedule) -> int:
-    """Return of how many samples a fit is a measure for another."""
+    """Return the number of samples from which on a fit is a reference for others."""
     return max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 
 

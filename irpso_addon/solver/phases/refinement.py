@@ -22,8 +22,8 @@ from ..state.phase_textures import PhaseTextures, refinement_table
 from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
 from .phase import Acceptance, TexturePhase
 
-SPREAD = -2  # in place of a start: the neighbours' offers
-BEST = -1  # in place of a start: the best material so far, with its damping
+SPREAD = -2  # instead of a start: the best materials of neighbours
+BEST = -1  # instead of a start: the texel's best material so far, with its damping
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def tracks_of(refinement: Refinement, starts: int) -> tuple[Track, ...]:
 
 
 class RefinementPhase(TexturePhase):
-    """A Phase. Every texel has a best material and one in work, each with a status (shaders/refine/status.glsl)."""
+    """A Phase. Every texel has a best material and one in work, both with a status (shaders/refine/status.glsl)."""
 
     resolved: ResolvedRefinement
     passes: RefinementPasses
@@ -68,13 +68,13 @@ class RefinementPhase(TexturePhase):
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        """Renders of all observations in the next iteration, at a texel that has not converged."""
         track, made = self.track
         return self.passes.evaluations + (self.passes.offers if track.start == SPREAD and made == 0 else 0)
 
     @property
     def reach(self) -> int:
-        """SPREAD_REACH if the next iteration reads the neighbours' best materials."""
+        """SPREAD_REACH if the next iteration reads the neighbours' best materials, else 0."""
         track, made = self.track
         return SPREAD_REACH if track.start == SPREAD and made == 0 and not self.done else 0
 
@@ -95,63 +95,63 @@ class RefinementPhase(TexturePhase):
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
-        yield from self._open(bands)
+        yield from self._ready(bands)
         track, made = self.track
         if made == 0:
             yield from self._begin(track, bands, seconds)
         target, widening = self._spare(), self._widening(track, made)
         inputs = self._material(self.work)
-        yield from self._banded("refinement", self.passes.step, target, inputs, bands, seconds, widening)
+        yield from self._in_bands("refinement", self.passes.step, target, inputs, bands, seconds, widening)
         self.work = target
         if made == track.iterations - 1:
             target = self._spare()
             if track.start == SPREAD and self.passes.vote is not None:
-                yield from self._banded("vote", self.passes.vote, target, self._both(), bands, seconds)
+                yield from self._in_bands("vote", self.passes.vote, target, self._best_and_work(), bands, seconds)
             else:
-                yield from self._once(bands, self.passes.keep, target, self._both())
+                yield from self._run(bands, self.passes.keep, target, self._best_and_work())
             self.best = self.work = target
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the better of both materials into the resolved estimates, as the acceptance test decides."""
-        yield from self._open(bands)
+        """Write the better of both materials into the resolved estimates; then run the acceptance test."""
+        yield from self._ready(bands)
         targets = [*self.estimates.resolved, *self.textures.of("result")]
-        yield from self._once(bands, self.passes.keep, targets, self._both())
+        yield from self._run(bands, self.passes.keep, targets, self._best_and_work())
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the better of both materials into other textures, before the acceptance test."""
-        inputs = {**self._both(), **self.domain.textures}
+        inputs = {**self._best_and_work(), **self.domain.textures}
         self.passes.keep.run([*targets, *self.textures.of("result")], inputs, self._constants())
 
     def fitness(self) -> np.ndarray:
-        """Return (H, W) float32 over the domain: the fitness of the better material; NaN where none is solved."""
-        self._keep()
+        """Return (H, W) float32 over the domain: fitness of the better material; NaN where no texel is solved."""
+        self._write_result()
         return self.domain.packing.unpack(self.read("result")[..., 0], np.nan)
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: every texel's best material; NaN where none is solved."""
-        self._keep()
+        """Return (H, W, n) float32 over the domain: every texel's best material; NaN where no texel is solved."""
+        self._write_result()
         packed = np.concatenate([textures.download(t) for t in self.estimates.resolved], axis=-1)
         return self.domain.packing.unpack(packed[..., : self.model.components], np.nan)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n) materials, and (M, n) of the ghosts, as the best ones of texels of other tiles."""
-        self._ensure()
+        """Set (H, W, n) materials, and (M, n) of the ghosts, as the best ones of texels of other tiles."""
+        self._ensure_ready()
         packing = self.domain.packing
-        theirs = packed_states(self.domain.domain, packing) == HALO
+        of_other_tiles = packed_states(self.domain.domain, packing) == HALO
         packed = packing.pack(values, ghosts)
         packed = np.pad(packed, ((0, 0), (0, 0), (0, 4 * self.estimates.count - packed.shape[-1])))
         for i in range(self.estimates.count):
-            part = np.where(theirs[..., None], packed[..., 4 * i : 4 * i + 4], self.reader.read(self.best[i]))
+            part = np.where(of_other_tiles[..., None], packed[..., 4 * i : 4 * i + 4], self.reader.read(self.best[i]))
             self.best[i] = textures.upload(part.astype(np.float32))
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration, by name."""
-        self._ensure()
+        """Return name → array of all that persists between iterations."""
+        self._ensure_ready()
         sets = {"best": self.best, "work": self.work}
-        return {f"{name}_{i}": self.reader.read(t) for name, held in sets.items() for i, t in enumerate(held)}
+        return {f"{name}_{i}": self.reader.read(t) for name, group in sets.items() for i, t in enumerate(group)}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Continue from the ``state`` of an iteration."""
@@ -163,24 +163,24 @@ class RefinementPhase(TexturePhase):
         super().close()
         self.best = self.work = []
 
-    def _open(self, bands: Bands) -> Iterator[None]:
-        """Allocate the textures, and begin at the current estimates unless a state was restored."""
+    def _ready(self, bands: Bands) -> Iterator[None]:
+        """Allocate the textures, and start from the current estimates unless a state was restored."""
         yield from self.textures.make()
         if not self.best:
             target, (status,) = self.textures.current["best"], self.textures.of("result")
-            yield from self._once(bands, self.passes.begin, target, {**self.estimates.bindings(), "u_status": status})
+            yield from self._run(bands, self.passes.begin, target, {**self.estimates.bindings(), "u_status": status})
             self.best = self.work = target
 
-    def _ensure(self) -> None:
-        for _ in self._open(Bands()):
+    def _ensure_ready(self) -> None:
+        for _ in self._ready(Bands()):
             pass
 
-    def _keep(self) -> None:
-        self._ensure()
+    def _write_result(self) -> None:
+        self._ensure_ready()
         self.preview(self.estimates.resolved)
 
     def _widening(self, track: Track, made: int) -> float:
-        """The factor on δ in an iteration of a track: from a start it falls to 1 in the last iteration; otherwise 1."""
+        """Return the factor on δ in an iteration: from a start it falls to 1 in the last iteration; otherwise 1."""
         if track.start < 0 or track.iterations < 2:
             return 1.0
         return self.refinement.widening ** (1 - made / (track.iterations - 1))
@@ -191,33 +191,33 @@ class RefinementPhase(TexturePhase):
             return
         target = self._spare()
         if track.start == SPREAD:
-            yield from self._banded("spread", self.passes.spread, target, self._material(self.best), bands, seconds)
+            yield from self._in_bands("spread", self.passes.spread, target, self._material(self.best), bands, seconds)
         else:
-            yield from self._once(bands, self.passes.begin, target, self._material(self.best), track.start)
+            yield from self._run(bands, self.passes.begin, target, self._material(self.best), track.start)
         self.work = target
 
     def _spare(self) -> list[Texture]:
-        """A set of textures that is neither the best material nor the one in work."""
+        """Return the set of textures that holds neither the best material nor the one in work."""
         current, spare = self.textures.current, self.textures.spare
         sets = current["best"], current["work"], spare["work"]
-        return next(held for held in sets if held is not self.best and held is not self.work)
+        return next(chosen for chosen in sets if chosen is not self.best and chosen is not self.work)
 
-    def _material(self, held: list[Texture]) -> dict[str, Texture]:
-        return self.textures.bound("best", held)
+    def _material(self, material: list[Texture]) -> dict[str, Texture]:
+        return self.textures.bound("best", material)
 
-    def _both(self) -> dict[str, Texture]:
+    def _best_and_work(self) -> dict[str, Texture]:
         return {**self._material(self.best), **self.textures.bound("work", self.work)}
 
     def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
         constants = loss_constants(self.domain, widening * self.schedule.fitness.delta)
         return {**constants, "u_start": start, "u_settles": int(widening == 1)}
 
-    def _once(
+    def _run(
         self, bands: Bands, work: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
     ) -> Iterator[None]:
         return work.at_once(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
 
-    def _banded(
+    def _in_bands(
         self,
         name: str,
         work: Pass,

@@ -1,4 +1,4 @@
-"""The separation of direct from indirect light: by colour where a subject has one, else by what shadows show."""
+"""Separation of direct from indirect light: by colour on a subject of one colour, else by shadows."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from .prefit import adopt_pass, adopt_where
 from .sheen import CHOSEN
 
 SEPARATION = "prefit_separation"
-# Degrees: light that turns a normal by less stays. At 0 the normals of a dirty card are off by 0.54, not 0.16°; those
-# of hollows by 0.1° less.
+# Degrees: indirect light that turns a normal by less is not subtracted. With 0 the normal error of a dirty card is
+# 0.54 in place of 0.16°; in hollows it is 0.1° less.
 LEAST_TURN = 3.0
 REACH = 1  # an iteration that needs the whole domain's sample has a reach
 
 
 class SeparationPhase(Phase):
-    """A Phase of one iteration: the chroma of direct light from a sample of the domain, then each texel's own two.
+    """A Phase of one iteration: the chroma of direct light from a sample of the domain, then two chromas per texel.
 
-    Where these do not tell, the shadows of a card's texel are asked. Its result is the estimates with the normals of a
-    Lambertian fit to the direct light where colour separates it: those that the light of other surfaces led astray are
-    no begin for the prefit that follows. measured: by prefits before.
+    On a card, shadows separate the light of texels where colour does not. Where colour does, the result has the normals
+    of a Lambertian fit to the direct light: normals with the bias of indirect light are a bad start for the next
+    prefit. measured: measurements of earlier prefits.
     """
 
-    placed = False  # until it has ended: it shows nothing of its own
+    placed = False  # nothing to show before the end
     iteration = 0
 
     def __init__(
@@ -57,11 +57,11 @@ class SeparationPhase(Phase):
         measured: Mapping[str, np.ndarray],
     ):
         self.title, self.iterations = resolved.title, resolved.iterations
-        self._model, self._least, self._domain = model, schedule.prefit.indirect_share, domain
+        self._model, self._least_share, self._domain = model, schedule.prefit.indirect_share, domain
         self._entry = entry
-        self._estimates, self._known = estimates, measured
+        self._estimates, self._measured = estimates, measured
         self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
-        # Of velvet, lit from the side, a badly fit normal would take the lit half for the shadow.
+        # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
         self._sheen = domain.packing.unpack(measured.get(CHOSEN, np.zeros_like(domain.scale))) > 0
         self._sample: np.ndarray | None = None
         self._separation = np.zeros((*domain.domain.shape, SEPARATED), np.float32)
@@ -69,16 +69,16 @@ class SeparationPhase(Phase):
 
     @property
     def evaluations(self) -> int:
-        """Return 0: it renders nothing."""
+        """0: this phase renders nothing."""
         return 0
 
     @property
     def reach(self) -> int:
-        """Return REACH while the next iteration needs the whole domain's sample."""
+        """REACH if the next iteration needs the whole domain's sample, else 0."""
         return REACH if not self.done and self._sample is None else 0
 
     def sample(self) -> np.ndarray:
-        """Return this tile's part of the sample, as ``mixture.sampled`` does: chroma, whether it is indirect."""
+        """Return this tile's part of the sample, as ``mixture.sampled``; values: chroma, and 1 for indirect light."""
         domain = self._domain.domain
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
         chosen = sampled(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
@@ -87,7 +87,7 @@ class SeparationPhase(Phase):
         return np.column_stack([chosen, values, self._indirect[rows, columns]])
 
     def take_sample(self, sample: np.ndarray) -> None:
-        """Take the sample of the whole domain."""
+        """Set the sample of the whole domain."""
         self._sample = sample
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
@@ -97,49 +97,49 @@ class SeparationPhase(Phase):
             yield
         direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
         if direct is not None:
-            steps = separation_steps(self._domain.domain, self._indirect, direct, self._least)
+            steps = separation_steps(self._domain.domain, self._indirect, direct, self._least_share)
             self._separation = yield from map_steps(steps, lambda part: None)
-        # A mesh casts its shadows itself: what lies in them has no weight, and nothing tells of its light.
+        # Not on a mesh: samples in its cast shadows have weight 0, so that they give no evidence.
         if self._domain.domain.card:
-            told = self._separation[..., 0] > 0
-            work = shadow_light_pass(self._model, self._least, LEAST_TURN, self._domain.defines, self._entry)
-            asked = shadow_light_steps(work, self._domain, self._estimates, ~(told | self._sheen), bands, seconds)
-            self._separation = np.where(told[..., None], self._separation, by_shadows((yield from asked)))
+            separated = self._separation[..., 0] > 0
+            work = shadow_light_pass(self._model, self._least_share, LEAST_TURN, self._domain.defines, self._entry)
+            asked = shadow_light_steps(work, self._domain, self._estimates, ~(separated | self._sheen), bands, seconds)
+            self._separation = np.where(separated[..., None], self._separation, by_shadows((yield from asked)))
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the normals of the direct light into the resolved estimates."""
+        """Write the normals of the fit to direct light into the resolved estimates."""
         if not self._separation.any():
             yield
-            self._estimates.accept()  # what is accepted twice is as it was
+            self._estimates.accept()  # this swap and that of the caller cancel
             return
         domain, packing = self._domain.domain, self._domain.packing
         chosen = domain.solvable & (self._separation[..., 2] > 0)
-        separated = SeparatedStack(domain, self._separation)
-        steps = lambert_steps(replace(domain, stack=separated, solvable=chosen))
+        direct = SeparatedStack(domain, self._separation)
+        steps = lambert_steps(replace(domain, stack=direct, solvable=chosen))
         normal, _ = yield from map_steps(steps, lambda part: None)
-        held = self._domain, self._estimates, self._model
-        yield from adopt_where(self._adopt, bands, *held, packing.pack(chosen), packing.pack(normal))
+        target = self._domain, self._estimates, self._model
+        yield from adopt_where(self._adopt, bands, *target, packing.pack(chosen), packing.pack(normal))
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what is known by name, packed: with (h, w, SEPARATED) by which light was separated, if any was."""
+        """Return name → packed measurement, with the separation (h, w, SEPARATED) if any light was separated."""
         yield
-        found = {SEPARATION: self._domain.packing.pack(self._separation)} if self._separation.any() else {}
-        return {**self._known, **found}
+        own = {SEPARATION: self._domain.packing.pack(self._separation)} if self._separation.any() else {}
+        return {**self._measured, **own}
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, 1) zeros: neighbours read nothing of each other."""
+        """Return (H, W, 1) zeros: neighbours read nothing."""
         return np.zeros((*self._domain.domain.shape, 1), np.float32)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take nothing."""
+        """Do nothing: neighbours read nothing."""
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return nothing: it begins anew."""
+        """Return {}: the phase restarts."""
         return {}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
-        """Begin anew."""
+        """Do nothing: the phase restarts."""
 
     def close(self) -> None:
         """Free the shader."""
@@ -147,9 +147,9 @@ class SeparationPhase(Phase):
 
 
 def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, defines: Defines, entry: Entry) -> Pass:
-    """Compile the pass that finds the light in shadows.
+    """Compile the pass that estimates indirect light from shadows.
 
-    It counts from the part ``least`` of a texel's light on, and where it turns the normal by ``turn`` degrees or more.
+    It reports light that is at least the part ``least`` of a texel's and turns the normal by ``turn`` degrees or more.
     """
     samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_asked": kernels.FLOAT_2D}
     normal = next(p.name for p in model.parameters if p.is_normal)
@@ -165,19 +165,19 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 def shadow_light_steps(
     work: Pass, domain: DomainTextures, estimates: Estimates, asked: np.ndarray, bands: Bands, seconds: float
 ) -> Generator[None, None, np.ndarray]:
-    """Return (H, W, 12) float32 what the shadows of texels (H, W) bool tell, as shadow_light.glsl writes it.
+    """Return (H, W, 12) float32: the output of shadow_light.glsl at the texels ``asked``, (H, W) bool.
 
-    It is 0 everywhere if a light lacks a channel. work: from ``shadow_light_pass``; it is closed at the end. In bands
-    of rows of about ``seconds``; yields after each.
+    0 everywhere if a light lacks a channel. work: from ``shadow_light_pass``; closed at the end. In bands of rows of
+    about ``seconds``; yields after each.
     """
-    held = PhaseTextures(shadow_light_table(), *estimates.size)
-    with closing(work), closing(held), closing(Reader(work.entry)) as reader:
+    phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
+    with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:
         if not (domain.domain.intensities > 0).all():
             return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
-        held.upload("asked", [domain.packing.pack(asked[..., None].astype(np.float32))])
-        yield from held.make()
-        inputs = {**estimates.bindings(), **domain.textures, **held.bindings()}
+        phase_textures.upload("asked", [domain.packing.pack(asked[..., None].astype(np.float32))])
+        yield from phase_textures.make()
+        inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
         constants = {"u_observations": domain.domain.observations}
-        yield from work.in_bands(SEPARATION, bands, seconds, held.of("light"), inputs, constants)
-        packed = np.concatenate([reader.read(texture) for texture in held.of("light")], axis=-1)
+        yield from work.in_bands(SEPARATION, bands, seconds, phase_textures.of("light"), inputs, constants)
+        packed = np.concatenate([reader.read(texture) for texture in phase_textures.of("light")], axis=-1)
     return domain.packing.unpack(packed)

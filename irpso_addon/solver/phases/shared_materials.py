@@ -15,14 +15,14 @@ from ..state.textures import SOLVED, texel_states
 from .mixture import features_of, material_table, sampled
 from .refinement import BEST, SPREAD, RefinementPhase, Track
 
-_TABLE = "materials"  # in a state
+_TABLE = "materials"  # name in a state
 
 
 class SharedMaterialsPhase(RefinementPhase):
     """A Phase: a refinement whose rounds begin with the materials of a sample of the whole domain (mixture.py).
 
     Each round estimates the mixture again. A tile or a rank takes the whole domain's sample before an iteration whose
-    ``reach`` is not 0; without it, its own sample stands for the whole.
+    ``reach`` is not 0; without it, its own sample replaces the whole's.
     """
 
     resolved: ResolvedMaterials
@@ -30,12 +30,12 @@ class SharedMaterialsPhase(RefinementPhase):
 
     @property
     def reach(self) -> int:
-        """SPREAD_REACH if the next iteration needs the halo's estimates and the whole domain's sample."""
+        """SPREAD_REACH if the next iteration needs the halo and the whole domain's sample, else 0."""
         return SPREAD_REACH if self._in_round and self._table is None and not self.done else 0
 
     def sample(self) -> np.ndarray:
         """Return this tile's part of the sample, as ``mixture.sampled`` does."""
-        self._ensure()
+        self._ensure_ready()
         packed = np.concatenate([self.reader.read(texture) for texture in self.best[:-1]], axis=-1)
         values = self.domain.packing.unpack(packed[..., : self.model.components])
         domain = self.domain.domain
@@ -49,7 +49,7 @@ class SharedMaterialsPhase(RefinementPhase):
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration, as RefinementPhase does."""
-        yield from self._open(bands)
+        yield from self._ready(bands)
         if self._in_round and self._table is None:
             self.take_sample(self.sample())
             yield
@@ -58,7 +58,7 @@ class SharedMaterialsPhase(RefinementPhase):
             self._table = None
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration; in a round also its materials, which belong to no texel."""
+        """Return name → array of all that persists between iterations; in a round also its materials."""
         table = {} if self._table is None else {_TABLE: self.reader.read(self._table)}
         return super().state() | table
 
@@ -80,9 +80,9 @@ class SharedMaterialsPhase(RefinementPhase):
         last = track.iterations - 1
         return 1.0 if track.start == BEST or last == 0 else self.refinement.widening ** (1 - made / last)
 
-    def _material(self, held: list[Texture]) -> dict[str, Texture]:
+    def _material(self, material: list[Texture]) -> dict[str, Texture]:
         table = {} if self._table is None else {"u_materials": self._table}
-        return {**super()._material(held), **table}
+        return {**super()._material(material), **table}
 
     def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
         first = self.iteration < 1 + self.refinement.round_iterations

@@ -1,4 +1,4 @@
-"""The choice between the first prefit and the one with sheen, by what both leave unexplained around a texel."""
+"""Selection between the first prefit and the one with sheen, by the fitness of both around a texel."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
 from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, adopt_where
 
-CHOSEN = "prefit_sheen_chosen"  # (h, w) float32, above 0 where sheen is
-# On a bunny whose base only darkens toward the terminator the prefit with sheen fits by a third better, and turns the
-# normals by 2.7°. There the mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
+CHOSEN = "prefit_sheen_chosen"  # (h, w) float32, above 0 where the prefit with sheen is chosen
+# A bunny without sheen, whose base only darkens toward the terminator: the prefit with sheen fits better by a third and
+# turns the normals by 2.7°. Its mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
 _LEAST_FITNESS = 0.37
-# Of a texel's misfit. Where sheen lowers it so, the recovery's model, which has none, turns the normal for the worse.
-# On a rendered head of velvet their mean error falls from 14.9 to 14.6°; on metal paint it rises from 3.34 to 3.36°.
-_MUCH = 0.1
+# Part of a texel's misfit. Where sheen removes more, the recovery's model, which has none, worsens the normal. Effect
+# of this rule on mean errors: on a rendered head of velvet 14.6 instead of 14.9°, on metal paint 3.36 instead of 3.34°.
+_STRONG_GAIN = 0.1
 
 
 class SheenPhase(NeighbourTest):
-    """A NeighbourTest of two prefits, which takes over the normals of the second."""
+    """A NeighbourTest of two prefits; it adopts the normals of the second where they are chosen."""
 
     def __init__(
         self,
@@ -46,21 +46,21 @@ class SheenPhase(NeighbourTest):
         self._adopt = adopt_pass(model, domain.defines)
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the normals that are chosen into the resolved estimates."""
+        """Write the chosen normals into the resolved estimates."""
         chosen, normals = self.read(self.decided)[..., 0] > 0, self._prefits[SHEEN][..., :3]
         yield from adopt_where(self._adopt, bands, self.domain, self.estimates, self.model, chosen, normals)
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what the prefits have measured, by name, and which texels are chosen: of these the fitness with sheen.
+        """Return name → prefit measurement, and the chosen texels, whose fitness is the one with sheen.
 
-        Where sheen explains much it is divided by the acceptance ratio: a model without has to fit as well.
+        Where sheen lowers the misfit much, it is divided by the acceptance ratio: a model without must fit as well.
         """
         yield
-        chosen, known = self.read(self.decided)[..., 0] > 0, dict(self._prefits)
-        fitness = known.pop(SHEEN)[..., 3]
-        strict = np.where(fitness < (1 - _MUCH) * known[FITNESS], fitness / np.float32(self._ratio), fitness)
-        known[FITNESS] = np.where(chosen, strict, known[FITNESS])
-        return {**known, CHOSEN: chosen.astype(np.float32)}
+        chosen, measured = self.read(self.decided)[..., 0] > 0, dict(self._prefits)
+        fitness = measured.pop(SHEEN)[..., 3]
+        strict = np.where(fitness < (1 - _STRONG_GAIN) * measured[FITNESS], fitness / np.float32(self._ratio), fitness)
+        measured[FITNESS] = np.where(chosen, strict, measured[FITNESS])
+        return {**measured, CHOSEN: chosen.astype(np.float32)}
 
     def close(self) -> None:
         """Free shaders and textures."""
@@ -69,7 +69,7 @@ class SheenPhase(NeighbourTest):
 
 
 def fits_of(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return (h, w, 4) of two fitnesses (h, w): both, and 1 where both are measures, 0 elsewhere."""
+    """Return (h, w, 4): two fitnesses (h, w), 1, 0; all are 0 where one of the two was not measured."""
     counted = (first < UNFIT) & (second < UNFIT)
     fits = np.stack([first, second, counted, 0 * first], axis=-1)
     return np.where(counted[..., None], fits, 0).astype(np.float32)

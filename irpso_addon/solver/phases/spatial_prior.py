@@ -34,7 +34,7 @@ class SpatialPriorPhase(TexturePhase):
     """
 
     shared = ("noise", "mean", "deviation")
-    placed = False  # the most probable material shows at the end, after its comparison with the samples
+    placed = False  # nothing to show before the end, when the most probable material is compared with the samples
     passes: PriorPasses
 
     def __init__(
@@ -55,7 +55,7 @@ class SpatialPriorPhase(TexturePhase):
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        """Renders of all observations in the next iteration, at a texel that has not converged."""
         return evaluations_of(self.resolved, self.model, self.iteration)
 
     @property
@@ -66,28 +66,28 @@ class SpatialPriorPhase(TexturePhase):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
         yield from self.textures.make()
-        held, passes = self.textures, self.passes
+        textures, passes = self.textures, self.passes
         if self.iteration == NOISE:
-            yield from self._banded("noise", passes.noise, held.of("noise", "mean"), bands, seconds)
+            yield from self._in_bands("noise", passes.noise, textures.of("noise", "mean"), bands, seconds)
         elif self.iteration == DEVIATION:
-            yield from self._banded("variance", passes.variance, held.spares("noise"), bands, seconds)
-            held.swap("noise")
-            yield from self._banded("deviation", passes.deviation, held.of("own"), bands, seconds)
-            yield from self._copy(bands, held.of("own"), held.of("deviation"))
+            yield from self._in_bands("variance", passes.variance, textures.spares("noise"), bands, seconds)
+            textures.swap("noise")
+            yield from self._in_bands("deviation", passes.deviation, textures.of("own"), bands, seconds)
+            yield from self._copy(bands, textures.of("own"), textures.of("deviation"))
         elif self.iteration < self._first_step:
             last = self.iteration == self._first_step - 1
             work, name = (passes.pool_last, "pool last") if last else (passes.pool, "pool")
-            yield from self._banded(name, work, held.spares("mean", "deviation"), bands, seconds)
-            held.swap("mean", "deviation")
+            yield from self._in_bands(name, work, textures.spares("mean", "deviation"), bands, seconds)
+            textures.swap("mean", "deviation")
         else:
             if self.iteration == self._first_step:
-                targets = held.of("work", "status", "penalty")
-                yield from self._banded("prior begin", passes.begin, targets, bands, seconds)
-            material = {f"u_estimate_{i}": texture for i, texture in enumerate(held.of("work"))}
-            material["u_status"] = held.of("status")[0]
-            targets = held.spares("work", "status")
-            yield from self._banded("prior step", passes.step, targets, bands, seconds, material)
-            held.swap("work", "status")
+                targets = textures.of("work", "status", "penalty")
+                yield from self._in_bands("prior begin", passes.begin, targets, bands, seconds)
+            candidate = {f"u_estimate_{i}": texture for i, texture in enumerate(textures.of("work"))}
+            candidate["u_status"] = textures.of("status")[0]
+            targets = textures.spares("work", "status")
+            yield from self._in_bands("prior step", passes.step, targets, bands, seconds, candidate)
+            textures.swap("work", "status")
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
@@ -95,7 +95,7 @@ class SpatialPriorPhase(TexturePhase):
         if not self.done:
             yield from self._copy(bands, self.estimates.current, self.estimates.resolved)
             return
-        yield from self._banded("prior keep", self.passes.keep, self.estimates.resolved, bands, seconds)
+        yield from self._in_bands("prior keep", self.passes.keep, self.estimates.resolved, bands, seconds)
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
@@ -107,16 +107,16 @@ class SpatialPriorPhase(TexturePhase):
         for source, target in zip(sources, targets, strict=True):
             yield from self.passes.copy.at_once(bands, [target], {"u_source": source})
 
-    def _banded(
+    def _in_bands(
         self,
         name: str,
         work: Pass,
         targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
-        material: Mapping[str, Texture] = {},
+        candidate: Mapping[str, Texture] = {},
     ) -> Iterator[None]:
-        inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures, **material}
+        inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures, **candidate}
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_settles": 1}
         passes = self.passes
         counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)

@@ -1,4 +1,4 @@
-"""The surface that the normals belong to: they are bent so that they integrate, where their samples leave room."""
+"""Integrability: normals are bent toward one surface, within the uncertainty that their samples leave."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from .phase import Acceptance, TexturePhase
 
 
 class SurfacePhase(TexturePhase):
-    """A Phase: iteration 0 measures the noise of the samples, iteration 1 how well they determine the slopes.
+    """A Phase: iteration 0 measures the noise of the samples, iteration 1 the covariance of the slopes.
 
     Each round relaxes the slopes (shaders/surface/relax.glsl). In the end the normals are bent, and the linear
-    parameters follow (bend.glsl). A texel keeps its estimates if its samples or the acceptance test reject the others.
+    parameters adapt (bend.glsl). A texel keeps its old estimates if its samples or the acceptance test reject the new.
     """
 
     shared = ("noise", "field", "covariance")
-    placed = False  # bent normals show at the end
+    placed = False  # nothing to show before the end
     passes: SurfacePasses
 
     def __init__(
@@ -55,7 +55,7 @@ class SurfacePhase(TexturePhase):
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        """Renders of all observations in the next iteration, at a texel that has not converged."""
         return evaluations_of(self.resolved, self.model, self.schedule, self.iteration)
 
     @property
@@ -66,27 +66,27 @@ class SurfacePhase(TexturePhase):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
         yield from self.textures.make()
-        held, passes = self.textures, self.passes
+        textures, passes = self.textures, self.passes
         if self.iteration == NOISE:
-            # Its copy of the estimates is not used.
-            targets = [*held.of("noise"), *self.estimates.resolved]
-            yield from self._banded("noise", passes.noise, targets, bands, seconds)
+            # The pass also copies the estimates, into textures that are free now.
+            targets = [*textures.of("noise"), *self.estimates.resolved]
+            yield from self._in_bands("noise", passes.noise, targets, bands, seconds)
         elif self.iteration == INFORMATION:
-            yield from self._banded("variance", passes.variance, held.spares("noise"), bands, seconds)
-            held.swap("noise")
-            targets = held.of("field", "covariance")
-            yield from self._banded("information", passes.information, targets, bands, seconds)
+            yield from self._in_bands("variance", passes.variance, textures.spares("noise"), bands, seconds)
+            textures.swap("noise")
+            targets = textures.of("field", "covariance")
+            yield from self._in_bands("information", passes.information, targets, bands, seconds)
         else:
             first = SWEEPS * (self.iteration - FIRST_ROUND)
             for sweep in range(first, first + SWEEPS):
                 momentum = sweep / (sweep + 3)
-                yield from self._banded("relax", passes.relax, held.spares("field"), bands, seconds, momentum)
-                held.swap("field")
+                yield from self._in_bands("relax", passes.relax, textures.spares("field"), bands, seconds, momentum)
+                textures.swap("field")
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the materials with bent normals into the resolved estimates."""
-        yield from self._banded("bend", self.passes.bend, self.estimates.resolved, bands, seconds)
+        yield from self._in_bands("bend", self.passes.bend, self.estimates.resolved, bands, seconds)
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
@@ -94,7 +94,7 @@ class SurfacePhase(TexturePhase):
         """Return False: bent normals do not lower the fitness."""
         return False
 
-    def _banded(
+    def _in_bands(
         self, name: str, work: Pass, targets: Sequence[Texture], bands: Bands, seconds: float, momentum: float = 0.0
     ) -> Iterator[None]:
         inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures}

@@ -22,7 +22,7 @@ from .phase import TexturePhase
 
 
 class SwarmPhase(TexturePhase):
-    """The swarms of a stage. A subclass brings ``_build`` and ``advance``.
+    """The swarms of a stage. A subclass implements ``_build`` and ``advance``.
 
     seeded_dimensions: bit mask of the dimensions that a seed sets; all eight unless the subclass sets another.
     """
@@ -61,7 +61,7 @@ class SwarmPhase(TexturePhase):
         swarm, domain = self.schedule.swarm, self.domain
         seeded = math.ceil(swarm.seeded * self.particles) if swarm.seed != "random" else 0
         if self.stage.cycle > 0 or swarm.seed == "given":
-            seeded = max(1, seeded)  # a later cycle, or a finer level, must not lose the result of the one before
+            seeded = max(1, seeded)  # a later cycle or a finer level must keep the previous result
         return {
             "u_width": self.width,
             "u_height": self.height,
@@ -95,24 +95,24 @@ class SwarmPhase(TexturePhase):
         self.passes.resolve.run(targets, self._inputs(), self.constants())
 
     def fitness(self) -> np.ndarray:
-        """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
+        """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where no texel is solved."""
         return self.domain.packing.unpack(self.read("global_fitness")[..., 0], np.nan)
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
+        """Return (H, W, n) float32 over the domain: every swarm's best position in [0, 1]; NaN where none is solved."""
         return self.domain.packing.unpack(self.read("global_best")[..., : self.encoding.dimensions], np.nan)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n) places, and (M, n) of the ghosts, as the bests of texels of other tiles."""
+        """Set (H, W, n) positions, and (M, n) of the ghosts, as the bests of texels of other tiles."""
         self.textures.ensure()
         targets = self.textures.of("global_best")
         packed = np.zeros((self.height, self.width, 4 * len(targets)), np.float32)
         packed[..., : self.encoding.dimensions] = self.domain.packing.pack(values, ghosts)
-        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(len(targets))}
-        self.passes.take_halo.run(targets, {**given, **self.domain.textures}, self.constants())
+        received = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(len(targets))}
+        self.passes.take_halo.run(targets, {**received, **self.domain.textures}, self.constants())
 
     def inherit(self, old: SwarmPhase) -> None:
-        """Continue with the swarms of a phase that searches the same parameters; the old phase is over then."""
+        """Continue with the swarms of a phase that searches the same parameters; the old phase then loses them."""
         self.textures, old.textures, self.iteration = old.textures, self.textures, old.iteration
 
     def _inputs(self) -> dict[str, Texture]:

@@ -37,9 +37,9 @@ class SynchronousSwarmPhase(SwarmPhase):
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations that an iteration makes at a texel: two a particle where weights are solved.
+        """Renders of all observations per texel and iteration: two per particle where linear weights are solved.
 
-        The renders of the best that weigh the samples, one per few particles, are not counted.
+        Not counted: renders of the best, one per few particles, that give the samples' robust weights.
         """
         return self.particles * (2 if self.linear.blocks else 1)
 
@@ -51,17 +51,17 @@ class SynchronousSwarmPhase(SwarmPhase):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
         yield from self.textures.make()
-        held, passes, constants, inputs = self.textures, self.passes, self.constants(), self._inputs()
+        textures, passes, constants, inputs = self.textures, self.passes, self.constants(), self._inputs()
         if self.iteration < 0:
             steps = ("place", passes.place), ("place commit", passes.place_commit), ("place best", passes.place_best)
         else:
             steps = ("synchronous", passes.move), ("commit", passes.commit), ("best", passes.best)
             if constants["u_c3"] != 0:
-                yield from passes.mean.in_bands("mean", bands, seconds, held.of("mean"), inputs, constants)
+                yield from passes.mean.in_bands("mean", bands, seconds, textures.of("mean"), inputs, constants)
         (name, evaluate), *commits = steps
-        found = held.of("found_fitness", "found_linear")
-        yield from evaluate.in_bands(name, bands, seconds, found, inputs, constants, counted=True)
+        targets = textures.of("found_fitness", "found_linear")
+        yield from evaluate.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)
         for (name, commit), groups in zip(commits, (PARTICLES, GLOBAL_BESTS), strict=True):
-            yield from commit.in_bands(name, bands, seconds, held.spares(*groups), inputs, constants)
-        held.swap(*PARTICLES, *GLOBAL_BESTS)
+            yield from commit.in_bands(name, bands, seconds, textures.spares(*groups), inputs, constants)
+        textures.swap(*PARTICLES, *GLOBAL_BESTS)
         self.iteration += 1

@@ -42,15 +42,15 @@ FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
 _GEOMETRY = 4  # layers: position, normal, tangent, place
 # Relative costs of iterations, measured on llvmpipe with 24 lights; a sample's render is 1.
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
-MOVING, CALM = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
-LOOKS = 10.0  # of a prior, per neighbour
+STEP_DECAY, LEAST_STEP = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
+NEIGHBOUR_READ = 10.0  # of a prior or a test, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
 INDIRECT = 0.1  # share of the texels whose light is indirect
-BADLY = 0.5  # share of those that the first prefit fits badly
-_FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
+BADLY_FITTED = 0.5  # share of the texels that the first prefit fits badly
+_BEFORE_ROUNDS = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Tests = ResolvedIndirect | ResolvedSheen
-_Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedSeparation | _Tests
+_SinglePhase = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedSeparation | _Tests
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class PhaseCost:
     """Per-texel cost of one phase, without the domain and the estimates.
 
     atlas: W×H tiles of its largest textures, which hold all particles. textures: bytes of all textures. kept: bytes of
-    the textures that outlive an iteration, which move with a tile that leaves the device. reach: largest distance, in
-    texels, of neighbour reads. exchanges: iterations that read neighbours. evaluations: renders of all observations.
+    the textures that persist between iterations and move with a tile that leaves the device. reach: largest distance,
+    in texels, of neighbour reads. exchanges: iterations that read neighbours. evaluations: renders of all observations.
     """
 
     atlas: int
@@ -74,9 +74,9 @@ class PhaseCost:
 class Cost:
     """Per-texel cost of a recovery.
 
-    observations: fitted ones. observed: with those held out. components: of the model. compute: passes are compute
-    dispatches, which are read back through copies. alternatives: most RGBA textures of the alternatives. rounds: of
-    interreflection, with at most ``elements``, of ``rays`` each.
+    observations: fitted ones. observed: fitted and held out. components: of the model. compute: passes are compute
+    dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives. rounds: of
+    interreflection, over at most ``elements`` elements with ``rays`` rays each. work: per texel, as in ``work_of``.
     """
 
     observations: int
@@ -185,12 +185,12 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
 
 
 def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
-    """Return the work of each iteration of a phase at a texel, in renders of a sample; placing swarms comes first.
+    """Return the work per texel of each iteration of a phase, in renders of a sample; placing swarms comes first.
 
-    Progress counts it: it is roughly proportional to time.
+    Work is roughly proportional to time; Progress uses it.
     """
     if isinstance(resolved, ResolvedPrefit):
-        own, share = resolved.model, INDIRECT if resolved.indirect else BADLY if resolved.sheen else 1.0
+        own, share = resolved.model, INDIRECT if resolved.indirect else BADLY_FITTED if resolved.sheen else 1.0
         prefit = (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
                 *_refinement_work(resolved.refinement, own, observations, 1.0))  # fmt: skip
         return tuple(share * work for work in prefit)
@@ -199,16 +199,16 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
     if isinstance(resolved, ResolvedRefinement):
         return _refinement_work(resolved, model, observations, STEP)
     if isinstance(resolved, _Tests):
-        return (LOOKS * neighbour_test.TAPS,)
+        return (NEIGHBOUR_READ * neighbour_test.TAPS,)
     if isinstance(resolved, ResolvedSeparation):
         return (float(observations),)
     if isinstance(resolved, ResolvedSurface):
-        round_of, rounds = SWEEP * surface_kernels.SWEEPS, resolved.surface.rounds
+        round_work, rounds = SWEEP * surface_kernels.SWEEPS, resolved.surface.rounds
     else:
-        round_of, rounds = LOOKS * prior_kernels.taps_of(resolved.prior), resolved.prior.rounds
-    made = [n * observations for n in _renders_of_each(resolved, model, schedule)]
-    found, fitted = made[:_FOUND], made[_FOUND + rounds :]
-    return (*map(float, found), *[round_of] * rounds, *(STEP * renders for renders in fitted))
+        round_work, rounds = NEIGHBOUR_READ * prior_kernels.taps_of(resolved.prior), resolved.prior.rounds
+    work = [n * observations for n in _renders_by_iteration(resolved, model, schedule)]
+    before, after = work[:_BEFORE_ROUNDS], work[_BEFORE_ROUNDS + rounds :]
+    return (*map(float, before), *[round_work] * rounds, *(STEP * renders for renders in after))
 
 
 def _swarm_work(stage: ResolvedSwarm, schedule: Schedule, observations: int) -> tuple[float, ...]:
@@ -221,16 +221,16 @@ def _swarm_work(stage: ResolvedSwarm, schedule: Schedule, observations: int) -> 
 def _refinement_work(
     resolved: ResolvedRefinement, model: ReflectanceModel, observations: int, cost: float
 ) -> tuple[float, ...]:
-    """Return the work of a refinement. From starts all texels move; from the best or after offers, ever fewer do."""
+    """Return the work of a refinement. From a start all texels step; from the best, or after a spread, ever fewer."""
     settings, (step, spread) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
     starts = resolved.iterations - settings.iterations - settings.rounds * settings.round_iterations
-    from_best = [step * max(CALM, MOVING**i) for i in range(settings.iterations)]
-    after_offers = [spread + step * CALM, *[step * CALM] * (settings.round_iterations - 1)]
-    return (*[step] * starts, *from_best, *after_offers * settings.rounds)
+    from_best = [step * max(LEAST_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
+    after_spread = [spread + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]
+    return (*[step] * starts, *from_best, *after_spread * settings.rounds)
 
 
 def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
-    """Return the cost of a prefit: of the larger of its two phases, and of its own model's estimates."""
+    """Return the cost of a prefit: the maximum of its two phases, plus the estimates of its own model."""
     model = resolved.model
     swarm = phase_cost(resolved.stage, model, schedule.replaced(update="all"))
     refinement = phase_cost(resolved.refinement, model, schedule)
@@ -246,8 +246,8 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     )
 
 
-def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]:
-    """Return the largest distance of neighbour reads, and the number of iterations that make them."""
+def _neighbour_reads(resolved: _SinglePhase, schedule: Schedule) -> tuple[int, int]:
+    """Return the largest distance of neighbour reads, and the number of iterations that read neighbours."""
     if isinstance(resolved, ResolvedSwarm):
         reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
         return max(reaches), sum(reach > 0 for reach in reaches)
@@ -262,18 +262,18 @@ def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]
     return SPREAD_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
 
 
-def _evaluations(resolved: _Searched, model: ReflectanceModel, schedule: Schedule) -> int:
+def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Schedule) -> int:
     if isinstance(resolved, _Tests | ResolvedSeparation):
         return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))
     if isinstance(resolved, ResolvedPrior | ResolvedSurface):
-        return sum(_renders_of_each(resolved, model, schedule))
+        return sum(_renders_by_iteration(resolved, model, schedule))
     step, spread = renders(model, resolved)
     return resolved.iterations * step + resolved.refinement.rounds * spread
 
 
-def _renders_of_each(
+def _renders_by_iteration(
     resolved: ResolvedPrior | ResolvedSurface, model: ReflectanceModel, schedule: Schedule
 ) -> list[int]:
     """Return the renders of all observations of each iteration."""

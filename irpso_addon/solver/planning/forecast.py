@@ -7,18 +7,18 @@ from typing import Any
 
 from ...gpu.probe import chosen_entry, rounds_per_second
 
-# Rounds of the probe's kernel that take as long as one render of a sample, and how far off that may be: the work at a
-# texel depends on how soon it converges. Measured on llvmpipe with 16 to 96 observations.
+# Rounds of the probe's kernel that take as long as one render of a sample, and the factor by which this may be wrong:
+# the work at a texel depends on its convergence. Measured on llvmpipe with 16 to 96 observations.
 _ROUNDS_PER_RENDER, _SPREAD = 4.2, 1.8
-# Seconds of the host beside a render: of an H100's recovery of a megapixel from 24 photographs two thirds of 4.4 s.
+# Host seconds per render: two thirds of the 4.4 s that an H100 takes for a megapixel from 24 photographs.
 _HOST_PER_RENDER = 2e-11
 _MINUTE, _HOUR = 60, 3600
 
 
 def forecast(work: float, probed: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the least and the most seconds that a search is likely to take.
+    """Return the lower and the upper end of the likely duration of a search, in seconds.
 
-    work: of a ``Plan``. probed: of ``gpu.probe``.
+    work: from a ``Plan``. probed: from ``gpu.probe``.
     """
     render = _ROUNDS_PER_RENDER / rounds_per_second(probed[f"{chosen_entry(probed)}_seconds"])
     seconds = work * (render + _HOST_PER_RENDER)

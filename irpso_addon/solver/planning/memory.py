@@ -12,8 +12,8 @@ from pathlib import Path
 from ...core.errors import InputError
 from ...gpu.context import is_software
 
-ASSUMED_DEVICE = 4 << 30  # where the driver does not tell the device's memory, or less, as of one inside a processor
-_SPARE = 0.8  # of the free memory: other programs need some, and a process holds more than arrays
+ASSUMED_DEVICE = 4 << 30  # bytes, where the driver reports none or less, as for a GPU inside a processor
+_USABLE = 0.8  # usable part of the free memory: other programs need some, and a process needs more than its arrays
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _AMOUNT = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([KMGT]?)(?:I?B)?", re.IGNORECASE)
 _MEMINFO = Path("/proc/meminfo")
@@ -57,22 +57,22 @@ def amount(size: int) -> str:
 def machine_memory(text: str | None, renderer: str, free_device: int | None = None) -> Memory:
     """Return the budget of --memory, completed from the machine's memory. renderer: the GPU's name.
 
-    free_device: free bytes of the GPU's own memory, if it tells. A software renderer's textures are in host memory;
-    device and host then share it evenly.
+    free_device: free bytes of the GPU's own memory, None where the driver does not report them. A software
+    renderer's textures are in host memory; device and host then share it evenly.
     """
-    given = parse_memory(text) if text else {}
-    host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of the free memory"
-    device, device_from = int(_SPARE * (free_device or 0)), f"{100 * _SPARE:.0f} % of the device's free memory"
+    requested = parse_memory(text) if text else {}
+    host, host_from = int(_USABLE * free_memory()), f"{100 * _USABLE:.0f} % of the free memory"
+    device, device_from = int(_USABLE * (free_device or 0)), f"{100 * _USABLE:.0f} % of the device's free memory"
     if device < ASSUMED_DEVICE:
-        told = "does not tell" if free_device is None else f"tells of {amount(free_device)} that are free"
-        device, device_from = ASSUMED_DEVICE, f"assumed: the driver {told}; set it with --memory device=…"
+        report = "does not tell" if free_device is None else f"tells of {amount(free_device)} that are free"
+        device, device_from = ASSUMED_DEVICE, f"assumed: the driver {report}; set it with --memory device=…"
     if is_software(renderer):
         host //= 2
         host_from = f"half of {host_from}"
         device, device_from = host, f"{host_from}: a software renderer"
     return Memory(
-        given.get("device", device), given.get("host", host),
-        "--memory" if "device" in given else device_from, "--memory" if "host" in given else host_from,
+        requested.get("device", device), requested.get("host", host),
+        "--memory" if "device" in requested else device_from, "--memory" if "host" in requested else host_from,
     )  # fmt: skip
 
 

@@ -13,13 +13,13 @@ from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
-_BAKE = 65  # on the host: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
-_EXCHANGED = 160  # on the host, while a round finds indirect light (measured): elements around a texel, their weights
-_RAY = 104  # on the host, while an exchange is made (measured)
-_PREPARED = 28  # on the host: scale 4, the first guess's normal 12 and albedo 12
-_PREPARING = 512 << 20  # on the host, for every domain: chunks of the preparation, Blender itself
-_TEXTURE, _SHARE = 1 << 30, 8  # bytes of a single texture: software GL refuses more; the share of a large memory
-_MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender counts the numbers of a Buffer in 31 bits
+_BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
+_EXCHANGED = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
+_RAY = 104  # host bytes per ray while an exchange is made (measured)
+_PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
+_PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
+_TEXTURE, _SHARE = 1 << 30, 8  # bytes of one texture that software GL allows; divisor of a large device memory
+_MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
 _SMALLEST = 8  # texels along the longer side: a tile this small is not cut
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
@@ -32,7 +32,7 @@ class Borders:
     middle: np.ndarray
     length: np.ndarray
 
-    def beside(self, box: Box, halo: int) -> float:
+    def length_in(self, box: Box, halo: int) -> float:
         """Return their total length in a box and up to ``halo`` texels around it."""
         x0, y0, width, height = box
         low, high = (x0 - halo, y0 - halo), (x0 + width + halo, y0 + height + halo)
@@ -49,7 +49,7 @@ class Limits:
 
 
 def largest_texture(free: int | None) -> int:
-    """Return the bytes of a single texture on a device whose driver tells ``free``. On an H100 8 GiB are no trouble."""
+    """Return the most bytes of one texture. free: bytes that the driver reports, or None. On an H100, 8 GiB work."""
     return min(max(_TEXTURE, (free or 0) // _SHARE), _MOST_TEXTURE)
 
 
@@ -57,8 +57,8 @@ def largest_texture(free: int | None) -> int:
 class Tile:
     """Texels [x0, x0 + width) × [y0, y0 + height) of the domain, with their number and bytes.
 
-    texels: its own covered ones. device, host: bytes while it is solved, halo included. restored: bytes of its state,
-    which is on the device twice for a moment when its turn starts.
+    texels: its own covered ones. device, host: bytes while it is solved, halo included. restored: bytes of its state;
+    two copies of it are on the device when its turn starts.
     """
 
     x0: int
@@ -75,10 +75,10 @@ class Tile:
 class Plan:
     """A recovery within a memory budget.
 
-    shape: (H, W) of the domain. texels: covered. tiles: rectangles that contain all of them, with ``halo`` texels
+    shape: (H, W) of the domain. texels: covered. tiles: rectangles that contain these texels, with ``halo`` texels
     around each. on_device: tiles on the device at once; where not all fit, tiles take turns. stack_on, state_on: place
     of the sample stack, and of the state of waiting tiles: "memory" or "scratch" (a file). passes: turns of each tile,
-    1 + exchanges. device, host, scratch: largest bytes. work: as of a Cost, of all texels.
+    1 + exchanges. device, host, scratch: peak bytes. work: as in Cost, of all texels.
     """
 
     shape: tuple[int, int]
@@ -145,8 +145,8 @@ def plan_recovery(
     """Return the plan of a recovery of the covered texels, (H, W) bool, with the fewest tiles that fit.
 
     The domain is halved across its longer side by the number of covered texels, recursively, until each tile fits the
-    device. Where the host has no room, the sample stack goes into a scratch file, then the state of waiting tiles.
-    stack_on: where the stack is already; None: not read yet. borders: of a mesh, whose seams need memory too.
+    device. Where host memory does not suffice, the sample stack moves to a scratch file, then the state of waiting
+    tiles. stack_on: place of a stack that has been read, or None. borders: of a mesh, whose seams need memory too.
     Raises InputError, with the setting's name, where even small tiles do not fit or no texel is covered.
     """
     if cost.observations > limits.layers:
@@ -169,7 +169,7 @@ def plan_recovery(
     restored = max(tile.restored for tile in tiles)
     resident = sum(tile.device for tile in tiles) <= memory.device
     on_device = len(tiles) if resident else max(1, (memory.device - restored) // largest)
-    host, scratch, stack_on, state_on = _places(coverage.size, tiles, cost, memory, resident, stack_on)
+    host, scratch, stack_on, state_on = _storage(coverage.size, tiles, cost, memory, resident, stack_on)
     device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
     texels = _texels(coverage)
     return Plan(
@@ -182,25 +182,25 @@ def plan_recovery(
 def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
     """Return the bytes of all textures of a recovery of ``texels`` packed texels in a rectangle of ``rectangle``.
 
-    Those of the rays between rounds of interreflection count, too.
+    This includes the rays between rounds of interreflection.
     """
     table = 3 * FLOAT4 * cost.observations
-    return _places_of(texels) * cost.device + FLOAT2 * rectangle + table + FLOAT4 * cost.elements * cost.rays
+    return _grid_places(texels) * cost.device + FLOAT2 * rectangle + table + FLOAT4 * cost.elements * cost.rays
 
 
 def host_bytes(texels: int, rectangle: int, cost: Cost) -> int:
     """Return the host bytes while a tile moves to or from the device: its stack, geometry and state."""
     geometry = 4 * FLOAT4
-    return _places_of(texels) * (FLOAT4 * cost.observations + geometry + cost.kept) + FLOAT2 * rectangle
+    return _grid_places(texels) * (FLOAT4 * cost.observations + geometry + cost.kept) + FLOAT2 * rectangle
 
 
 def restored_bytes(texels: int, cost: Cost) -> int:
     """Return the bytes that move with a tile back to the device."""
-    return _places_of(texels) * cost.kept
+    return _grid_places(texels) * cost.kept
 
 
-def _places_of(texels: int) -> int:
-    """Return the places of the packed grid of ``texels`` texels, as square as Packing makes it."""
+def _grid_places(texels: int) -> int:
+    """Return the number of places in the packed grid of ``texels`` texels, as square as Packing makes it."""
     side = int(np.ceil(np.sqrt(max(texels, 1))))
     return side * -(-max(texels, 1) // side)
 
@@ -209,7 +209,7 @@ def _texels(coverage: np.ndarray) -> int:
     return int(np.count_nonzero(coverage))
 
 
-def _around(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+def _window(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
     x0, y0, width, height = box
     rows = slice(max(0, y0 - halo), min(shape[0], y0 + height + halo))
     return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))
@@ -217,29 +217,29 @@ def _around(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 def tile_of(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> Tile:
     """Return a box of the covered texels, (H, W) bool, as a tile."""
-    texels, device, host = _amounts(coverage, box, cost, borders)
-    own = coverage[_around(box, 0, coverage.shape)]
+    texels, device, host = _tile_sizes(coverage, box, cost, borders)
+    own = coverage[_window(box, 0, coverage.shape)]
     return Tile(*box, _texels(own), device, host, restored_bytes(texels, cost))
 
 
-def _amounts(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> tuple[int, int, int]:
-    """Return the texels of a tile with its halo and its ghosts, and its bytes on the device and on the host."""
-    part = coverage[_around(box, cost.reach, coverage.shape)]
+def _tile_sizes(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> tuple[int, int, int]:
+    """Return the number of texels of a tile with halo and ghosts, and its bytes on the device and on the host."""
+    part = coverage[_window(box, cost.reach, coverage.shape)]
     texels, seams = _texels(part), 0
     if borders is not None:
-        beside = borders.beside(box, cost.reach)
-        ghosts = int(beside * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
+        border_length = borders.length_in(box, cost.reach)
+        ghosts = int(border_length * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
         texels += min(ghosts, _texels(coverage) - texels)
         bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.
-        places = _places_of(texels)
-        layers = -(-int(beside * SEAM_REACH) // places)
+        places = _grid_places(texels)
+        layers = -(-int(border_length * SEAM_REACH) // places)
         seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
     return texels, device_bytes(texels, part.size, cost) + seams, host_bytes(texels, part.size, cost) + seams
 
 
 def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
-    """Return the fewest boxes that all fit, each the bounds of its covered texels; about equal in their number."""
+    """Return the fewest boxes that all fit, each the bounds of its covered texels; about equal in number of texels."""
     count = 1
     while True:
         boxes = list(divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
@@ -247,7 +247,7 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            needs = {box: _device_in_turns(*_amounts(coverage, box, cost, borders)[:2], cost) for box in small}
+            needs = {box: _device_in_turns(*_tile_sizes(coverage, box, cost, borders)[:2], cost) for box in small}
             box = max(small, key=needs.__getitem__)
             rays = ", or interreflection_rays" if cost.rays else ""
             raise InputError(
@@ -259,12 +259,12 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
 
 
 def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
-    """Yield ``count`` boxes of a box by recursive halving across the longer side, by the number of covered texels.
+    """Yield ``count`` boxes: a box is halved recursively across its longer side, by the number of covered texels.
 
-    There are fewer where a box would be too small.
+    Yields fewer where a box would be too small.
     """
     x0, y0, _, _ = box
-    part = coverage[_around(box, 0, coverage.shape)]
+    part = coverage[_window(box, 0, coverage.shape)]
     rows, columns = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
     if not len(rows):
         return
@@ -293,9 +293,9 @@ def _fits(
     borders: Borders | None,
     in_turns: bool = False,
 ) -> bool:
-    texels, device, _ = _amounts(coverage, box, cost, borders)
+    texels, device, _ = _tile_sizes(coverage, box, cost, borders)
     device = _device_in_turns(texels, device, cost) if in_turns else device
-    shape = coverage[_around(box, cost.reach, coverage.shape)].shape
+    shape = coverage[_window(box, cost.reach, coverage.shape)].shape
     border = 0 if borders is None else 2 * SEAM_REACH
     return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), cost, limits)
 
@@ -307,7 +307,7 @@ def _device_in_turns(texels: int, device: int, cost: Cost) -> int:
 
 def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limits) -> bool:
     """Return whether every texture is within the device's limits."""
-    places = _places_of(texels)
+    places = _grid_places(texels)
     side = int(np.ceil(np.sqrt(places)))
     tiles = max(phase.atlas for phase in cost.phases)
     if max(*shape, side) > limits.side or places * FLOAT4 * cost.observations > limits.texture:
@@ -319,25 +319,25 @@ def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limi
     return places * FLOAT4 * atlas.across * atlas.down <= limits.texture
 
 
-def _places(
+def _storage(
     texels: int, tiles: Sequence[Tile], cost: Cost, memory: Memory, resident: bool, stack_on: str | None
 ) -> tuple[int, int, str, str]:
-    """Return (host, scratch, stack_on, state_on): as much as possible in memory, the sample stack first.
+    """Return (host bytes, scratch bytes, stack_on, state_on). The sample stack is the first to move to a file.
 
-    texels: of the domain, covered or not.
+    texels: number of texels of the domain, covered or not.
     """
     stack = FLOAT4 * cost.observed * cost.stacks * texels
-    state = 0 if resident else cost.kept * sum(_places_of(tile.texels) for tile in tiles)
+    state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
-    least = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
+    needed = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
     if cost.rounds:
-        least += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
+        needed += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
-    for where in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
-        scratch = stack * (where[0] == "scratch") + state * (where[1] == "scratch")
-        if least + stack + state - scratch <= memory.host:
-            return least + stack + state - scratch, scratch, *where
+    for places in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
+        scratch = stack * (places[0] == "scratch") + state * (places[1] == "scratch")
+        if needed + stack + state - scratch <= memory.host:
+            return needed + stack + state - scratch, scratch, *places
     raise InputError(
-        f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(least)} even with the"
+        f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(needed)} even with the"
         " images in a scratch file; allow more, or choose a smaller --resolution"
     )

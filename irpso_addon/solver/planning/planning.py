@@ -51,8 +51,8 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
 
-    memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on: the
-    sample stack's place where it exists. mesh: of the texels; its seams need memory too.
+    memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on:
+    place of a sample stack that has been read, or None. mesh: of the texels; its seams need memory too.
     """
     device = context.describe()
     free = context.free_device_memory()
@@ -74,7 +74,7 @@ def uv_borders(mesh: MeshData, shape: tuple[int, ...]) -> Borders:
 
 
 def scratch_folder(output: Path) -> Path:
-    """Return the folder of scratch files: TMPDIR where it is set, else beside the output folder."""
+    """Return the folder of scratch files: TMPDIR if it is set, else the nearest existing parent of the output."""
     if temporary := os.environ.get("TMPDIR"):
         return Path(temporary)
     return next(folder for folder in output.resolve().parents if folder.is_dir())
@@ -95,8 +95,8 @@ def planned_recovery(
     """Return the recovery of the plan and the schedule.
 
     scratch: folder of scratch files. prepared: from ``prepare``, packed where the domain is one tile; a domain of
-    several levels is prepared level by level. surroundings: of the domain, where the schedule has
-    rounds of interreflection.
+    several levels is prepared level by level. surroundings: of the domain; None without rounds of
+    interreflection.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
     if schedule.levels > 1 and untiled(plan):

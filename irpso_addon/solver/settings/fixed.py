@@ -1,4 +1,4 @@
-"""Parameters that are given and not searched."""
+"""Fixed parameters: known maps that no search changes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ...reflectance.model import ReflectanceModel
 
 
 def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W, components) float32 of a known value, (components,) or as large as the domain.
+    """Return a known value as a map (H, W, components) float32. value: (components,) or (H, W, components).
 
-    Raises InputError where it does not fit the model or the domain.
+    Raises InputError where the shape does not match the model or the domain, or a number is not finite.
     """
     parameter = model.parameter(name)
     value = np.asarray(value, np.float32)

@@ -1,4 +1,4 @@
-"""The settings of each phase: name, type, limits, label, help, default. Those without a default are in every preset."""
+"""The settings of each phase: name, type, limits, label, help, default. Every preset sets those without one."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _LOSSES = {
 
 @dataclass(frozen=True)
 class Swarm:
-    """The update of Eq. 2–4. Positions are in [0, 1], so speeds are fractions of a parameter's range.
+    """The update of Eq. 2–4. Positions are in [0, 1], so a speed is a fraction of the parameter's range.
 
     inertia: Shi & Eberhart 1998. constriction: Clerc & Kennedy 2002.
     """
@@ -100,10 +100,10 @@ class Swarm:
 
 @dataclass(frozen=True)
 class Fitness:
-    """What every phase minimises: the mean of the loss over the observations of a texel, and the model's priors.
+    """The objective of every phase: the mean loss over the observations of a texel, plus the model's priors.
 
-    A texel's scale is a percentile of its radiance per light intensity; delta and shadow are fractions of it. Clipped
-    samples are lower bounds (capture/bounds.py).
+    A texel's scale is a percentile of its radiance per light intensity; delta and shadow are fractions of this scale.
+    Clipped samples are lower bounds (capture/bounds.py).
     """
 
     loss: Loss = setting("Loss", "How a difference between render and photograph counts", choices=_LOSSES)
@@ -132,7 +132,7 @@ class Fitness:
 
 @dataclass(frozen=True)
 class Prefit:
-    """Normals first, on grey samples, by a model of few assumptions (shaders/prefit/falloff_lobe.toml)."""
+    """Normals before the stages, on grey samples, by a model of few assumptions (shaders/prefit/falloff_lobe.toml)."""
 
     iterations: int = setting(
         "Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 0, soft_max=100
@@ -166,10 +166,10 @@ class Prefit:
 
 @dataclass(frozen=True)
 class Refinement:
-    """Levenberg–Marquardt (Marquardt 1963) after the stages, on all that they search together, on the same fitness.
+    """Levenberg–Marquardt (Marquardt 1963) after the stages, on all their parameters jointly, with the same fitness.
 
     votes: shaders/refine/votes.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual Reconstruction):
-    a lobe that is far off must not pass for an outlier.
+    highlights must not count as outliers while the estimated lobe is still far from them.
     """
 
     iterations: int = setting(
@@ -214,10 +214,10 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Materials:
-    """Materials that texels share, wherever on the surface they lie: a mixture of Gaussians over a sample of them.
+    """Shared materials: the means of a mixture of Gaussians over a sample of all texels.
 
-    The first round offers them with the texel's own normal, the others with the normal that mirrors its brightest
-    sample. Steps begin with the refinement's widening.
+    In the first round a texel tries them with its own normal, in later rounds with the normal that mirrors its
+    brightest sample. The steps of a round begin with the refinement's widening.
     """
 
     rounds: int = setting(
@@ -233,7 +233,7 @@ class Materials:
 
 @dataclass(frozen=True)
 class Prior:
-    """The spatial prior: neighbours that are alike inform the numbers that a texel's own samples leave open."""
+    """The spatial prior: similar neighbours constrain the numbers that a texel's own samples leave undetermined."""
 
     rounds: int = setting("Rounds", "How often similar neighbors are asked; 0 for no prior", 0, soft_max=8)
     scales: int = setting("Scales", "A round reaches 2 to the power of this, in texels", 4, least=1, most=6)
@@ -279,7 +279,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Surface:
-    """Normals that belong to one surface: shaders/surface/relax.glsl has the problem that is solved."""
+    """Integrability: normals are bent toward one surface. shaders/surface/relax.glsl states the problem."""
 
     rounds: int = setting(
         "Rounds", "Rounds of seven sweeps that make the slopes of neighboring texels agree, as far as their own samples"
@@ -297,7 +297,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Interreflection:
-    """Light that the subject throws on itself: found from the maps, taken off the photographs, then all is found again.
+    """Interreflection: estimated from the maps and subtracted from the photographs; then all phases run again.
 
     Nayar, Ikeuchi & Kanade 1991, Shape from Interreflections.
     """
@@ -318,7 +318,7 @@ class Interreflection:
 
 @dataclass(frozen=True)
 class Stage:
-    """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one."""
+    """Parameters searched together: names of parameters, or of stages in the model's table; "all" for every one."""
 
     search: tuple[str, ...]
     iterations: int = setting("Iterations", "Iterations of every stage; 0 leaves them to the refinement", soft_max=5000)

@@ -11,7 +11,7 @@ from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
 from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
-_ROUNDS = 2  # of the neighbours' offers, with the normals held, and of a prefit with sheen, which has two optima
+_ROUNDS = 2  # rounds of a refinement with fixed normals, at most, and of a prefit with sheen, which has two optima
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 
 
@@ -19,7 +19,7 @@ _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all o
 class ResolvedSwarm:
     """A stage for one model: the searched parameters, in the table's order, and the number of iterations.
 
-    solved: parameters in closed form for every particle.
+    solved: parameters that are solved in closed form for every particle.
     """
 
     parameters: tuple[Parameter, ...]
@@ -61,17 +61,17 @@ class ResolvedRefinement:
 
 @dataclass(frozen=True)
 class ResolvedMaterials(ResolvedRefinement):
-    """The phase of the surface's shared materials: a refinement whose rounds begin with their offers."""
+    """The phase of shared materials: a refinement whose rounds start from these materials."""
 
     materials: Materials = Materials()
 
 
 @dataclass(frozen=True)
 class ResolvedPrefit:
-    """The prefit: its swarms and its refinement, of its own model.
+    """The prefit: swarms and a refinement with the prefit's own model.
 
-    indirect: only where the light is indirect. seeks: whether it measures the evidence of such light. sheen: with the
-    model that has it.
+    indirect: solves only texels with indirect light. seeks: also measures the evidence of indirect light. sheen: uses
+    the model with sheen.
     """
 
     stage: ResolvedSwarm
@@ -82,7 +82,7 @@ class ResolvedPrefit:
 
     @property
     def title(self) -> str:
-        """What is searched, for people."""
+        """The searched parameters, for people."""
         where = " in indirect light" if self.indirect else " with sheen" if self.sheen else ""
         return "prefit of the normals" + where
 
@@ -99,7 +99,7 @@ class ResolvedPrefit:
 
 @dataclass(frozen=True)
 class ResolvedSheen:
-    """Finds where the prefit with sheen replaces the first one."""
+    """Selects the texels at which the prefit with sheen replaces the first prefit."""
 
     title = "sheen"
     iterations = 1
@@ -107,7 +107,7 @@ class ResolvedSheen:
 
 @dataclass(frozen=True)
 class ResolvedIndirect:
-    """Finds where the light is indirect, between two prefits."""
+    """Selects the texels with mostly indirect light, between two prefits."""
 
     title = "indirect light"
     iterations = 1
@@ -115,7 +115,7 @@ class ResolvedIndirect:
 
 @dataclass(frozen=True)
 class ResolvedSeparation:
-    """Separates direct from indirect light, by its colour or by shadows, before the second of these prefits."""
+    """Separates direct from indirect light, by colour or by shadows, before the second of these two prefits."""
 
     title = "separation of indirect light"
     iterations = 1
@@ -125,7 +125,7 @@ class ResolvedSeparation:
 class ResolvedPrior:
     """The spatial prior for one model.
 
-    parameters: all of it. pooled: the scalars among them; colours are pooled, too. step: the parameters that then move.
+    parameters: all free ones. pooled: the scalars among them; colours are pooled, too. step: the steps after pooling.
     """
 
     parameters: tuple[Parameter, ...]
@@ -143,7 +143,7 @@ class ResolvedPrior:
 
 @dataclass(frozen=True)
 class ResolvedSurface:
-    """The surface that the normals belong to, for one model. parameters: all of it."""
+    """Integrability of the normals, for one model. parameters: all free ones."""
 
     parameters: tuple[Parameter, ...]
     surface: Surface
@@ -152,7 +152,7 @@ class ResolvedSurface:
 
     @property
     def iterations(self) -> int:
-        """The number of iterations: the noise, the room that it leaves, and the rounds."""
+        """The number of iterations: the noise, the covariance of the slopes, and the rounds."""
         return 2 + self.surface.rounds
 
 
@@ -175,17 +175,17 @@ def prefit_model(sheen: bool = False) -> ReflectanceModel:
 
 
 def _resolve_prefit(prefit: Prefit) -> list[Resolved]:
-    first = _prefit_by(prefit_model(), prefit)
+    first = _prefit_with(prefit_model(), prefit)
     resolved: list[Resolved] = [replace(first, seeks=prefit.indirect_shadow > 0)]
     if prefit.sheen_gain:
-        resolved += [replace(_prefit_by(prefit_model(sheen=True), prefit, _ROUNDS), sheen=True), ResolvedSheen()]
+        resolved += [replace(_prefit_with(prefit_model(sheen=True), prefit, _ROUNDS), sheen=True), ResolvedSheen()]
     if prefit.indirect_shadow:
         separation = [ResolvedSeparation()] if prefit.indirect_share else []
         resolved += [ResolvedIndirect(), *separation, replace(first, indirect=True)]
     return resolved
 
 
-def _prefit_by(model: ReflectanceModel, prefit: Prefit, rounds: int = 0) -> ResolvedPrefit:
+def _prefit_with(model: ReflectanceModel, prefit: Prefit, rounds: int = 0) -> ResolvedPrefit:
     refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=rounds)
     searched = tuple(p for p in model.parameters if p.kind == "search")
     solved = tuple(p for p in model.parameters if p.kind == "linear")
@@ -208,30 +208,30 @@ def _resolve_refinement(
     )
 
 
-def _resolve_refinement_of_the_rest(
+def _resolve_refinement_with_fixed_normals(
     refinement: Refinement, model: ReflectanceModel, parameters: tuple[Parameter, ...]
 ) -> tuple[ResolvedRefinement, ...]:
-    """Return a refinement with the normals held, shorter than the first: most texels have converged.
+    """Return a second refinement, with fixed normals. It is shorter than the first: most texels have converged.
 
-    A texel that keeps the prefit's normal has its other parameters from the swarms alone, often in another local
-    optimum than its neighbours. Around the mouth of a real icon roughness differed by 0.4 or more from its 5×5 median
-    at 5.5 % of the texels; with this refinement at 0.24 %. More iterations or rounds do not lower that.
+    Where the acceptance test kept the prefit's normal, the other parameters come from the swarms alone, often in
+    another local optimum than the neighbours'. Around the mouth of a real icon, roughness differed by 0.4 or more from
+    its 5×5 median at 5.5 % of the texels; with this refinement at 0.24 %. More iterations or rounds do not lower that.
     """
-    rest = tuple(p for p in parameters if not p.is_normal)
-    if not any(p.kind == "search" for p in rest):  # the swarms have solved linear parameters
+    others = tuple(p for p in parameters if not p.is_normal)
+    if not any(p.kind == "search" for p in others):  # the swarms have already solved linear parameters
         return ()
     shorter = replace(
         refinement, starts=False, iterations=refinement.start_iterations, rounds=min(refinement.rounds, _ROUNDS)
     )
-    return _resolve_refinement(shorter, model, rest, "refinement, normals held")
+    return _resolve_refinement(shorter, model, others, "refinement, normals held")
 
 
 def _resolve_materials(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedMaterials, ...]:
     settings = schedule.materials
-    none = settings.rounds == 0 or schedule.refinement.iterations == 0
-    if none or not any(p.kind == "search" and not p.is_normal for p in parameters):
+    disabled = settings.rounds == 0 or schedule.refinement.iterations == 0
+    if disabled or not any(p.kind == "search" and not p.is_normal for p in parameters):
         return ()
-    # One step first: offers are compared with the estimate's fitness.
+    # One step first: it measures the estimate's fitness, with which the shared materials are compared.
     rounds = replace(
         schedule.refinement, starts=False, iterations=1, rounds=settings.rounds, round_iterations=settings.iterations
     )
@@ -255,26 +255,26 @@ def _resolve_surface(schedule: Schedule, parameters: tuple[Parameter, ...]) -> t
 def resolve(
     schedule: Schedule, model: ReflectanceModel, fixed: set[str], observations: int = 0
 ) -> tuple[Resolved, ...]:
-    """Return the phases that find a model's free parameters: prefit, stages, refinement, shared materials, prior,
+    """Return the phases that estimate a model's free parameters: prefit, stages, refinement, shared materials, prior,
     surface.
 
-    observations: their number; a prefit needs ``schedule.prefit.observations``. Raises InputError.
+    observations: number of fitted ones; a prefit needs at least ``schedule.prefit.observations``. Raises InputError.
     """
-    asked = _searched_names(schedule, model)
-    free = [p for p in model.parameters if p.name not in fixed and any(_is_asked(p, s, asked) for s in schedule.stages)]
+    names = _searched_names(schedule, model)
+    free = [p for p in model.parameters if p.name not in fixed and any(_in_stage(p, s, names) for s in schedule.stages)]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
     resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
-            wanted = [p for p in free if _is_asked(p, stage, asked) and not (has_prefit and p.is_normal)]
-            if wanted and stage.iterations:
-                resolved.append(_resolve_swarm(schedule, model, wanted, stage.iterations, cycle))
+            searched = [p for p in free if _in_stage(p, stage, names) and not (has_prefit and p.is_normal)]
+            if searched and stage.iterations:
+                resolved.append(_resolve_swarm(schedule, model, searched, stage.iterations, cycle))
     if free:
         parameters = tuple(free)
         resolved += _resolve_refinement(schedule.refinement, model, parameters)
         if has_prefit:
-            resolved += _resolve_refinement_of_the_rest(schedule.refinement, model, parameters)
+            resolved += _resolve_refinement_with_fixed_normals(schedule.refinement, model, parameters)
         resolved += _resolve_materials(schedule, parameters)
         resolved += _resolve_prior(schedule, parameters)
         resolved += _resolve_surface(schedule, parameters)
@@ -286,20 +286,20 @@ def resolve(
 def _searched_names(schedule: Schedule, model: ReflectanceModel) -> set[str]:
     """Return the names of parameters and stages that the schedule searches. Raises InputError for an unknown one."""
     names = {p.stage for p in model.parameters} | {p.name for p in model.parameters}
-    asked = {name for stage in schedule.stages for name in stage.search}
-    if unknown := sorted(asked - names - _USUAL_STAGES - {ALL, REST}):
+    searched = {name for stage in schedule.stages for name in stage.search}
+    if unknown := sorted(searched - names - _USUAL_STAGES - {ALL, REST}):
         offered = ", ".join(p.name for p in model.parameters)
         raise InputError(f"search: model {model.name} has no parameter or stage '{unknown[0]}'; it has: {offered}")
-    return asked
+    return searched
 
 
 def _resolve_swarm(
-    schedule: Schedule, model: ReflectanceModel, wanted: list[Parameter], iterations: int, cycle: int
+    schedule: Schedule, model: ReflectanceModel, parameters: list[Parameter], iterations: int, cycle: int
 ) -> ResolvedSwarm:
     solve = schedule.swarm.linear == "solve"
-    closed = [p for p in wanted if solve and p.kind == "linear" and p.name in model.bases]
-    searched = tuple(p for p in wanted if p not in closed)
-    result = ResolvedSwarm(searched, iterations, cycle, tuple(closed))
+    solved = [p for p in parameters if solve and p.kind == "linear" and p.name in model.bases]
+    searched = tuple(p for p in parameters if p not in solved)
+    result = ResolvedSwarm(searched, iterations, cycle, tuple(solved))
     if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
         raise InputError(
             f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
@@ -308,6 +308,6 @@ def _resolve_swarm(
     return result
 
 
-def _is_asked(parameter: Parameter, stage: Stage, asked: set[str]) -> bool:
-    called = {parameter.name, parameter.stage}
-    return bool(({ALL} | called) & set(stage.search)) or (REST in stage.search and not called & asked)
+def _in_stage(parameter: Parameter, stage: Stage, searched: set[str]) -> bool:
+    names = {parameter.name, parameter.stage}
+    return bool(({ALL} | names) & set(stage.search)) or (REST in stage.search and not names & searched)

@@ -17,19 +17,19 @@ from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
-REST = "rest"  # what no stage of the schedule names
+REST = "rest"  # all parameters that no stage of the schedule names
 FORMAT = 2  # of preset files; 1 had other names: survey, polish and their settings
 _TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")
 _ITERATIONS = "iterations"  # of every stage
-_GROUPS = ("swarm", "fitness")  # their settings go by their bare names, those of the others by the group's before it
+_GROUPS = ("swarm", "fitness")  # their settings have no prefix; those of other groups have the group's name as prefix
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
+    """A preset: the stages in order, repeated ``cycles`` times, and the constants they share.
 
-    Order: prefit, whose normals the stages hold; stages; refinement; shared materials; spatial prior; surface.
-    All of it again after each round of interreflection.
+    Order: prefit, whose normals stay fixed in the stages; stages; refinement; shared materials; spatial prior; surface.
+    Each round of interreflection repeats all of them.
     """
 
     name: str
@@ -58,9 +58,9 @@ class Schedule:
     interreflection: Interreflection = Interreflection()
 
     def settings(self) -> dict[str, Any]:
-        """Return every setting that ``replaced`` takes, by its name there, but for ``search``; see SETTINGS.
+        """Return name → value of every setting that ``replaced`` accepts, except ``search``; see SETTINGS.
 
-        iterations: the most of any stage.
+        iterations: the maximum over the stages.
         """
         parts = {part: getattr(self, part) for part in (*_GROUPS, *_OPTIONAL)}
         named = {_prefix(part) + f.name: getattr(group, f.name) for part, group in parts.items()
@@ -69,10 +69,10 @@ class Schedule:
         return {**named, **own, _ITERATIONS: max((stage.iterations for stage in self.stages), default=0)}
 
     def replaced(self, **changes: Any) -> Schedule:
-        """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
+        """Return a checked copy with other settings: names of Swarm, Fitness or Schedule fields. Raises InputError.
 
-        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. Prefit, refinement and prior
-        are another's, whole (``refinement=``), or their settings by name with ``refinement_`` (…) before it.
+        ``iterations`` sets that of every stage; ``search`` replaces all stages by one with these names. Other groups
+        are replaced whole (``refinement=``), or by setting, with the group's name as prefix (``refinement_rounds=``).
         """
         result = self
         if (search := changes.pop("search", None)) is not None:
@@ -118,7 +118,7 @@ def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
         raise InputError(f"interreflection_rounds = {schedule.interreflection.rounds}: {why}; {remedy}, or set it to 0")
 
 
-# Groups with defaults: a preset sets what differs, and without their table there is no such phase.
+# Groups with defaults. A preset sets only what differs; without a group's table its phase does not run.
 _OPTIONAL = {
     "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior,
     "surface": Surface, "interreflection": Interreflection,
@@ -147,10 +147,10 @@ def shipped_presets() -> list[str]:
 
 
 def load_schedule(name_or_path: str | Path) -> Schedule:
-    """Read a shipped preset by name, or a .toml file of one's own by path.
+    """Read a shipped preset by name, or a user's .toml file by path.
 
-    What each constant means and may be: the classes of groups.py, in one table SETTINGS. Where the shipped values are
-    from: the files in presets/. Raises InputError naming the file, the setting and what it may be.
+    The classes of groups.py define meaning and limits of each constant; SETTINGS collects them. The files in presets/
+    cite the sources of the shipped values. Raises InputError naming the file, the setting and its limits.
     """
     table, path = _preset_table(name_or_path)
     _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", *_OPTIONAL], str(path))
@@ -169,11 +169,11 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
 
 
 def _preset_table(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
-    """Return a preset's table, over that of the shipped preset that it extends, and its file."""
+    """Return a preset's table, merged over that of the preset that it extends, and the preset's path."""
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
-    if (found := table.pop("format", 1)) != FORMAT:
+    if (version := table.pop("format", 1)) != FORMAT:
         raise InputError(
-            f"{path}: is of format {found!r}, not {FORMAT}: begin from a preset of this version and set your values"
+            f"{path}: is of format {version!r}, not {FORMAT}: begin from a preset of this version and set your values"
             f" again, or rename as docs/presets.md lists and write format = {FORMAT}"
         )
     base = table.pop("extends", None)

@@ -13,11 +13,11 @@ from ...core.errors import InputError
 
 @dataclass(frozen=True)
 class Setting:
-    """What a setting may be, and its words.
+    """Limits, label and help of a setting.
 
     label, help: as shown in the window and in docs/presets.md. kind: int, float, bool, or str for one of ``choices``;
-    read from the field's type. least: the smallest number, itself refused where ``above``. most: the largest, or None.
-    odd: even numbers are refused. soft_max: the top of its slider. subtype: Blender's name of its unit. precision:
+    read from the field's type. least: the smallest number, excluded where ``above``. most: the largest, or None. odd:
+    even numbers are refused. soft_max: upper end of the slider. subtype: Blender's name of the unit. precision:
     decimals. choices: value → (label, help). default: None where every preset sets the value.
     """
 
@@ -35,9 +35,9 @@ class Setting:
     default: Any = None
 
     def check(self, name: str, value: Any, where: str) -> None:
-        """Raise InputError where the setting called ``name`` cannot have this value; ``where`` begins the message."""
+        """Raise InputError where ``value`` is no valid value of setting ``name``. where: begin of the message."""
         if self.choices:
-            if value not in tuple(self.choices):  # which also refuses what has no hash
+            if value not in tuple(self.choices):  # a tuple, so that unhashable values are refused, too
                 raise InputError(f"{where}: {name} must be one of {', '.join(self.choices)}, not {value!r}")
             return
         if self.kind is bool:
@@ -63,7 +63,7 @@ def setting(label: str, help: str, default: Any = MISSING, **more: Any) -> Any:
 
 
 def settings_of(kind: type, prefix: str = "") -> dict[str, Setting]:
-    """Return name → setting of the fields of a dataclass that are settings, ``prefix`` before each name."""
+    """Return name → Setting of a dataclass's fields that are settings; each name starts with ``prefix``."""
     hints = get_type_hints(kind)
     return {
         prefix + field.name: dataclasses.replace(

@@ -1,4 +1,4 @@
-"""Checkpoints: the state of a recovery in one file, written whole or not at all."""
+"""Checkpoints: the state of a recovery in one file, written atomically."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from .layout import digest_of_texels
 
 _VERSION = 7
 _NOTE = "note_"  # prefix of the caller's own arrays in the file
-NEVER = -1  # in place of the evaluations at a begin from which the stage cannot be made again
+NEVER = -1  # value of ``begun`` where the stage cannot restart from its begin
 PHASE = "phase_"  # prefix of the arrays of the running phase
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The state of a recovery, with arrays of its caller.
+    """The state of a recovery, and arrays of its caller.
 
     stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels
-    (layout.py), or textures for the same process; without those of the phase the stage begins anew. notes: the
-    caller's arrays by name. begun: the evaluations at the begin of the stage, or NEVER.
+    (layout.py), or textures within one process; without the phase's arrays the stage restarts. notes: the caller's
+    arrays by name. begun: the evaluations at the begin of the stage, or NEVER.
     """
 
     stage: int
@@ -62,9 +62,9 @@ def identity(
     fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
     samples: int | None = None,
 ) -> dict[str, Any]:
-    """Return, as plain data, what must be equal to resume a checkpoint.
+    """Return, as plain data, the properties that must match to resume a checkpoint.
 
-    samples: from ``digest_of_texels``, if the domain's own stack does not hold them.
+    samples: from ``digest_of_texels``, where the domain's own stack does not hold the samples.
     """
     bake = domain.bake
     samples = digest_of_texels(domain) if samples is None else samples
@@ -129,7 +129,7 @@ def read(path: Path, who: dict[str, Any]) -> Checkpoint:
 
 
 def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a checkpoint's identity without its arrays.
+    """Return a checkpoint's identity without reading its arrays.
 
     who: the known part of the recovery's ``identity``. Raises CheckpointError as ``read`` does.
     """
@@ -152,7 +152,7 @@ _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, Attri
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Turn the errors of reading a file into CheckpointError."""
+    """Convert the errors of reading a file to CheckpointError."""
     try:
         yield
     except OSError as error:

@@ -20,10 +20,10 @@ _MIX = ((30, np.uint64(0xBF58476D1CE4E5B9)), (27, np.uint64(0x94D049BB133111EB))
 
 
 class TexelLayout:
-    """Converts a recovery's textures to rows of texels and back. Whole, tiled and ranked recoveries share the rows.
+    """Converts a recovery's textures to rows of texels and back. All kinds of recoveries share the rows.
 
     A row is (tiles or 1, C) float32 of one solvable texel; texels come row by row, then the ghosts. packing: of the
-    domain, if there is one already.
+    domain, None to make one.
     """
 
     def __init__(self, domain: Domain, packing: Packing | None = None):
@@ -63,7 +63,7 @@ def joined(
 
 
 def digest_of_texels(domain: Domain) -> int:
-    """Return a 64-bit digest of a tile's own solved texels; those of all tiles add up, modulo 2⁶⁴, to the whole's.
+    """Return a 64-bit digest of a tile's own solved texels. The sum over all tiles, modulo 2⁶⁴, is the domain's.
 
     It detects another subject or a changed image, not forgery.
     """
@@ -76,7 +76,7 @@ def digest_of_texels(domain: Domain) -> int:
     place |= (columns + domain.origin[0]).astype(np.uint64)
     digest = _mixed(place)
     for layer in domain.stack.layers():
-        samples = np.where(layer[rows, columns, 3:] != 0, layer[rows, columns], np.float32(0))  # others are never read
+        samples = np.where(layer[rows, columns, 3:] != 0, layer[rows, columns], np.float32(0))  # weight 0: never read
         words = np.ascontiguousarray(samples).view(np.uint32)
         for word in words.T:
             digest = (digest ^ word) * _MIX[0][1]

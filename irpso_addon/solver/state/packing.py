@@ -24,7 +24,7 @@ class Packing:
     """The places of a domain's solved texels in a packed grid, row by row; ghosts of its seams come last.
 
     solved: (H, W) bool. width, height: of the packed grid. count: its occupied places; the last ones may be empty. A
-    domain without ghosts in which every texel is solved is its own packing.
+    domain without ghosts in which every texel is solved is not rearranged.
     """
 
     def __init__(self, solved: np.ndarray, seams: SeamMap | None = None):
@@ -32,20 +32,20 @@ class Packing:
         self._rows, self._columns = np.nonzero(solved)
         self.ghosts = 0 if seams is None else len(seams.ghosts)
         self.count = count = len(self._rows) + self.ghosts
-        self._whole = bool(solved.all()) and not self.ghosts
-        self.width = solved.shape[1] if self._whole else max(1, math.isqrt(max(count - 1, 0)) + 1)
+        self._unchanged = bool(solved.all()) and not self.ghosts
+        self.width = solved.shape[1] if self._unchanged else max(1, math.isqrt(max(count - 1, 0)) + 1)
         self.height = max(1, -(-count // self.width))
 
     def pack(self, array: np.ndarray, ghosts: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return (h, w, …) of (H, W, …), 0 at empty places; the array itself if the domain is its own packing.
+        """Return (h, w, …) of (H, W, …), 0 at empty places; the array itself if nothing is rearranged.
 
-        ghosts: (M, …) of the ghost texels, or what broadcasts to it.
+        ghosts: (M, …) of the ghost texels, or a value that broadcasts to that shape.
         """
-        return array if self._whole else self._grid(array[self._rows, self._columns], ghosts)
+        return array if self._unchanged else self._grid(array[self._rows, self._columns], ghosts)
 
     def unpack(self, array: np.ndarray, fill: object = 0.0) -> np.ndarray:
         """Return (H, W, …) of (h, w, …), ``fill`` where no texel is solved."""
-        if self._whole:
+        if self._unchanged:
             return array.copy()
         result = np.empty((*self.shape, *array.shape[2:]), array.dtype)
         result[:] = fill
@@ -57,7 +57,7 @@ class Packing:
         """Return (n, 2) x and y in the packed grid of n solved texels. Raises ValueError where one is not solved."""
         index = np.empty(len(rows), int)
         for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            first, end = np.searchsorted(self._rows, (row, row + 1))  # they lie row by row
+            first, end = np.searchsorted(self._rows, (row, row + 1))  # texels are sorted by row
             index[number] = at = first + np.searchsorted(self._columns[first:end], column)
             if at == end or self._columns[at] != column:
                 raise ValueError(f"texel ({column}, {row}) is not solved")
@@ -85,14 +85,14 @@ class Packing:
         numbers[self._rows * width + self._columns] = np.arange(len(self._rows))
         numbers[height * width :] = len(self._rows) + np.arange(self.ghosts)
         target = numbers[seams.target]
-        held = np.flatnonzero(target >= 0)
-        place, target = seams.place[held] + seams.reach, target[held]
+        valid = np.flatnonzero(target >= 0)
+        place, target = seams.place[valid] + seams.reach, target[valid]
         if len(place) >= _EXACT:
             raise InputError("this domain has more texels beside seams than a texture can number; solve it in tiles")
         flat = place[:, 1].astype(np.int64) * (width + 2 * seams.reach) + place[:, 0]
         begins = np.diff(flat, prepend=-1) != 0
-        following = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
-        chain = np.stack([target % self.width, target // self.width, seams.of[held], following], axis=-1)
+        next_link = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
+        chain = np.stack([target % self.width, target // self.width, seams.of[valid], next_link], axis=-1)
         layers = -(-len(chain) // (self.width * self.height))
         chains = np.full((layers, self.height, self.width, 4), -1, np.float32)
         chains.reshape(-1, 4)[: len(chain)] = chain

@@ -1,4 +1,4 @@
-"""Textures of a phase, declared once: allocation, bindings, checkpoint arrays and bytes follow from its table."""
+"""Textures of a phase, declared once: its table gives allocation, bindings, checkpoint arrays and bytes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .textures import UNFIT
 
 PARTICLES = ("position", "velocity", "best", "fitness")  # groups in the atlas
 GLOBAL_BESTS = ("global_best", "global_linear", "global_fitness")
-_SIDE = 16384  # of a texture: decides whether an atlas fits, hardly ever its layout
+_SIDE = 16384  # of a texture, assumed for byte counts: it rarely changes the layout of an atlas
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def _particle_groups(values: Sequence[float], double: bool) -> dict[str, Texture
 
 
 def refinement_table(estimates: int) -> TextureTable:
-    """Return the table of a refinement: a best material, one in work, and a spare one, each with its status.
+    """Return the table of a refinement: the best material, the candidate in work, and a spare one, each with a status.
 
-    estimates: RGBA textures of a material. result: the status of the better one.
+    estimates: RGBA textures of a material. result: status of the better of both.
     """
     return TextureTable({
         "best": TextureGroup((*numbered("u_estimate", estimates), "u_status"), numbered("best", estimates + 1)),
@@ -111,7 +111,7 @@ def refinement_table(estimates: int) -> TextureTable:
 
 
 def sheen_table() -> TextureTable:
-    """Return the table of the choice between two prefits: shaders/prefit/sheen.glsl."""
+    """Return the table of the selection between two prefits: shaders/prefit/sheen.glsl."""
     return TextureTable({
         "fits": TextureGroup(("u_measured",), ("fits",)),
         "chosen": TextureGroup(("u_chosen",), ("chosen",), "R32F"),
@@ -119,7 +119,7 @@ def sheen_table() -> TextureTable:
 
 
 def indirect_table() -> TextureTable:
-    """Return the table of the search for indirect light: shaders/prefit/evidence.glsl, and the result."""
+    """Return the table of the detection of indirect light: shaders/prefit/evidence.glsl, and its result."""
     return TextureTable({
         "evidence": TextureGroup(("u_measured",), ("evidence",)),
         "shadow": TextureGroup(("u_shadow",), ("shadow",), "R32F"),
@@ -127,7 +127,7 @@ def indirect_table() -> TextureTable:
 
 
 def shadow_light_table() -> TextureTable:
-    """Return the table of the light that shadows tell: shaders/prefit/shadow_light.glsl."""
+    """Return the table of the indirect light estimated from shadows: shaders/prefit/shadow_light.glsl."""
     return TextureTable({
         "asked": TextureGroup(("u_asked",), (), "R32F"),
         "light": TextureGroup(("u_low", "u_middle", "u_high")),
@@ -137,15 +137,15 @@ def shadow_light_table() -> TextureTable:
 def prior_table(estimates: int) -> TextureTable:
     """Return the table of a spatial prior. estimates: RGBA textures of a material.
 
-    noise: of the samples (shaders/prior/variance.glsl). mean, deviation: what neighbours read, and after the last round
-    the prior itself. own: deviations by the texel's own samples. work, status: the estimates that are fitted to both.
-    penalty: of the estimates at the start.
+    noise: of the samples (shaders/prior/variance.glsl). mean, deviation: read by neighbours; after the last round, the
+    prior. own: deviations from the texel's own samples alone. work, status: the estimates that are fitted to samples
+    and prior. penalty: of the estimates at the start.
     """
-    belief = numbered("belief", 2 * estimates)
+    pooled = numbered("belief", 2 * estimates)
     return TextureTable({
         "noise": TextureGroup(("u_noise",), ("noise",), double=True),
-        "mean": TextureGroup(numbered("u_mean", estimates), belief[:estimates], double=True),
-        "deviation": TextureGroup(numbered("u_deviation", estimates), belief[estimates:], double=True),
+        "mean": TextureGroup(numbered("u_mean", estimates), pooled[:estimates], double=True),
+        "deviation": TextureGroup(numbered("u_deviation", estimates), pooled[estimates:], double=True),
         "own": TextureGroup(numbered("u_own", estimates), numbered("own", estimates)),
         "work": TextureGroup(numbered("u_work", estimates), numbered("work", estimates), double=True),
         "status": TextureGroup(("u_work_status",), numbered("work", 1, estimates), double=True),
@@ -154,7 +154,7 @@ def prior_table(estimates: int) -> TextureTable:
 
 
 def surface_table() -> TextureTable:
-    """Return the table of the surface that the normals belong to.
+    """Return the table of the surface phase, which makes normals integrable.
 
     noise: of the samples (shaders/prior/variance.glsl). field, covariance: shaders/surface/relax.glsl.
     """
@@ -197,12 +197,12 @@ class PhaseTextures:
         self._steps = self._allocate()
 
     def make(self) -> Iterator[None]:
-        """Allocate what is missing; yields often: one large texture can take a software renderer 0.1 s."""
+        """Allocate the missing textures; yield often: a software renderer can take 0.1 s for a large one."""
         for _ in self._steps:  # yield from would close the generator of a caller that stops early
             yield
 
     def ensure(self) -> None:
-        """Allocate what is missing, at once."""
+        """Allocate the missing textures at once."""
         for _ in self._steps:
             pass
 
@@ -234,13 +234,13 @@ class PhaseTextures:
         return dict(zip(self.table.groups[name].samplers, held, strict=True))
 
     @property
-    def remembered(self) -> dict[str, Texture]:
-        """The textures that outlive an iteration, by the names of their checkpoint arrays."""
+    def persistent(self) -> dict[str, Texture]:
+        """The textures that persist between iterations, by the names of their checkpoint arrays."""
         groups = self.table.groups.items()
         return {k: v for name, group in groups for k, v in zip(group.arrays, self.current[name], strict=False)}
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Upload the contents that ``remembered`` had, and allocate the others."""
+        """Upload the arrays of ``persistent``, and allocate the other textures."""
         for name, group in self.table.groups.items():
             if group.arrays:
                 self.upload(name, (arrays[array] for array in group.arrays))
@@ -254,10 +254,10 @@ class PhaseTextures:
         width, height = self._size
         for name, group in self.table.groups.items():
             across, down = (self.atlas.across, self.atlas.down) if group.in_atlas else (1, 1)
-            for held in (self.current, self.spare)[: 1 + group.double]:
-                if name in held:  # restored before
+            for chosen in (self.current, self.spare)[: 1 + group.double]:
+                if name in chosen:  # restored before
                     continue
-                held[name] = [
+                chosen[name] = [
                     textures.empty(across * width, down * height, group.format, group.value) for _ in group.samplers
                 ]
                 yield

@@ -1,7 +1,7 @@
-"""Before the search: each texel's scale, the weights of its samples, and a Lambertian first guess.
+"""Preparation of a search: each texel's scale, the weights of its samples, and a Lambertian first guess.
 
-A texel's numbers depend on its own samples alone, to the last bit, however a domain is cut: so sums are added up light
-by light, never by a library that groups them by the size of an array.
+The numbers of a texel depend bit for bit on its own samples alone, not on how the domain is tiled. So all sums run
+light by light: library sums group their terms by the size of an array.
 """
 
 from __future__ import annotations
@@ -21,23 +21,22 @@ from ..settings.schedule import Schedule
 from .packing import Packing
 from .textures import domain_arrays
 
-_LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
-_CHUNK = 1 << 16  # samples at a time: what is made of them, about 80 bytes a sample, stays in a cache
-_EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with room
-_MOST_THREADS = 8  # numpy lets go of the interpreter meanwhile; more would wait for memory
+_LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: shadow edges lie below, highlights above
+_CHUNK = 1 << 16  # samples at a time: their temporaries, about 80 bytes a sample, stay in a cache
+_EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with a margin
+_MOST_THREADS = 8  # numpy releases the GIL; more threads would wait for memory
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
-Report = Callable[[float], object]  # receives the fraction that is done, 0 to 1
+Report = Callable[[float], object]  # receives the fraction done, 0 to 1
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What is found before the search. scale: (H, W) of each texel. guess: parameter name → (H, W, components).
+    """Result of the preparation. scale: (H, W) of each texel. guess: parameter name → (H, W, components).
 
-    brightness: mean irradiance/π of the lights at the texels. A scale is radiance over irradiance, errors are
-    radiances: the unit and the distance of the lights must not matter. packing, stack, arrays: what goes to the GPU as
-    it goes there, (K, h, w, 4) samples without shadow and what state.domain_arrays gives; None where a recovery is to
-    find it itself.
+    brightness: mean irradiance/π of the lights at the texels. It converts scales (radiance over irradiance) to
+    radiances and cancels the unit and the distance of the lights. packing, stack, arrays: for the upload to the GPU,
+    (K, h, w, 4) samples without shadow and the result of ``domain_arrays``; None where the recovery computes them.
     """
 
     scale: np.ndarray
@@ -48,7 +47,7 @@ class Prepared:
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def part(self, rows: slice, columns: slice) -> Prepared:
-        """Return it for a part of the domain: the very numbers of the whole, which a fit of the part may round off."""
+        """Return the same numbers for a part of the domain; a new fit of the part might round differently."""
         return Prepared(
             self.scale[rows, columns],
             {name: value[rows, columns] for name, value in self.guess.items()},
@@ -56,11 +55,11 @@ class Prepared:
         )
 
     def packed(self, domain: Domain, schedule: Schedule, report: Report = lambda part: None) -> Prepared:
-        """Return it with what goes to the GPU. report: as for ``prepare``."""
+        """Return a copy with the arrays for the GPU. report: as for ``prepare``."""
         return run_steps(self.packing_steps(domain, schedule), report)
 
     def packing_steps(self, domain: Domain, schedule: Schedule) -> Generator[float, None, Prepared]:
-        """Return what ``packed`` does; yield the part that is done."""
+        """Yield the fraction done; return the result of ``packed``."""
         if self.stack is not None:
             return self
         packing = Packing(domain.solvable, domain.seams)
@@ -73,7 +72,7 @@ class Prepared:
                 part[..., 3] = np.maximum(part[..., 3], 0)
             weight = part[..., 3].copy()
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
-            # As shaders/common/observation.glsl marks them.
+            # Marks dropped samples as shaders/common/observation.glsl does.
             part[..., 3] -= np.where(part[..., 3] == 0, np.clip(weight, 0, 1) / 2, 0)
 
         yield from chunk_steps(domain, work)
@@ -85,10 +84,10 @@ class Prepared:
 def prepare(
     domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True, report: Report = lambda part: None
 ) -> Prepared:
-    """Return each texel's scale, its first guess (defaults, or a Lambertian fit where seeds ask for it), and the stack.
+    """Return each texel's scale, first guess (defaults, or a Lambertian fit if seeds need it), and the stack.
 
-    Nothing but numpy: it may run in a thread beside a window. pack: whether to find what goes to the GPU, too. report:
-    is called now and then with how much of it is done, 0 to 1.
+    Uses numpy only, so it may run in a thread beside a window. pack: also make the arrays for the GPU. report: called
+    now and then with the fraction done, 0 to 1.
     """
     seeded = schedule.swarm.seed == "lambert"
     count = 1 + seeded + pack
@@ -115,10 +114,10 @@ def brightness(domain: Domain) -> float:
 
 
 def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return what ``brightness_of`` needs of some solvable texels, (H, W) bool, and how many they are.
+    """Return exact sums of the irradiances at some solvable texels, (H, W) bool, and the number of these texels.
 
-    The first is (280,) int64: the texels' irradiances in float32, taken apart into whole numbers by their exponents.
-    Such sums are exact, so that those of parts add up to that of the whole, in any order.
+    The sums are (280,) int64: for each exponent of a float32, the sum of the mantissas as whole numbers. They are
+    exact, so the sums of parts add up to the sums of the whole domain, in any order.
     """
     sums, count = np.zeros(_EXPONENTS, np.int64), 0
     if not domain.lights[:, 3].any():
@@ -133,7 +132,7 @@ def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, in
 
 
 def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
-    """Return the brightness that goes with the sums of all of a domain's texels."""
+    """Return the brightness from the ``brightness_sums`` of all texels of a domain."""
     if not domain.lights[:, 3].any():
         return float(domain.intensities.mean())
     total = sum(int(part) << place for place, part in enumerate(sums.tolist()))
@@ -143,7 +142,7 @@ def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
 def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.ndarray]:
     """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none.
 
-    Yields the part that is done.
+    Yields the fraction done.
     """
     scale = np.ones(domain.shape, np.float32)
 
@@ -151,8 +150,8 @@ def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.
         samples = domain.stack.texels(*texels)
         grey = grey_of(samples) / _irradiance(domain, texels).mean(axis=-1)
         with np.errstate(all="ignore"):
-            (found,) = percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
-            scale[texels] = np.where(found > 0, found, 1.0)
+            (value,) = percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
+            scale[texels] = np.where(value > 0, value, 1.0)
 
     yield from chunk_steps(domain, work)
     return scale
@@ -183,12 +182,11 @@ def drop_shadow(
 
 
 def lambert_steps(domain: Domain) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
-    """Return normals (H, W, 3), in the frames that are searched, and albedos (H, W, 3) of a trimmed Lambertian fit.
+    """Return normals (H, W, 3), in the texels' frames, and albedos (H, W, 3) of a trimmed Lambertian fit.
 
-    Photometric stereo (Woodham 1980) by least squares over those of a texel's lit samples that lie between the 20th
-    and the 75th percentile. Texels that leave fewer than three samples get the frame's own normal.
-
-    Yields the part that is done.
+    Photometric stereo (Woodham 1980) by least squares over a texel's lit samples between the 20th and the 75th
+    percentile; over all lit ones where these are fewer than three. Texels with fewer than three lit samples get the
+    frame's own normal. Yields the fraction done.
     """
     normal = np.zeros((*domain.shape, 3), np.float32)
     normal[..., 2] = 1
@@ -207,7 +205,7 @@ lambert_seed = at_once("lambert_seed", lambert_steps)
 def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarray]:
     """Return, for T texels, (K, T, 3) unit vectors to the light in each texel's own frame, and its irradiance/π.
 
-    Where they are the same at every texel, on a card under distant lights, T is 1.
+    T is 1 where both are the same at all texels: on a card under distant lights.
     """
     if domain.card and not domain.lights[:, 3].any():
         vectors = domain.lights[:, None, :3].astype(np.float64)
@@ -232,25 +230,25 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     vectors, irradiance = light_vectors(domain, texels)
     samples = domain.stack.texels(*texels)
     lights = irradiance > 0  # a coloured light may have none of a channel
-    seen = samples[..., 3] > 0
-    shades = [_shade(samples, seen, channel, irradiance[..., channel]) for channel in range(3)]
+    weighted = samples[..., 3] > 0
+    shades = [_shade(samples, weighted, channel, irradiance[..., channel]) for channel in range(3)]
     sums, channels = (shades[0] + shades[1]) + shades[2], lights.sum(axis=-1).astype(np.float64)
     grey = sums.astype(np.float64)
     with np.errstate(all="ignore"):
         grey /= channels
         lit = grey > 0
-        # Single precision sorts faster, and in the same order where all lights have as many channels.
+        # Single precision sorts faster, and in the same order where all lights have the same number of channels.
         single = (channels == channels.flat[0]).all()
         values = np.where(lit, sums if single else grey, np.nan)
         low, high = percentiles(values, _LIT_PERCENTILES, channels.flat[0] if single else 1)
-        kept = (grey >= low) & (grey <= high) & lit
-    count = kept.sum(axis=0)
+        fitted = (grey >= low) & (grey <= high) & lit
+    count = fitted.sum(axis=0)
     if (count < 3).any():
-        kept = np.where(count >= 3, kept, lit)
-        count = kept.sum(axis=0)
-    kept = kept.astype(np.float64)
-    gram, right = normal_equations(vectors, kept, grey)
-    # 1e-9 of the trace: an answer for lights in a plane too, where it is the shortest of many.
+        fitted = np.where(count >= 3, fitted, lit)
+        count = fitted.sum(axis=0)
+    weight = fitted.astype(np.float64)
+    gram, right = normal_equations(vectors, weight, grey)
+    # Damping by 1e-9 of the trace: for coplanar lights the solution is then the shortest of many.
     gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
     scaled = np.linalg.solve(gram, right[..., None])[..., 0]
     scaled[:, 2] = np.maximum(scaled[:, 2], 0)
@@ -258,22 +256,22 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     usable = (count >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
     cosine = np.maximum(dot(vectors, normal), 0)
-    cosine *= kept
+    cosine *= weight
     albedo, squares = np.empty(normal.shape, np.float32), None
     for channel, shade in enumerate(shades):
-        every = lights[..., channel].all()
-        shading = cosine if every else cosine * lights[..., channel]
-        if squares is None or not every:
+        all_lights = lights[..., channel].all()
+        shading = cosine if all_lights else cosine * lights[..., channel]
+        if squares is None or not all_lights:
             squares = over_lights(shading**2)
         albedo[:, channel] = over_lights(shading * shade) / np.maximum(squares, 1e-8)
-        squares = squares if every else None
+        squares = squares if all_lights else None
     return normal.astype(np.float32), albedo
 
 
-def _shade(samples: np.ndarray, seen: np.ndarray, channel: int, irradiance: np.ndarray) -> np.ndarray:
-    """(K, T) one channel over the irradiance/π, 0 where a sample is not seen or its light lacks the channel."""
-    # What weighs nothing may be anything, and 0 · NaN is NaN.
-    radiance = samples[..., channel] if seen.all() else np.where(seen, samples[..., channel], 0)
+def _shade(samples: np.ndarray, weighted: np.ndarray, channel: int, irradiance: np.ndarray) -> np.ndarray:
+    """Return (K, T): one channel over irradiance/π; 0 where a sample has no weight or its light lacks the channel."""
+    # A sample of weight 0 may be NaN, and 0 · NaN is NaN.
+    radiance = samples[..., channel] if weighted.all() else np.where(weighted, samples[..., channel], 0)
     lights = np.broadcast_to(irradiance > 0, radiance.shape)
     if lights.all():
         return radiance / irradiance
@@ -325,34 +323,34 @@ def grey_of(samples: np.ndarray) -> np.ndarray:
 
 
 def percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float = 1) -> list[np.ndarray]:
-    """Percentiles over axis 0 of what is not NaN, of the values over a divisor; NaN for empty columns."""
-    ordered = np.array(values.T, order="C")  # a copy, even of what lies so: numbers side by side sort faster
+    """Return percentiles over axis 0 of values / divisor, without NaN; NaN for columns without numbers."""
+    ordered = np.array(values.T, order="C")  # always a copy; contiguous numbers sort faster
     ordered.sort(axis=1)  # NaN last
     last = np.maximum(values.shape[0] - np.isnan(values).sum(axis=0) - 1, 0)
-    rows, found = np.arange(values.shape[1]), []
+    rows, results = np.arange(values.shape[1]), []
     for percentile in percentiles:
         rank = last * percentile / 100
         low = np.floor(rank).astype(int)
         a, b = ordered[rows, low], ordered[rows, np.minimum(low + 1, last)]
         if divisor != 1:
             a, b = a.astype(np.float64) / divisor, b.astype(np.float64) / divisor
-        found.append(a + (b - a) * (rank - low))
-    return found
+        results.append(a + (b - a) * (rank - low))
+    return results
 
 
 def chunk_steps(domain: Domain, work: Callable[[int, Texels], None]) -> Generator[float, None, None]:
-    """Do work(start, texels) for all chunks, some at a time beside the caller; yield the part that is done."""
+    """Run work(start, texels) for all chunks in a pool of threads; yield the fraction done."""
     with ThreadPoolExecutor(min(_MOST_THREADS, len(available_cores()))) as pool:
         waiting = [pool.submit(work, *chunk) for chunk in chunks(domain)]
-        for number, done in enumerate(waiting, 1):
-            done.result()
+        for number, future in enumerate(waiting, 1):
+            future.result()
             yield number / len(waiting)
 
 
 def chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:
-    """Yield rows and columns of the solvable texels, row by row, as many at a time as hold _CHUNK samples.
+    """Yield (start, (rows, columns)) of the solvable texels, row by row; each chunk holds about _CHUNK samples.
 
-    Before them the number of the first one among the solvable.
+    start: number of the chunk's first texel among the solvable ones.
     """
     texels = np.flatnonzero(domain.solvable)
     size = max(1, _CHUNK // max(domain.observations, 1))

@@ -11,7 +11,7 @@ from ..kernels.kernels import copy_pass
 
 
 class Reader:
-    """Downloads textures. A fragment pass first copies what a compute dispatch wrote: that orders write and read."""
+    """Downloads textures. A fragment pass first copies the output of a compute dispatch, to order write and read."""
 
     def __init__(self, entry: Entry):
         self._copy = copy_pass() if entry == "compute" else None

@@ -1,10 +1,10 @@
-"""Direct and indirect light, separated by their colour, or by what shadows show (shadow_light.py).
+"""Direct and indirect light, separated by colour, or by shadows (shadow_light.py).
 
-Light that one coloured surface throws on another of its kind is coloured twice: of brass whose direct light has the
-chroma u, it has about u², after more bounces u³ and so on. So a sample in a hollow is a mixture of u, u² and u⁴
-(Funt and Drew 1993, Color space analysis of mutual illumination; Liao et al. 2011, Interreflection removal for
-photometric stereo by using spectrum-dependent albedo). A chroma is radiance over irradiance, with a sum of 1. Here it
-is a power of the direct one, whose exponent is its saturation.
+Light between two surfaces of one colour is coloured twice. If the direct light of brass has the chroma u, the light
+after one more bounce has about u², after two u³, and so on. So a sample in a hollow is a mixture of u, u² and u⁴ (Funt
+and Drew 1993, Color space analysis of mutual illumination; Liao et al. 2011, Interreflection removal for photometric
+stereo by using spectrum-dependent albedo). A chroma is radiance over irradiance, normalised to a sum of 1. Here a
+chroma is a power of the direct one; the exponent is called its saturation.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from .prepare import Prepared, Texels, chunk_steps, dot, light_vectors, over_lig
 from .shadow_light import light_of
 from .textures import HARMONICS, HARMONICS_AT, SEPARATED, DomainTextures
 
-_LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma from this part of a texel's bright light, a percentile
-_DIRECT = 10.0  # percentile of the saturations of a texel's samples: those that owe least to other surfaces
+_LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma above this part of this percentile of the texel's light
+_DIRECT = 10.0  # percentile of the saturations of a texel's samples: the least indirect ones
 
-# Of a texel's scale: below it a sample whose indirect light was taken off counts as shadow.
+# Part of a texel's scale. A sample whose direct light is below it counts as shadow.
 SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 
-# What a subject must show. The chromas of brass, gold, copper and terracotta differ from their middle by 0.04 to 0.06
-# in the median, those of enamel with its highlights by 0.17, of patina by 0.27, of a concave mix by 0.48. Of the texels
-# whose shading tells of indirect light 74 to 97 % are doubly coloured on the first four, at most 42 % on others.
+# Conditions on a subject. The median distance of its chromas from their middle is 0.04 to 0.06 for brass, gold, copper
+# and terracotta, 0.17 for enamel with its highlights, 0.27 for patina, 0.48 for a concave mix. Of the texels whose
+# shading shows indirect light, 74 to 97 % are doubly coloured on the first four, at most 42 % on others.
 _LEAST_CHROMA = 0.3
 _MOST_SPREAD = 0.15
 _LEAST_FOUND = 0.02  # of the texels
-_LEAST_SATURATION, _MOST_SATURATION, _MOST_ASIDE = 1.2, 4.0, 0.15
+_LEAST_SATURATION, _MOST_SATURATION, _MOST_DISTANCE = 1.2, 4.0, 0.15
 
 
 def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return (T, 3) the chromas of T texels, each channel the median over its lit samples; NaN where there is none.
+    """Return (T, 3): the chromas of T texels, each channel the median over its lit samples; NaN without any.
 
-    Nowhere is one where a light lacks a channel.
+    All are NaN if a light lacks a channel.
     """
     if not (domain.intensities > 0).all():
         return np.full((len(rows), 3), np.nan)
@@ -51,24 +51,24 @@ def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.nda
 
 
 def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None:
-    """Return (3,) the chroma of the direct light of a subject of one colour; None where the photographs show no such.
+    """Return (3,): the chroma of the direct light of a subject of one colour; None for other subjects.
 
     chroma: (T, 3) from ``evidence_of``, of a sample of the subject's texels. indirect: (T,) bool, those whose shading
-    tells of indirect light.
+    shows indirect light.
     """
     known = np.isfinite(chroma).all(axis=-1)
-    direct, found = chroma[known & ~indirect], chroma[known & indirect]
-    if len(direct) == 0 or len(found) < _LEAST_FOUND * len(chroma):
+    direct, hollow = chroma[known & ~indirect], chroma[known & indirect]
+    if len(direct) == 0 or len(hollow) < _LEAST_FOUND * len(chroma):
         return None
     middle = _chroma(np.median(direct, axis=0))
     if np.linalg.norm(_logarithm(middle)) < _LEAST_CHROMA:
         return None
-    apart = np.linalg.norm(_logarithm(direct) - _logarithm(middle), axis=-1)
-    if np.median(apart) > _MOST_SPREAD:
+    distance = np.linalg.norm(_logarithm(direct) - _logarithm(middle), axis=-1)
+    if np.median(distance) > _MOST_SPREAD:
         return None
-    saturation, _ = _along(direct, middle)
+    saturation, _ = _saturation_of(direct, middle)
     unmixed = _chroma(np.median(direct[saturation <= np.median(saturation)], axis=0))
-    if np.mean(_doubly_coloured(found, unmixed)) < 0.5:
+    if np.mean(_doubly_coloured(hollow, unmixed)) < 0.5:
         return None
     return unmixed
 
@@ -76,11 +76,11 @@ def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None
 def separation_steps(
     domain: Domain, indirect: np.ndarray, direct: np.ndarray, least: float
 ) -> Generator[float, None, np.ndarray]:
-    """Return (H, W, SEPARATED) float32: red and green of the chroma of a texel's direct light, the same of its light
-    after one bounce more, and the part of the texel's light that is indirect by them; then zeros.
+    """Return (H, W, SEPARATED) float32: red and green of the chroma of a texel's direct light, the same for its light
+    after one more bounce, and the indirect part of the texel's light; then zeros.
 
-    0 where neither the shading tells of indirect light nor the colour of the part ``least`` of it. indirect: (H, W)
-    bool by the shading. direct: (3,) from ``direct_chroma``. Yields the part that is done.
+    0 where the shading shows no indirect light and its part by colour is below ``least``. indirect: (H, W) bool, from
+    the shading. direct: (3,) from ``direct_chroma``. Yields the fraction done.
     """
     result = np.zeros((*domain.shape, SEPARATED), np.float32)
 
@@ -88,14 +88,14 @@ def separation_steps(
         samples = domain.stack.texels(*texels)
         chroma = _chromas(samples, domain.intensities)
         hollow = indirect[texels] & _doubly_coloured(_median(chroma), direct)
-        (own,) = percentiles(_along(chroma, direct)[0], [_DIRECT])
+        (own,) = percentiles(_saturation_of(chroma, direct)[0], [_DIRECT])
         known = np.isfinite(own)
         own = np.where(hollow | ~known, 1.0, np.maximum(own, 1.0))[:, None]
         pair = np.concatenate([_chroma(direct**power)[:, :2] for power in (own, own + 1)], axis=-1, dtype=np.float32)
         light = _radiance(samples, domain.intensities) * (samples[..., 3:] > 0)
-        left = _all_light(_without(light, pair)) / np.maximum(_all_light(light), 1e-30)
-        chosen = known & (hollow | (1 - left >= least))
-        result[(*texels, slice(HARMONICS_AT))] = np.where(chosen[:, None], np.column_stack([pair, 1 - left]), 0)
+        direct_part = _all_light(_without(light, pair)) / np.maximum(_all_light(light), 1e-30)
+        chosen = known & (hollow | (1 - direct_part >= least))
+        result[(*texels, slice(HARMONICS_AT))] = np.where(chosen[:, None], np.column_stack([pair, 1 - direct_part]), 0)
 
     yield from chunk_steps(domain, work)
     return result
@@ -105,9 +105,9 @@ separation_of = at_once("separation_of", separation_steps)
 
 
 def by_shadows(found: np.ndarray) -> np.ndarray:
-    """Return (H, W, SEPARATED) float32 of (H, W, 12) what shadow_light.glsl finds.
+    """Return the separation (H, W, SEPARATED) float32 from the output of shadow_light.glsl, ``found`` (H, W, 12).
 
-    Red and green of the light's chroma, zeros in place of a second one, its share, and the coefficients.
+    Red and green of the indirect light's chroma, zeros in place of a second one, its share, and the coefficients.
     """
     coefficients, chroma, share = found[..., :HARMONICS], found[..., HARMONICS:-1], found[..., -1:]
     ends = np.where(share > 0, np.maximum(chroma, 1e-6), 0), np.zeros((*share.shape[:-1], 2))
@@ -116,7 +116,7 @@ def by_shadows(found: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SeparatedStack:
-    """A ``SampleStack`` of the direct light in a domain's. Bounds, and samples of no weight, stay.
+    """A read-only ``SampleStack``: a domain's samples without indirect light. Bounds and samples of weight 0 stay.
 
     separation: (H, W, SEPARATED) as from ``separation_of`` or ``by_shadows``.
     """
@@ -130,7 +130,7 @@ class SeparatedStack:
         return self.domain.stack.shape
 
     def layer(self, observation: int) -> np.ndarray:
-        """Return (H, W, 4) the samples of one observation."""
+        """Return (H, W, 4): the samples of one observation."""
         rows, columns = np.nonzero(self.separation[..., 0])
         layer = self.domain.stack.layer(observation).copy()
         one = slice(observation, observation + 1)
@@ -148,11 +148,11 @@ class SeparatedStack:
         return self.domain.stack.another(scratch)
 
     def put(self, observation: int, layer: np.ndarray) -> None:
-        """Raise TypeError: it is a view."""
+        """Raise TypeError: the stack is a read-only view."""
         raise TypeError("the direct light of samples cannot be written to")
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return (K, N, 4) the samples at N texels."""
+        """Return (K, N, 4): the samples at N texels."""
         samples = self.domain.stack.texels(rows, columns)
         return _direct(self.domain, (rows, columns), samples, self.separation[rows, columns])
 
@@ -176,9 +176,10 @@ class SeparatedStack:
 def separated_steps(
     domain: Domain, held: DomainTextures, separation: np.ndarray, schedule: Schedule
 ) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
-    """Return textures, and the stack to give to them, of a domain's direct light by (h, w, n); of all light by 0.
+    """Return textures of a domain without its indirect light, and the stack to upload to them.
 
-    held: textures of the domain, by another separation. Yields the part that is done of one sweep after another.
+    separation: (h, w, n), packed; 0 keeps all light. held: current textures of the domain. Yields the fraction done of
+    each sweep in turn.
     """
     if separation.any():
         unpacked = held.packing.unpack(separation)
@@ -190,38 +191,38 @@ def separated_steps(
 
 
 def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return samples (K, T, 4) of a domain's T texels without the indirect light. separation: (T, SEPARATED)."""
+    """Return samples (K, T, 4) of a domain's T texels minus their indirect light. separation: (T, SEPARATED)."""
     result, coloured = samples.copy(), separation[:, 2] > 0
-    for chosen, without in ((coloured, _without_bounces), (~coloured & (separation[:, 0] > 0), _without_sent)):
+    for chosen, subtract in ((coloured, _without_bounces), (~coloured & (separation[:, 0] > 0), _without_shadow_light)):
         if chosen.any():
             rows, columns = texels
             part = samples[:, chosen]
-            direct = without(domain, (rows[chosen], columns[chosen]), part, separation[chosen])
+            direct = subtract(domain, (rows[chosen], columns[chosen]), part, separation[chosen])
             result[:, chosen, :3] = np.where(part[..., 3:] > 0, direct, part[..., :3])
     return result
 
 
 def _without_bounces(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return (K, T, 3) radiance without light of the chromas of indirect light."""
+    """Return (K, T, 3): radiance minus its components of the indirect chromas."""
     return _without(_radiance(samples, domain.intensities), separation) * domain.intensities[:, None]
 
 
-def _without_sent(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return (K, T, 3) radiance without the light that shadows show."""
+def _without_shadow_light(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
+    """Return (K, T, 3): radiance minus the indirect light that was estimated from shadows."""
     vectors, irradiance = light_vectors(domain, texels)
     chroma = _completed(separation[:, :2].astype(np.float64))
-    sent = light_of(vectors, separation[:, HARMONICS_AT:].astype(np.float64), chroma) * irradiance
-    return np.maximum(np.nan_to_num(samples[..., :3]) - sent, 0)
+    indirect = light_of(vectors, separation[:, HARMONICS_AT:].astype(np.float64), chroma) * irradiance
+    return np.maximum(np.nan_to_num(samples[..., :3]) - indirect, 0)
 
 
 def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return light (K, T, 3) less its parts of the indirect chromas, by non-negative least squares in float64.
+    """Return light (K, T, 3) minus its components of the indirect chromas, by non-negative least squares in float64.
 
-    Inside the cone of the three chromas a sample has three parts; else it is projected to the nearest of the cone's
-    sides, of two chromas.
+    Inside the cone of the three chromas a sample has three components; outside, it is projected to the nearest side of
+    the cone, which has two chromas.
     """
     u, v = (_completed(separation[:, 2 * i : 2 * i + 2].astype(np.float64)) for i in range(2))
-    w = _chroma(v**3 / np.maximum(u, 1e-9) ** 2)  # if v has one bounce more than u, this has three
+    w = _chroma(v**3 / np.maximum(u, 1e-9) ** 2)  # v has one bounce more than u, w has three more
     volume = dot(u, np.cross(v, w))
     volume = np.where(np.abs(volume) > 1e-15, volume, 1e-15)[:, None]
     parts = [dot(light, np.cross(*others) / volume) for others in ((v, w), (w, u), (u, v))]
@@ -229,7 +230,7 @@ def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
     least = np.where(inside, 0.0, np.inf)
     once, often = (np.where(inside, part, 0.0) for part in parts[1:])
     for first, second, is_once, is_often in ((u, v, (0, 1), (0, 0)), (u, w, (0, 0), (0, 1)), (v, w, (1, 0), (0, 1))):
-        two = _two_parts(light, first, second)
+        two = _two_components(light, first, second)
         left = light - two[0][..., None] * first - two[1][..., None] * second
         error = dot(left, left)
         nearer = error < least
@@ -241,8 +242,8 @@ def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
     return np.maximum(light - once[..., None] * v - often[..., None] * w, 0)
 
 
-def _two_parts(light: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (K, T) each: the parts of two chromas (T, 3) in light by non-negative least squares."""
+def _two_components(light: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two (K, T): the components of two chromas (T, 3) in light, by non-negative least squares."""
     ff, ss, fs = dot(first, first), dot(second, second), dot(first, second)
     determinant = ff * ss - fs * fs
     determinant = np.where(determinant > 0, determinant, 1.0)
@@ -261,7 +262,7 @@ def _completed(chroma: np.ndarray) -> np.ndarray:
 
 
 def _median(chroma: np.ndarray) -> np.ndarray:
-    """Return (T, 3) of chromas (K, T, 3): each channel's median over what is not NaN."""
+    """Return (T, 3) of chromas (K, T, 3): the median of each channel over the samples that are not NaN."""
     return _chroma(np.stack([percentiles(chroma[..., c], [50.0])[0] for c in range(3)], axis=-1))
 
 
@@ -292,18 +293,18 @@ def _logarithm(chroma: np.ndarray) -> np.ndarray:
     return logarithm - (((logarithm[..., 0] + logarithm[..., 1]) + logarithm[..., 2]) / 3)[..., None]
 
 
-def _along(chroma: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the saturations of chromas (…, 3), as exponents of the direct one, and how far they lie off its powers."""
+def _saturation_of(chroma: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the saturations of chromas (…, 3), exponents of the direct one, and their distances from its powers."""
     axis, logarithm = _logarithm(direct), _logarithm(chroma)
     saturation = dot(logarithm, axis) / dot(axis, axis)
-    aside = logarithm - saturation[..., None] * axis
-    return saturation, np.sqrt(dot(aside, aside))
+    across = logarithm - saturation[..., None] * axis
+    return saturation, np.sqrt(dot(across, across))
 
 
 def _doubly_coloured(chroma: np.ndarray, direct: np.ndarray) -> np.ndarray:
-    """Return bool: whether chromas (…, 3) are powers of the direct one that tell of one or more further bounces."""
-    saturation, aside = _along(chroma, direct)
-    return (saturation >= _LEAST_SATURATION) & (saturation <= _MOST_SATURATION) & (aside <= _MOST_ASIDE)
+    """Return bool: whether chromas (…, 3) are powers of the direct one with one or more further bounces."""
+    saturation, distance = _saturation_of(chroma, direct)
+    return (saturation >= _LEAST_SATURATION) & (saturation <= _MOST_SATURATION) & (distance <= _MOST_DISTANCE)
 
 
 def _all_light(light: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Light that other surfaces send a texel, as spherical harmonics of the lamp's direction in the texel's own frame.
+"""Indirect light at a texel, as spherical harmonics of the lamp's direction in the texel's own frame.
 
-shaders/prefit/shadow_light.glsl finds their coefficients from the texel's shadows.
+shaders/prefit/shadow_light.glsl estimates the coefficients from the texel's shadows.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ def harmonics(vectors: np.ndarray) -> np.ndarray:
 
 
 def light_of(vectors: np.ndarray, coefficients: np.ndarray, chroma: np.ndarray) -> np.ndarray:
-    """Return (K, T, 3) radiance over irradiance/π that T texels are sent under lights at vectors (K, T or 1, 3).
+    """Return (K, T, 3): indirect radiance over irradiance/π at T texels, under lights at vectors (K, T or 1, 3).
 
-    coefficients: (T, 9) of ``harmonics``, of the mean of the channels. chroma: (T, 3).
+    coefficients: (T, 9) of ``harmonics``, for the mean of the channels. chroma: (T, 3).
     """
     basis = harmonics(vectors)
     total = basis[..., 0] * coefficients[:, 0]

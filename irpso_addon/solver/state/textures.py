@@ -15,19 +15,19 @@ from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from .packing import Packing
 
-UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # the fitness of what was never evaluated
+UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # fitness of a material that was never evaluated
 OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
-HARMONICS_AT, HARMONICS = 5, 9  # numbers of a texel's separation (separation.py): before the harmonics, and of them
+HARMONICS_AT, HARMONICS = 5, 9  # numbers in a separation (separation.py): before the harmonics; harmonics
 SEPARATED = HARMONICS_AT + HARMONICS
 
 
 class DomainTextures:
     """A domain on the GPU, its solved texels packed.
 
-    stack: (K, h, w, 4) the packed sample stack to use, weights and all; None where ``give_stack`` brings it later: that
-    alone takes 0.1 s for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default
-    the lights' mean intensity. arrays: of ``domain_arrays``, where they have been found already.
-    separation: (h, w, SEPARATED) by which its samples are of direct light alone (separation.py); 0 where of all.
+    stack: (K, h, w, 4), the packed samples and weights; None if ``give_stack`` uploads them later, which takes 0.1 s
+    for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default the lights' mean
+    intensity. arrays: from ``domain_arrays``, None to compute them. separation: (h, w, SEPARATED), by which indirect
+    light was subtracted from the samples (separation.py); 0 where nothing was.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class DomainTextures:
             self.give_stack(stack)
 
     def raise_shadow(self, shadow: np.ndarray | float) -> None:
-        """Set the part (h, w) of each texel's scale under which samples count as shadow: 0 for all that are given."""
+        """Set the part (h, w) of each texel's scale below which samples count as shadow; 0 changes no sample."""
         shadow = np.broadcast_to(np.float32(shadow), self.scale.shape)
         if not np.array_equal(shadow, self.shadow):
             self.shadow = shadow
@@ -62,7 +62,7 @@ class DomainTextures:
             self.textures["u_geometry"] = textures.upload_layers(arrays["u_geometry"])
 
     def where(self, chosen: np.ndarray) -> DomainTextures:
-        """Return the same domain with the chosen texels (h, w) bool solved alone."""
+        """Return the same domain, in which only the chosen texels, (h, w) bool, are solved."""
         result = copy(self)
         arrays = domain_arrays(self.domain, self.packing, self.scale, self.shadow)
         arrays["u_geometry"][0, ..., 3][~chosen] = OUTSIDE
@@ -70,7 +70,7 @@ class DomainTextures:
         return result
 
     def give_stack(self, stack: np.ndarray) -> None:
-        """Upload the packed sample stack (K, h, w, 4), for all who share these textures."""
+        """Upload the packed sample stack (K, h, w, 4); shallow copies share it."""
         self.textures["u_stack"] = textures.upload_layers(stack)
 
 
@@ -85,7 +85,7 @@ def loss_constants(domain: DomainTextures, delta: float) -> dict[str, int | floa
 def domain_arrays(
     domain: Domain, packing: Packing, scale: np.ndarray, shadow: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale, shadow: (h, w)."""
+    """Return sampler name → array of a domain's geometry and packing, for the GPU. scale, shadow: (h, w)."""
     bake, seams = domain.bake, domain.seams
     normal = packing.pack(bake.normal, 0.0 if seams is None else seams.ghost_normal)
     tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.ghost_tangent)
@@ -100,7 +100,7 @@ def domain_arrays(
 def geometry_layers(
     position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
 ) -> np.ndarray:
-    """Return the layers of u_geometry that frames are made of (shaders/common/frame.glsl), (3, H, W, 4) float32.
+    """Return the layers of u_geometry that define the frames (shaders/common/frame.glsl), (3, H, W, 4) float32.
 
     state, scale: (H, W), carried in alpha.
     """
@@ -114,7 +114,7 @@ def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.n
 
 
 def kernel_defines(domain: Domain) -> dict[str, str | int]:
-    """Return what kernels over a domain are compiled with: ``observation_defines``, its NOISE and SEAMS, if any."""
+    """Return the defines of kernels over a domain: ``observation_defines``, and NOISE and SEAMS if it has them."""
     defines = observation_defines(domain.lights, domain.views, domain.card)
     if domain.noise:
         defines["NOISE"] = f"{domain.noise:.9f}"
@@ -122,7 +122,7 @@ def kernel_defines(domain: Domain) -> dict[str, str | int]:
 
 
 def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, str | int]:
-    """Return what lets a kernel do less: a card, lights that are all distant, one view for all observations."""
+    """Return the defines that make a kernel cheaper: a card, only distant lights, one view for all observations."""
     defines: dict[str, str | int] = {"CARD": 1} if card else {}
     if not lights[:, 3].any():
         defines["DISTANT_LIGHTS"] = 1
@@ -162,18 +162,18 @@ class Estimates:
 
     @property
     def shown(self) -> list[Texture]:
-        """Textures for what a display shows of the estimates, apart from those that a run works with."""
+        """Textures for estimates that only a display shows; the recovery does not read them."""
         if not self._shown:
             self._shown = [textures.empty(*self.size) for _ in range(self.count)]
         return self._shown
 
     def bindings(self, resolved: bool = False) -> dict[str, Texture]:
-        """Return the textures by sampler name: the estimates that the stage holds to, or with its bests put in."""
+        """Return the textures by sampler name: of the current estimates, or of the resolved ones."""
         chosen = self.resolved if resolved else self.current
         return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
 
     def accept(self) -> None:
-        """Make what has been resolved the current estimate."""
+        """Swap the resolved estimates with the current ones."""
         self.current, self.resolved = self.resolved, self.current
 
     def values(self, resolved: bool = True) -> dict[str, np.ndarray]:

@@ -26,8 +26,8 @@ from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from ..state.packing import Packing, level_size
 from ..state.textures import kernel_defines
 
-KEPT = 4  # pictures: two areas, each with two side by side
-_SHARE = 0.2  # of the time that measurements may take while the recovery runs
+KEPT = 4  # pictures kept: two areas of the window, each with two side by side
+_SHARE = 0.2  # part of the time for measurements while the recovery runs
 _UNMEASURED = -1.0
 _ENCODINGS = defined("view/show_parameter.glsl", "ENCODING_")
 _PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT",
@@ -42,8 +42,8 @@ class Shown:
 
     parameter: for kinds "parameter" and "confidence". observation: for "render" and "reference". limit: the value
     shown as red: an error in radiance, a standard deviation in the parameter's unit (radians of a normal), a share of
-    the light for "indirect". exposure: factor on radiance. unknown: the deviation from which a parameter of one number
-    is unknown, shown in alpha; 0 for never.
+    the light for "indirect". exposure: factor on radiance. unknown: the deviation above which a parameter of one number
+    is unknown, which alpha shows; 0 for never.
     """
 
     kind: Literal["parameter", "error", "render", "reference", "confidence", "indirect"]
@@ -55,7 +55,7 @@ class Shown:
 
     @property
     def measured(self) -> str:
-        """The measurement that it needs: "error", "confidence", or ""."""
+        """The measurement that the picture needs: "error", "confidence", or ""."""
         if self.kind in ("error", "confidence"):
             return self.kind
         return "confidence" if self.unknown else ""
@@ -64,7 +64,7 @@ class Shown:
 class Display:
     """Pictures of a running recovery. ``close`` it before the recovery; make a new one for another recovery.
 
-    whole: of which the recovery is a tile; it knows the indirect light. Raises InputError for a recovery in tiles.
+    whole: the recovery of which this one is a tile; it has the indirect light. Raises InputError for a tiled recovery.
     """
 
     def __init__(self, recovery: RecoveryEngine, whole: RecoveryEngine | None = None):
@@ -81,29 +81,29 @@ class Display:
         Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range; errors,
         deviations (the largest of a parameter's components) and indirect light in false colours. Alpha is 1 for solved
         texels, 0.5 for an unknown parameter (see ``Shown.unknown``) or a reference's sample without weight, 0 without a
-        photograph, and where no indirect light has been found yet.
+        photograph or, so far, without an estimate of indirect light.
 
         time_budget_s: about the time for measuring errors or deviations now. Until a measurement is complete the last
-        complete one is shown; the first one is shown as it grows. Without a budget the measurement is current. Raises
+        complete one is shown; the first one is shown while it runs. Without a budget the measurement is current. Raises
         InputError for a missing parameter or observation.
         """
         self._check(shown)
         with self._recovery.view() as lent:
-            self._follow(lent)
+            self._follow_level(lent)
             progress = self._recovery.progress
             measured = self._measure(shown.measured).update(lent, progress, time_budget_s) if shown.measured else 0
-            picture, drawn = self._kept(shown, lent)
+            picture, drawn = self._texture_of(shown, lent)
             if drawn != (progress, measured):
                 self._draw(shown, picture, lent)
                 self._pictures[shown] = picture, (progress, measured)
             return picture
 
     def pending(self, shown: Shown) -> bool:
-        """Return whether the picture lags behind the recovery and should be drawn again soon."""
+        """Return whether the picture is older than the recovery's state and should be drawn again soon."""
         if shown.measured:
             return self._measure(shown.measured).measured != self._recovery.progress
-        kept = self._pictures.get(shown)
-        return kept is None or kept[1] != (self._recovery.progress, 0)
+        drawn = self._pictures.get(shown)
+        return drawn is None or drawn[1] != (self._recovery.progress, 0)
 
     def close(self) -> None:
         """Free shaders and textures."""
@@ -116,10 +116,10 @@ class Display:
     def _begin(self) -> None:
         self._passes: dict[str, Pass] = {}
         self._measures: dict[str, _Measure] = {}
-        # With the progress and the version of the measurement that each was drawn from.
+        # Each with the progress and the version of the measurement from which it was drawn.
         self._pictures: OrderedDict[Shown, tuple[Texture, tuple[Progress, int] | None]] = OrderedDict()
         self._ramp: Texture | None = None
-        self._share: tuple[np.ndarray, Texture] | None = None  # the recovery's, and the same on the GPU
+        self._share: tuple[np.ndarray, Texture] | None = None  # the recovery's array, and its texture
 
     def _check(self, shown: Shown) -> None:
         if shown.kind in ("parameter", "confidence"):
@@ -128,15 +128,15 @@ class Display:
             count = self._recovery.domain.observations
             raise InputError(f"observation {shown.observation}: there are {count}, from 0; choose one of them")
 
-    def _follow(self, lent: Mapping[str, Texture]) -> None:
-        """Restart where the recovery has reached another level, whose textures have other sizes."""
+    def _follow_level(self, lent: Mapping[str, Texture]) -> None:
+        """Restart if the recovery has reached another level, whose textures have other sizes."""
         size = level_size(lent, self._defines)
         if size != self._size:
             self.close()
             self._size = size
 
-    def _kept(self, shown: Shown, lent: Mapping[str, Texture]) -> tuple[Texture, tuple[Progress, int] | None]:
-        """Return the picture's texture and the state that it was drawn from, or None."""
+    def _texture_of(self, shown: Shown, lent: Mapping[str, Texture]) -> tuple[Texture, tuple[Progress, int] | None]:
+        """Return the picture's texture, and the state from which it was drawn, or None."""
         if shown not in self._pictures:
             if len(self._pictures) < KEPT:
                 self._pictures[shown] = textures.empty(*level_size(lent, self._defines), "RGBA16F"), None
@@ -183,7 +183,7 @@ class Display:
         return self._measures[kind]
 
     def _indirect(self, alike: Texture) -> Texture:
-        """Return the ``indirect_share`` of the texels, packed, in the size of ``alike``; below 0 where it has none."""
+        """Return the ``indirect_share`` of the texels, packed; below 0 without one. alike: a texture of that size."""
         domain, share = self._recovery.domain, self._whole.indirect_share
         if share is None:
             return textures.empty(alike.width, alike.height, "R32F", _UNMEASURED)
@@ -207,12 +207,12 @@ class _Measure:
         self._pass, self._count, self._format = work, count, texture_format
         self._constants = constants
         self._bands = Bands()
-        self._whole: list[Texture] = []
-        self._coming: list[Texture] = []
+        self._complete: list[Texture] = []
+        self._partial: list[Texture] = []
         self._work: Iterator[None] | None = None
         self._inputs: Mapping[str, Texture] = {}
-        self._progress: Progress | None = None  # of the recovery at the start of the current measurement
-        self.measured: Progress | None = None  # and of the complete one
+        self._progress: Progress | None = None  # of the recovery at the start of the measurement in work
+        self.measured: Progress | None = None  # and of the complete measurement
         self._version = 0
         self._seconds = self._ended = 0.0
 
@@ -233,7 +233,7 @@ class _Measure:
             if next(self._work, self) is self:
                 self._finish()
             if self.measured is None:
-                self._version += 1  # shown as it grows
+                self._version += 1  # shown while it runs
             if deadline is not None and time.perf_counter() >= deadline:
                 break
         self._seconds += time.perf_counter() - now
@@ -241,19 +241,19 @@ class _Measure:
 
     def bindings(self) -> dict[str, Texture]:
         """Return sampler name → measured texture."""
-        return {f"u_measure_{i}": texture for i, texture in enumerate(self._whole or self._coming)}
+        return {f"u_measure_{i}": texture for i, texture in enumerate(self._complete or self._partial)}
 
     def close(self) -> None:
         """Free shader and textures."""
         self._pass.close()
-        self._whole, self._coming, self._work, self._inputs = [], [], None, {}
+        self._complete, self._partial, self._work, self._inputs = [], [], None, {}
 
     def _start(self, lent: Mapping[str, Texture], progress: Progress, budget: float | None) -> None:
-        if not self._coming:
+        if not self._partial:
             size = lent["u_estimate_0"].width, lent["u_estimate_0"].height
-            self._coming = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
+            self._partial = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
-        self._work = self._measuring(self._coming, budget)
+        self._work = self._measuring(self._partial, budget)
 
     def _measuring(self, targets: list[Texture], budget: float | None) -> Iterator[None]:
         """Measure into ``targets``. The recovery may run between bands: each band reads its current state."""
@@ -268,7 +268,7 @@ class _Measure:
         )
 
     def _finish(self) -> None:
-        self._whole, self._coming = self._coming, self._whole
+        self._complete, self._partial = self._partial, self._complete
         self._work, self._inputs, self.measured = None, {}, self._progress
         self._version += 1
         self._ended = time.perf_counter()
@@ -298,5 +298,5 @@ def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: Mapping[st
         name, constants = "show_parameter", _PARAMETER
     elif measured.textures:
         name, constants = "show_measure", _MEASURE
-    output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
-    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, domain_defines, given))
+    output, includes = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
+    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, domain_defines, includes))

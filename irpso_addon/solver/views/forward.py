@@ -60,7 +60,7 @@ def render_inputs(
     intensities: np.ndarray,
     views: np.ndarray,
 ) -> dict[str, Texture]:
-    """Return the textures of a pass that renders maps and reads no samples; the arguments are as for Renderer."""
+    """Return the textures of a pass that renders maps and reads no samples; arguments as for Renderer."""
     state = bake.coverage.astype(np.float32)
     return {
         "u_geometry": textures.upload_layers(
@@ -112,8 +112,8 @@ def _rendered_in_blocks(
         for x in range(0, width, side):
             part = tile(domain, x, y, min(side, width - x), min(side, height - y))
             block = slice(y, y + side), slice(x, x + side)
-            held = {name: value[block] for name, value in values.items()}
-            for image, render in zip(images, rendered(part, model, held, observations), strict=True):
+            values_in_block = {name: value[block] for name, value in values.items()}
+            for image, render in zip(images, rendered(part, model, values_in_block, observations), strict=True):
                 image[block] = render
     return images
 
@@ -121,7 +121,7 @@ def _rendered_in_blocks(
 def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray) -> dict[str, np.ndarray]:
     """Return maps (h, w, components) sampled bilinearly at texture coordinates (H, W, 2); normals are normalised.
 
-    Texel centres lie at (i + ½) / w; outside the outermost ones the border value continues.
+    Texel centres lie at (i + ½) / w; outside the outermost centres the border value is repeated.
     """
     height, width = next(iter(values.values())).shape[:2]
     x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)

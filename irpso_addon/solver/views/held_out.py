@@ -20,22 +20,22 @@ from .forward import rendered
 from .pictures import SHOWN_WHITE, Indirect, image_psnr, image_row, no_indirect
 
 _STEP, _MOST = 8, 6  # of the automatic choice
-FEWEST_SPARING = _STEP // 2 + 1  # least observations of a capture that spares one
-HIGHLIGHT = 1.5  # a highlight's sample is brighter than the diffuse reflection by this factor …
-_DARK = 0.02  # … and by this fraction of display white, which is above noise
+FEWEST_SPARING = _STEP // 2 + 1  # least observations of a capture that holds one out
+HIGHLIGHT = 1.5  # a highlight exceeds the diffuse reflection by this factor …
+_DARK = 0.02  # … and by this fraction of display white, to exceed noise
 
 
 def spared(count: int) -> list[int]:
     """Return the indices that the automatic choice holds out of ``count`` observations, [] below ``FEWEST_SPARING``.
 
-    One in eight, evenly spaced, at most six: the fit loses each of them.
+    One in eight, evenly spaced, at most six, because the fit cannot use them.
     """
     step = max(_STEP, math.ceil(count / _MOST))
     return list(range(step // 2, count, step))
 
 
 def held_out_last(capture: Capture, held_out: Sequence[int]) -> tuple[Capture, list[int]]:
-    """Return the capture with the held-out observations last: the fitted ones are then contiguous in the stack."""
+    """Return the capture with the held-out observations last: then the fitted ones are contiguous in the stack."""
     order = order_of(len(capture.observations), held_out)
     count = len(order) - len(held_out)
     observations = tuple(capture.observations[k] for k in order)
@@ -62,10 +62,10 @@ def relit_steps(
 ) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
     """Yield often; return pictures and figures, both {} without observations.
 
-    domain: of all observations. threaded: runs a numpy function elsewhere and yields meanwhile. indirect: the light
-    that is added to the render of an observation. The figures are the PSNR in dB of each observation and of its
+    domain: of all observations. threaded: runs a numpy function in a thread and yields until it ends. indirect: the
+    light that is added to the render of an observation. The figures are the PSNR in dB of each observation and of its
     highlights alone, their means, and the factor over the diffuse reflection that defines a highlight; None where there
-    is nothing to compare.
+    are no samples to compare.
     """
     if not held_out:
         return {}, {}
@@ -94,17 +94,17 @@ def relit_line(figures: Mapping[str, Any]) -> str:
 
 
 def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: texels of a photograph far above the maps' diffuse reflection ``diffuse`` (H, W, 3).
+    """Return (H, W) bool: texels at which a photograph is far brighter than the diffuse render (H, W, 3).
 
     This includes highlights that the fit has missed.
     """
-    seen = np.nan_to_num(domain.stack.layer(k)[..., :3]).mean(axis=-1)
-    floor = _DARK * np.percentile(seen[maps.covered], SHOWN_WHITE)
-    return seen > HIGHLIGHT * diffuse.mean(axis=-1) + floor
+    brightness = np.nan_to_num(domain.stack.layer(k)[..., :3]).mean(axis=-1)
+    floor = _DARK * np.percentile(brightness[maps.covered], SHOWN_WHITE)
+    return brightness > HIGHLIGHT * diffuse.mean(axis=-1) + floor
 
 
 def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np.ndarray]]:
-    """Return Lambert's law, and its values: the base colours times 1 − metallic."""
+    """Return the model lambert, and its values: the base colours times 1 − metallic."""
     normal = next(p.name for p in maps.model.parameters if p.is_normal)
     diffuse = np.zeros((*domain.shape, 3), np.float32)
     for parameter in maps.model.parameters:

@@ -14,7 +14,7 @@ from ..engine.progress import Progress
 from ..engine.watch import Note
 
 _ITERATIONS = "iterations"
-_LOOKS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
+_MEASUREMENTS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
 
 
 class History:
@@ -38,28 +38,28 @@ class History:
         if self._watches:
             recovery.watch(self._rows, self._columns, _due)
         self._iterations: list[int] = []
-        self._seen = 0  # iteration of the last measurement, which may be one of the first tile only
+        self._last = 0  # iteration of the last measurement, which may be of the first tile only
         self._errors: dict[str, list[np.ndarray]] = {}
 
     def until_next(self, most: int | None) -> int | None:
-        """Return how many iterations may be made before ``look``, ``most`` at most; None for any number.
+        """Return how many iterations may run before the next ``look``, at most ``most``; None for any number.
 
-        Where they end is independent of how the run is sliced.
+        Their end does not depend on the slicing of the run.
         """
         if self._watches:
             return most
         progress = self._recovery.progress
-        left = _every(progress) - progress.iteration_in_all % _every(progress)
+        left = _interval(progress) - progress.iteration_in_all % _interval(progress)
         return left if most is None else min(most, left)
 
     def look(self) -> None:
-        """Record the errors where a measurement is due, or those that the recovery has noted."""
+        """Record the errors if a measurement is due, or the errors of the notes that the recovery has taken."""
         if self._watches:
             for note in self._recovery.notes():
                 self._record(note)
             return
         progress = self._recovery.progress
-        if progress.iteration_in_all == self._seen or not _due(progress):
+        if progress.iteration_in_all == self._last or not _due(progress):
             return
         self._record(self._recovery.note(self._rows, self._columns))
         if self._show is not None:
@@ -71,9 +71,9 @@ class History:
         return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
 
     def take(self, notes: Mapping[str, np.ndarray]) -> None:
-        """Restore the record from a checkpoint, as far as the recovery has come: it may make a stage again."""
-        self._seen = self._recovery.progress.iteration_in_all
-        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ()) if n <= self._seen]
+        """Restore the record from a checkpoint, up to the recovery's iteration: a stage may be repeated."""
+        self._last = self._recovery.progress.iteration_in_all
+        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ()) if n <= self._last]
         count = len(self._iterations)
         self._errors = {name: list(errors[:count]) for name, errors in notes.items() if name != _ITERATIONS}
         if self._watches:
@@ -92,7 +92,7 @@ class History:
         return convergence(image, marks, panels)
 
     def _record(self, note: Note) -> None:
-        self._seen = note.iteration
+        self._last = note.iteration
         self._iterations.append(note.iteration)
         self._errors.setdefault("residual", []).append(100 * note.residual)
         for p in self._recovery.model.parameters:
@@ -101,10 +101,10 @@ class History:
                 self._errors.setdefault(p.name, []).append(error)
 
 
-def _every(progress: Progress) -> int:
+def _interval(progress: Progress) -> int:
     """Return the iterations between measurements."""
-    return max(1, progress.iterations_in_all // _LOOKS)
+    return max(1, progress.iterations_in_all // _MEASUREMENTS)
 
 
 def _due(progress: Progress) -> bool:
-    return progress.done or progress.iteration_in_all % _every(progress) == 0
+    return progress.done or progress.iteration_in_all % _interval(progress) == 0

@@ -1,4 +1,4 @@
-"""The light that a recovered subject throws on itself."""
+"""Indirect light of a recovered subject: light that its surfaces send to each other."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from ..state.prepare import light_vectors
 from ..state.textures import observation_defines
 from .forward import render_inputs
 
-_CHUNK = 1 << 22  # distances at a time, of elements from each other
-_LEAST_ALBEDO = 0.02  # brings out the detail of albedo between elements, without the noise of black ones
-_AWAY = -0.1  # cosine to a light from which on a normal that is off by 5° still faces away
-_LEAST_SHARE = 0.01  # of the brightness of the photographs: less tells nothing
+_CHUNK = 1 << 22  # distances between elements, computed at a time
+_LEAST_ALBEDO = 0.02  # for the detail of albedo between elements, without the noise of black ones
+_AWAY = -0.1  # cosine to a light below which a surface faces away, even if its normal is wrong by 5°
+_LEAST_SHARE = 0.01  # of the brightness of the photographs: less is no evidence
 _LEAST_SAMPLES = 100
 _MOST_STRENGTH = 30.0
-# Lobes narrower than the rays stand apart are met by few of them, and those of elements miss one another: a wider one
-# sends as much. In a glazed mouth, of roughness 0.15, normals are off by 2.1 in place of 2.6°.
+# Few rays hit lobes that are narrower than the angle between rays, and such lobes of elements miss each other. A wider
+# lobe sends the same light. In a glazed mouth, of roughness 0.15, it lowers the normal error from 2.6 to 2.1°.
 _LEAST_ROUGHNESS = 0.3
-_MOST_NOISE = 3.0  # factor by which a dark sample differs from the median of all, unless a lamp reaches it
-_BRANCHES = 8  # rays of an element on the way to the camera that a ray meets
+_MOST_NOISE = 3.0  # factor between a dark sample and the median of all; beyond it a lamp reaches the sample
+_BRANCHES = 8  # rays followed from the element that a ray hits, in the pass to the camera
 
 
 class IndirectLight:
-    """Finds what a subject's maps make it throw on itself. Close it after use.
+    """Estimates the indirect light that a subject's maps predict. Close it after use.
 
-    domain: of the maps. exchange: its elements. bounces: between surfaces. The maps are values: parameter name →
-    (H, W, components). known: (H, W) bool, where they tell the material; elsewhere elements have that of the nearest
-    one where they do. Elements that are not solvable have the mesh's own normal. materials: those of the E elements,
-    parameter name → (E, components); the light is found from wider lobes. covered: (H, W) bool, the texels of
+    domain: of the maps. exchange: elements of the surface. bounces: between surfaces. values: the maps, parameter name
+    → (H, W, components). known: (H, W) bool, where the maps determine the material; other elements get the material of
+    the nearest known one. Elements that are not solvable have the mesh's own normal. materials: of the E elements,
+    parameter name → (E, components); the light is computed with wider lobes. covered: (H, W) bool, the texels of
     ``at_texels``.
     """
 
@@ -57,7 +57,7 @@ class IndirectLight:
         columns = math.isqrt(count - 1) + 1
         self._shape = -(-count // columns), columns
         self.materials = self._materials(model, values, known)
-        least = _least(model)
+        least = _least_values(model)
         lighting = {
             name: np.maximum(value, np.float32(least[name])) if name in least else value
             for name, value in self.materials.items()
@@ -69,29 +69,29 @@ class IndirectLight:
             own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
             self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
-        bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
-        materials = {name: self._laid(value) for name, value in lighting.items()}
+        bake = domain.bake.each(lambda flat: self._grid(_flat(flat)[exchange.texels]))
+        materials = {name: self._grid(value) for name, value in lighting.items()}
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
-        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._laid(ray) for ray in rays]))
+        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in rays]))
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
 
     def at_texels(self, radiance: np.ndarray) -> np.ndarray:
-        """Return (T, 3) float32 at the covered texels, row by row, of the radiance of elements (E, 3)."""
+        """Return (T, 3) float32: the radiance of elements (E, 3), interpolated to the covered texels, row by row."""
         if self._detail is None:
             return self.exchange.at_texels(radiance)
         return self.exchange.at_texels(radiance / self._albedo) * self._detail
 
     @cached_property
     def shown(self) -> np.ndarray:
-        """(K, E) what the photographs show of the elements, mean of the channels; 0 where nothing was photographed."""
+        """(K, E): photographed radiance of the elements, mean of the channels; 0 without a photograph."""
         return self._domain.stack.texels(*self._places)[..., :3].mean(axis=-1)
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(K, E) bool, whether the camera of an observation sees an element, by any lamp."""
+        """(K, E) bool: whether the camera of an observation sees an element under at least one lamp."""
         views, camera = np.unique(self._domain.views, axis=0, return_inverse=True)
-        camera = camera.ravel()  # numpy 2.0 gives it another axis
+        camera = camera.ravel()  # numpy 2.0 returns another axis
         return np.stack([(self.shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
 
     @property
@@ -101,58 +101,58 @@ class IndirectLight:
         return rows, columns
 
     def strength(self, radiance: np.ndarray) -> float:
-        """Return by how much to multiply radiances (K, E, 3) of the elements, to agree with what shadows show.
+        """Return the factor on radiances (K, E, 3) of the elements that agrees best with samples in shadow.
 
-        Where no lamp reaches, a photograph shows this light alone. It has a free factor: that of the lamps' intensities
-        and of the base colours, which the direct light cannot tell apart. 1 where there are no such samples.
+        Where no lamp reaches, a photograph shows indirect light alone. Its scale is free, because direct light
+        determines only the product of the lamps' intensities and the base colours. 1 without such samples.
         """
         domain, shown = self._domain, self.shown
         toward, _ = light_vectors(domain, self._places)
         cosine = (toward * self._normals).sum(axis=-1)
-        mine = radiance.mean(axis=-1)
+        predicted = radiance.mean(axis=-1)
         dark = ~self.exchange.lit | (cosine < _AWAY)
-        enough = mine > _LEAST_SHARE * np.percentile(shown[self.seen], 90)
+        enough = predicted > _LEAST_SHARE * np.percentile(shown[self.seen], 90)
         counted = dark & self.seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _LEAST_SAMPLES:
             return 1.0
-        # Medians: a lamp that reaches where it seemed not to is far brighter. Weights of both in the second: those of
-        # one alone draw it to where noise makes that one brighter.
-        shown, mine = shown[counted], mine[counted]
-        ratio = shown / mine
-        middle = weighted_median(ratio, mine)
+        # Medians, because a sample that a lamp reaches against expectation is far brighter. The second has both
+        # radiances as weights: one alone would bias it to samples in which noise makes that one brighter.
+        shown, predicted = shown[counted], predicted[counted]
+        ratio = shown / predicted
+        middle = weighted_median(ratio, predicted)
         if middle <= 0:
             return 0.0
         near = (ratio >= middle / _MOST_NOISE) & (ratio <= middle * _MOST_NOISE)
-        return min(weighted_median(ratio[near], np.sqrt(shown[near] * mine[near])), _MOST_STRENGTH)
+        return min(weighted_median(ratio[near], np.sqrt(shown[near] * predicted[near])), _MOST_STRENGTH)
 
     def of_elements(self, observation: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (E, 3) float32: the radiance of the elements in one observation, by the light of others.
+        """Return (E, 3) float32: the indirect radiance of the elements in one observation.
 
-        And (E,), the mean of the channels of what the same materials send of the lamp's own light.
+        And (E,): the direct radiance of the same materials, mean of the channels.
         """
-        lit = self._laid(self.exchange.lit[observation].astype(np.float32))
-        given = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
+        lit = self._grid(self.exchange.lit[observation].astype(np.float32))
+        inputs = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
         received, target = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(2))
         constants = {
             "u_observation": observation, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
         }  # fmt: skip
-        branches = _BRANCHES if self._bounces > 1 else 0  # by which the last pass is two bounces
+        branches = _BRANCHES if self._bounces > 1 else 0  # with branches the last pass computes two bounces
         passes = self._bounces - bool(branches)
         for left in reversed(range(passes)):
             last = left == 0
             bounce = {"u_to_camera": int(last), "u_branches": branches if last else 0}
-            self._pass.run([target], {**given, "u_received": received}, constants | bounce)
+            self._pass.run([target], {**inputs, "u_received": received}, constants | bounce)
             received, target = target, received
-        found = textures.download(received).reshape(-1, 4)[: len(self.exchange.texels)]
-        return found[:, :3], found[:, 3]
+        result = textures.download(received).reshape(-1, 4)[: len(self.exchange.texels)]
+        return result[:, :3], result[:, 3]
 
     def close(self) -> None:
         """Free shader and textures."""
         self._pass.close()
         self._inputs.clear()
 
-    def _laid(self, values: np.ndarray) -> np.ndarray:
-        """Return (h, w, …) of elements (E, …), zeros at the end."""
+    def _grid(self, values: np.ndarray) -> np.ndarray:
+        """Return (h, w, …): the grid of elements (E, …), with zeros at the end."""
         laid = np.zeros((self._shape[0] * self._shape[1], *values.shape[1:]), values.dtype)
         laid[: len(values)] = values
         return laid.reshape(*self._shape, *values.shape[1:])
@@ -160,19 +160,19 @@ class IndirectLight:
     def _materials(
         self, model: ReflectanceModel, values: Mapping[str, np.ndarray], known: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return parameter name → (E, components) of all elements: their own, or those of the nearest known one."""
+        """Return parameter name → (E, components) of all elements: their own, or those of the nearest known element."""
         texels = self.exchange.texels
-        alike = self._nearest(_flat(known)[texels])
-        found = {}
+        nearest = self._nearest(_flat(known)[texels])
+        materials = {}
         for p in model.parameters:
-            found[p.name] = _flat(values[p.name])[texels[alike]]
+            materials[p.name] = _flat(values[p.name])[texels[nearest]]
             if p.is_normal:
                 own = _flat(self._domain.solvable)[texels, None]
-                found[p.name] = np.where(own, _flat(values[p.name])[texels], np.array((0, 0, 1), np.float32))
-        return found
+                materials[p.name] = np.where(own, _flat(values[p.name])[texels], np.array((0, 0, 1), np.float32))
+        return materials
 
     def _nearest(self, known: np.ndarray) -> np.ndarray:
-        """Return (E,) for each element the nearest known one: itself, where it is."""
+        """Return (E,): for each element the nearest known one; a known element is its own."""
         places = _flat(self._domain.bake.position)[self.exchange.texels]
         nearest, others = np.arange(len(places)), np.flatnonzero(known)
         missing = np.flatnonzero(~known)
@@ -183,12 +183,12 @@ class IndirectLight:
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
-    """(H·W, …) of (H, W, …)."""
+    """Return (H·W, …) of (H, W, …)."""
     return values.reshape(-1, *values.shape[2:])
 
 
-def _least(model: ReflectanceModel) -> dict[str, float]:
-    """Return parameter name → the least value that light is found from."""
+def _least_values(model: ReflectanceModel) -> dict[str, float]:
+    """Return parameter name → least value with which light is computed."""
     roughness = _LEAST_ROUGHNESS**2 if model.material.get("roughness") == "alpha" else _LEAST_ROUGHNESS
     least = {p.name: roughness for p in model.parameters if "Roughness" in p.socket}
     return least | {p.name: _LEAST_ALBEDO for p in model.parameters if p.is_albedo}

@@ -17,7 +17,7 @@ from ...results.report import error_unit, parameter_error
 from .forward import rendered
 
 _SHOWN = 3  # observations in a preview, with the median one
-_RANKED = 256  # texels along the shorter side by which they are chosen
+_RANKED = 256  # texels along the shorter side from which the observations are chosen
 _STRIPE = (0.93, 0.45, 0.12)
 SHOWN_WHITE = 99.5  # percentile of the reference: display white
 
@@ -52,9 +52,9 @@ def error_preview(
 
 
 def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
-    """Return the picture "confidence": normals and searched numbers, striped where they are unknown, and their σ.
+    """Return the picture "confidence": normals and searched numbers, striped where unknown, and their σ.
 
-    {} without confidence, or without such a parameter in the model.
+    {} without confidence, or if the model has no such parameter.
     """
     images, labels = [], []
     for name, unknown in maps.unknown().items():
@@ -112,7 +112,7 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 def image_rows(
     domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str], indirect: Indirect = no_indirect
 ) -> list[PreviewRow]:
-    """Return the ``image_row`` of each observation. indirect: returns what to add to the render of an observation."""
+    """Return the ``image_row`` of each observation. indirect: returns the light to add to a render."""
     rows = zip(observations, labels, rendered(domain, maps.model, maps.values, observations), strict=True)
     return [image_row(domain, maps, k, label, render[..., :3] + indirect(k)) for k, label, render in rows]
 
@@ -120,17 +120,17 @@ def image_rows(
 def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray) -> PreviewRow:
     """Return the photograph of an observation, its render (H, W, 3 or more), and the difference in % of white.
 
-    Samples of weight 0 show the photograph, without a difference. Clipped samples differ where the render is darker:
-    both pictures end at white.
+    Samples of weight 0 show the photograph, without a difference. Clipped samples differ only where the render is
+    darker: both pictures are clipped at white.
     """
     layer = domain.stack.layer(k)
-    seen, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0
+    samples, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0
     # Texels without a usable sample, such as a black background, have no material to render.
     rendered = np.where(maps.covered[..., None], render[..., :3], 0)
-    white = float(np.percentile(seen[weight], SHOWN_WHITE)) if weight.any() else 1.0
-    photograph, render = (srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered))
+    white = float(np.percentile(samples[weight], SHOWN_WHITE)) if weight.any() else 1.0
+    photograph, render = (srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (samples, rendered))
     error = 100 * np.abs(photograph - render).mean(axis=-1)
-    photographed = maps.covered if domain.card else maps.covered & (weight | (seen > 0).any(axis=-1))
+    photographed = maps.covered if domain.card else maps.covered & (weight | (samples > 0).any(axis=-1))
     return PreviewRow(label, photograph, render, error, "%", photographed, maps.covered & weight)
 
 

@@ -72,7 +72,7 @@ class TexelProbe:
     def read(self, row: int, column: int) -> TexelState | None:
         """Return the state of a texel of the domain, row 0 at the bottom, or None where it is not solved.
 
-        During a coarser level it is the state of that level's texel.
+        During a coarser level the state is of that level's texel.
         """
         with self._recovery.view() as lent:
             at = self._constants(lent, row, column)
@@ -110,9 +110,9 @@ class TexelProbe:
             samplers = {"u_estimate": packed, **kernels.OBSERVATIONS, **kernels.PACKING}
             defines = {**self._defines, "ESTIMATES": packed.textures}
             constants = {**_AT, "u_observations": "INT"}
-            given = kernels.model_includes(model)
+            glsl = kernels.model_includes(model)
             self._texel = Pass(
-                Kernel("view/probe_texel.glsl", (Output("o_numbers"),), samplers, constants, defines, given)
+                Kernel("view/probe_texel.glsl", (Output("o_numbers"),), samplers, constants, defines, glsl)
             )
             self._row = textures.empty(packed.textures + 1, 1)
         self._texel.run([self._row], lent, {**at, "u_observations": self._recovery.domain.observations})
@@ -136,7 +136,7 @@ def running_swarm(recovery: RecoveryEngine) -> tuple[SwarmPhase, ReflectanceMode
     phase, model = recovery.phase, recovery.model
     if isinstance(phase, PrefitPhase):
         model, phase = phase.own.model, phase.inner
-    # Between two phases the textures of the first one are already freed.
+    # Between two phases the textures of the first are already freed.
     if not isinstance(phase, SwarmPhase) or phase.encoding.dimensions == 0 or not phase.textures.current:
         return None
     return phase, model
@@ -160,9 +160,9 @@ class _SwarmProbe:
             **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
             "u_best": encoding.packed, "u_estimate": kernels.packed(model), **kernels.PACKING,
         }  # fmt: skip
-        given = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source}
+        glsl = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source}
         constants = {**_AT, "u_width": "INT", "u_height": "INT"}
-        self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, given))
+        self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, glsl))
         self._target = textures.empty(max(phase.particles, 3), _ROWS)
 
     def read(self, lent: Mapping[str, Texture], at: dict[str, int]) -> Particles:

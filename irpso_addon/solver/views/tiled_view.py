@@ -19,7 +19,7 @@ from .display import KEPT, Display, Shown
 from .texel_probe import TexelProbe, TexelState
 
 View = TypeVar("View", Display, TexelProbe)
-_SIDE = 2048  # of a picture made of tiles: more than a window shows, with little memory
+_SIDE = 2048  # largest side of a picture of tiles: more than a window shows, and little memory
 _PLACE = {
     **{f"u_{name}": "INT" for name in ("x", "y", "left", "bottom", "right", "top")},
     **{f"u_{name}": "FLOAT" for name in ("across", "up")},
@@ -47,23 +47,23 @@ class TiledDisplay:
         self._recovery = recovery
         self._displays: dict[RecoveryEngine, Display] = {}
         self._pictures: OrderedDict[Shown, Texture] = OrderedDict()
-        self._lay = Pass(
+        self._copy_tile = Pass(
             Kernel("view/lay_tile.glsl", (Output("o_picture", "RGBA16F"),), {"u_tile": FLOAT_2D}, _PLACE, {})
         )
 
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Texture:
-        """Return a texture like Display.picture; the budget is for all tiles together."""
+        """Return a texture as Display.picture; the budget is for all tiles together."""
         live = self._recovery.tiles()
         share = None if time_budget_s is None else time_budget_s / len(live)
-        _follow(self._displays, live, partial(Display, whole=self._recovery))
-        target = self._kept(shown)
+        _update_views(self._displays, live, partial(Display, whole=self._recovery))
+        target = self._texture_of(shown)
         for box, tile in live:
             piece = self._displays[tile].picture(shown, share)
-            self._lay.run([target], {"u_tile": piece}, self._place(box, tile, target))
+            self._copy_tile.run([target], {"u_tile": piece}, self._place(box, tile, target))
         return target
 
     def pending(self, shown: Shown) -> bool:
-        """Return whether the picture lags behind the recovery, like Display.pending."""
+        """Return whether the picture is older than the recovery's state, as Display.pending."""
         tiles = [tile for _, tile in self._recovery.tiles()]
         return shown not in self._pictures or any(
             tile not in self._displays or self._displays[tile].pending(shown) for tile in tiles
@@ -71,11 +71,11 @@ class TiledDisplay:
 
     def close(self) -> None:
         """Free shaders and textures."""
-        _follow(self._displays, [], Display)
-        self._lay.close()
+        _update_views(self._displays, [], Display)
+        self._copy_tile.close()
         self._pictures.clear()
 
-    def _kept(self, shown: Shown) -> Texture:
+    def _texture_of(self, shown: Shown) -> Texture:
         if shown not in self._pictures:
             height, width = (min(side, _SIDE) for side in self._recovery.domain.shape)
             # A pass keeps the frame buffers of its targets, so textures are reused.
@@ -105,7 +105,7 @@ class TiledTexelProbe:
     def read(self, row: int, column: int) -> TexelState | None:
         """Return the state of a texel of the domain; None where it is not solved or its tile waits for its turn."""
         live = self._recovery.tiles()
-        _follow(self._probes, live, TexelProbe)
+        _update_views(self._probes, live, TexelProbe)
         for (left, bottom, width, height), tile in live:
             if 0 <= column - left < width and 0 <= row - bottom < height:
                 x, y = _corner(self._recovery.domain, tile)
@@ -114,7 +114,7 @@ class TiledTexelProbe:
 
     def close(self) -> None:
         """Free shaders and textures."""
-        _follow(self._probes, [], TexelProbe)
+        _update_views(self._probes, [], TexelProbe)
 
 
 def _corner(whole: Domain, tile: RecoveryEngine) -> tuple[int, int]:
@@ -123,10 +123,10 @@ def _corner(whole: Domain, tile: RecoveryEngine) -> tuple[int, int]:
     return x - x0, y - y0
 
 
-def _follow(
+def _update_views(
     made: dict[RecoveryEngine, View], live: list[tuple[Box, RecoveryEngine]], make: Callable[[RecoveryEngine], View]
 ) -> None:
-    """Update ``made`` in place: make one for each tile on the device, close those of tiles that have left."""
+    """Update ``made`` in place: create a view for each tile on the device, close the views of other tiles."""
     tiles = [tile for _, tile in live]
     for tile in [tile for tile in made if tile not in tiles]:
         made.pop(tile).close()
