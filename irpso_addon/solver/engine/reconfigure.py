@@ -1,10 +1,14 @@
-"""Other settings during a run: which parts of a recovery continue, and which restart from the current estimates."""
+"""The start of a recovery: a new one, or one that continues another's estimates under other settings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
+import numpy as np
+
+from ...core.optional import present
+from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import build_encoding
 from ..phases.phase import Phase
@@ -12,10 +16,25 @@ from ..phases.swarm import SwarmPhase, particle_count
 from ..settings.groups import Fitness
 from ..settings.resolve import Resolved, ResolvedPrefit, ResolvedSwarm
 from ..settings.schedule import Schedule
+from ..state import prepare
+from ..state.prepare import Prepared
+from ..state.textures import DomainTextures, Estimates
 
 # A factor on the preset's spread around the seed and on its first speeds, where the seed is an earlier result: with
 # 300 iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
 NARROWER = 0.3
+
+
+@dataclass
+class Begin:
+    """The begin of a recovery, or the end of the one before it. stack: of the textures, until it is uploaded."""
+
+    textures: DomainTextures
+    stack: np.ndarray | None
+    estimates: Estimates
+    index: int = 0
+    evaluations: int = 0
+    prefit: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -30,6 +49,31 @@ class Kept:
     phase: bool
     swarms: SwarmPhase | None
     samples: bool
+
+
+def first_begin(
+    domain: Domain,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    fixed: Mapping[str, np.ndarray],
+    prepared: Prepared | None,
+    guess: Mapping[str, np.ndarray] | None,
+) -> Begin:
+    """Return the begin of a new recovery. The arguments are as for a Recovery."""
+    held, stack, found = samples_of(domain, model, schedule, prepared)
+    values = {name: held.packing.pack(value) for name, value in {**(guess or found), **fixed}.items()}
+    return Begin(held, stack, Estimates(model, values))
+
+
+def samples_of(
+    domain: Domain, model: ReflectanceModel, schedule: Schedule, prepared: Prepared | None
+) -> tuple[DomainTextures, np.ndarray | None, dict[str, np.ndarray]]:
+    """Return the domain on the GPU, the sample stack to upload later, and the first guess."""
+    prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
+    packing = present(prepared.packing)
+    numbers = packing.pack(prepared.scale), prepared.brightness, prepared.arrays
+    held = DomainTextures(domain, packing, None, *numbers)
+    return held, prepared.stack, prepared.guess
 
 
 def kept(

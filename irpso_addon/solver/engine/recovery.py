@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.optional import present
 from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
 from ...gpu import context, textures
@@ -29,32 +28,19 @@ from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
-from ..state import prepare
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prepare import Prepared
 from ..state.separation import SEPARATED_SHADOW, separated_steps
-from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
+from ..state.textures import SOLVED, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
 from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
-from .reconfigure import given, kept
+from .reconfigure import Begin, first_begin, given, kept, samples_of
 from .watch import Note
 
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
-
-
-@dataclass
-class _Begin:
-    """The begin of a recovery, or the end of the one before it. stack: of the textures, until it is uploaded."""
-
-    textures: DomainTextures
-    stack: np.ndarray | None
-    estimates: Estimates
-    index: int = 0
-    evaluations: int = 0
-    prefit: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class Recovery(RecoveryEngine):
@@ -78,7 +64,7 @@ class Recovery(RecoveryEngine):
         entry: EntryChoice = "auto",
         prepared: Prepared | None = None,
         memory: Checkpoint | None = None,
-        begin: _Begin | None = None,
+        begin: Begin | None = None,
         guess: Mapping[str, np.ndarray] | None = None,
     ):
         _check(schedule, seed)
@@ -88,7 +74,7 @@ class Recovery(RecoveryEngine):
         works = [work_of(stage, model, schedule, domain.observations) for stage in self._stages]
         self._course = Course(self._stages, works)
         fresh = begin is None
-        begin = begin or self._prepared(prepared, guess)
+        begin = begin or first_begin(domain, model, schedule, self.fixed, prepared, guess)
         self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
         self._packing = self._textures.packing
         self._separation = self._unpacked_separation()  # it outlives the textures
@@ -110,23 +96,6 @@ class Recovery(RecoveryEngine):
             self.remember(memory)
         elif fresh:
             self._phase = self._begin(0, schedule)
-
-    def _prepared(self, prepared: Prepared | None, guess: Mapping[str, np.ndarray] | None) -> _Begin:
-        """Return the begin of a new recovery."""
-        held, stack, found = self._samples(self.schedule, prepared)
-        values = {name: held.packing.pack(value) for name, value in {**(guess or found), **self.fixed}.items()}
-        return _Begin(held, stack, Estimates(self.model, values))
-
-    def _samples(
-        self, schedule: Schedule, prepared: Prepared | None
-    ) -> tuple[DomainTextures, np.ndarray | None, dict[str, np.ndarray]]:
-        """Return the domain on the GPU, the sample stack to upload later, and the first guess."""
-        domain = self.domain
-        prepared = (prepared or prepare.prepare(domain, self.model, schedule)).packed(domain, schedule)
-        packing = present(prepared.packing)
-        numbers = packing.pack(prepared.scale), prepared.brightness, prepared.arrays
-        held = DomainTextures(domain, packing, None, *numbers)
-        return held, prepared.stack, prepared.guess
 
     @property
     def capabilities(self) -> Capabilities:
@@ -291,10 +260,10 @@ class Recovery(RecoveryEngine):
         goes_on = kept(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
         held, stack = self._textures, self._stack
         if not goes_on.samples:
-            held, stack, _ = self._samples(schedule, prepared)
+            held, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
         known = measured_by(self._stages[: goes_on.index], self._prefit)
-        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
+        begin = Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         new._repeats = False  # it goes on with other swarms, or begins around what has been found
         if goes_on.phase:

@@ -10,7 +10,7 @@ from ...gpu.viewport import Drawing
 from ...results.preview import MARK_COLORS
 from ...results.scales import PERCENT, tick_text
 from ..session.probes import Probe
-from ..session.session import Session
+from ..session.recovery import Session
 from .flat import flat_place
 from .layout import Rectangle
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter

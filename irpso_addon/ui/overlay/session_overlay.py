@@ -20,7 +20,7 @@ from ..common.words import iface
 from ..properties import preferences
 from ..session.job import image_map
 from ..session.probes import Probe
-from ..session.session import Session
+from ..session.recovery import Session
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import Painter

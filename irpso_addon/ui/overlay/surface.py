@@ -14,7 +14,7 @@ from ...results.maps import UNKNOWN
 from ...results.scales import PERCENT, round_up, steady_limit
 from ...solver.views.display import Shown
 from ..common.words import iface
-from ..session.session import Session
+from ..session.recovery import Session
 from .place import Placement, card_corners, card_frame, placement_of
 
 _BLINKS = 2.0  # pictures per second

@@ -1,347 +1,23 @@
-"""The window's session: one recovery, stepped in slices until it is kept or dropped."""
+"""The window's session: the one recovery that runs or waits to be kept, and who follows it."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator
-from dataclasses import replace
-from typing import Any
-from uuid import uuid4
+from collections.abc import Callable
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 
-from ...blender.materials.material import STAMP, subject_object
-from ...core.udim import ONE_SQUARE
-from ...geometry.domain import Domain
-from ...gpu import context
-from ...gpu.context_guard import ContextGuard
-from ...pipeline.run import LIGHTS, PREPARE, READ, Kept, Run
-from ...results.maps import Maps
-from ...solver.engine.engine import RecoveryEngine
-from ...solver.engine.progress import Progress, TimeLeft
-from ...solver.lights.refine import Lights
-from ...solver.settings.schedule import Schedule
-from ...solver.views.display import Display
-from ...solver.views.held_out import relit_line
-from ...solver.views.tiled_view import TiledDisplay, display_of
+from ...pipeline.run import Kept
 from ..common import failures
 from ..common.polls import usable
 from ..common.words import n_
 from . import unkept
 from .job import SceneJob
-from .probes import Probes
-from .worker import Worker
-
-_ERROR_EVERY = 0.5  # seconds between measurements of the mean error, each a small render
-
-_TITLES = {READ: n_("Reading images"), LIGHTS: n_("Finding the lights"), PREPARE: n_("Fitting a first guess")}
+from .recovery import Session
 
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
 _kept = Kept()  # data of the last run, for the next one
-
-
-class Session:
-    """One recovery that runs or waits to be kept. It does not change the scene.
-
-    state: "loading", "preparing", "running" (also while held-out photographs are relit), "paused" or "done". title: the
-    current step, for the panel. work: the run of the job. history: (iteration, mean error) pairs. longest_stall_s: the
-    longest tick. failure: the error that ended it, "" for none.
-    """
-
-    def __init__(self, job: SceneJob):
-        self._worker = Worker()
-        self.work = Run(job, self._note, self._worker.run, _kept)
-        self.state, self.title, self.failure = "loading", _TITLES[READ], ""
-        self.display: Display | TiledDisplay | None = None
-        self.probes = Probes(_notify)
-        self.history: list[tuple[int, float]] = []
-        self.error: float | None = None
-        self.doubts: tuple[str, ...] = ()  # of the recovery, once it has ended
-        self.seconds = 0.0
-        self.longest_stall_s = 0.0
-        self.closed = False
-        self.runs = 0  # of the modal operator; each resume starts it again
-        self._guard: ContextGuard | None = None
-        self._uuid = uuid4().hex
-        self._paused_in = self.state
-        self._part = 0.0  # fraction of the images, the lights or the first guess
-        self._time_left, self._left = TimeLeft(), None
-        self._measured = 0.0  # time of the last measurement of the error
-        self._relighting: Generator[None, None, None] | None = None
-        self._opening: Generator[None, None, None] | None = self._open()
-
-    @property
-    def job(self) -> SceneJob:
-        """The job."""
-        return self.work.job
-
-    @property
-    def domain(self) -> Domain | None:
-        """The domain of all observations, None before it is read."""
-        return self.work.domain
-
-    @property
-    def fitted(self) -> Domain | None:
-        """The domain of the observations that are not held out."""
-        return self.work.fitted
-
-    @property
-    def recovery(self) -> RecoveryEngine | None:
-        """The recovery, None before it has begun."""
-        return self.work.recovery
-
-    @property
-    def lights(self) -> Lights | None:
-        """The refined lights, None if they stay as given."""
-        return self.work.lights
-
-    @property
-    def mesh(self):
-        """The mesh at the start of the recovery, None for a card."""
-        return self.job.mesh
-
-    @property
-    def tiles(self) -> tuple[int, ...]:
-        """The UDIM tiles of the domain, side by side from the left."""
-        return ONE_SQUARE if self.mesh is None else self.mesh.tiles
-
-    @property
-    def progress(self) -> Progress | None:
-        """The recovery's progress, None before its start."""
-        return self.recovery.progress if self.recovery is not None else None
-
-    @property
-    def fraction(self) -> float:
-        """The fraction done of the current step: images, lights, first guess, or recovery."""
-        return self._part if self.recovery is None else self.recovery.progress.fraction
-
-    @property
-    def rate(self) -> float:
-        """Evaluations per second, on average since the start."""
-        return self.recovery.progress.evaluations / self.seconds if self.recovery is not None and self.seconds else 0.0
-
-    @property
-    def seconds_left(self) -> float | None:
-        """An estimate, None while there is too little data."""
-        return self._left
-
-    @property
-    def stamp(self) -> str:
-        """Identifies a material with the current maps, "" before the recovery."""
-        return f"{self._uuid} {self.recovery.progress.evaluations}" if self.recovery is not None else ""
-
-    @property
-    def kept(self) -> bool:
-        """Whether a material of the open file holds the current maps; false after an undo or more iterations."""
-        stamp = self.stamp
-        return bool(stamp) and any(made.get(STAMP) == stamp for made in bpy.data.materials)
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the user ended it before its last iteration; ``resume`` continues."""
-        return self.state == "done" and self.recovery is not None and not self.recovery.progress.done
-
-    @property
-    def relighting(self) -> bool:
-        """Whether the recovery has ended and held-out photographs are being relit."""
-        return self._relighting is not None
-
-    @property
-    def unseen(self) -> str:
-        """The error of the maps on held-out photographs in words, "" if not measured for the current maps."""
-        return relit_line(self.work.relit[1]) if self.work.is_relit else ""
-
-    def observation(self, view: Any) -> int:
-        """Return the index in the job's capture of the fitted observation that ViewSettings show."""
-        return self.job.fitted_at(view.index(len(self.job.capture.observations)))
-
-    @property
-    def in_own_context(self) -> bool:
-        """Whether the recovery's own graphics context is current; true in background."""
-        return self._guard is None or self._guard.holds()
-
-    @property
-    def active(self) -> bool:
-        """Whether there is work to do now."""
-        return self.state in ("loading", "preparing", "running")
-
-    def subject(self):
-        """Return the bpy object of the mesh or of the kept card; None if it does not exist."""
-        return subject_object(self.job.object_uid, self.job.name)
-
-    def tick(self, budget_s: float) -> None:
-        """Work for about ``budget_s``. Any error ends the session and sets ``failure``."""
-        if not self.active or self.closed:
-            return
-        started, searching = time.perf_counter(), not self.relighting
-        try:
-            self._work(started + budget_s)
-            self._look()
-        except Exception as error:  # noqa: BLE001  Blender calls a modal operator again after an error
-            self.failure = failures.report(n_("The recovery"), error)
-            self.close()
-        took = time.perf_counter() - started
-        self.longest_stall_s = max(self.longest_stall_s, took)
-        if self.recovery is not None and searching:
-            self.seconds += took
-            self._left = self._time_left.after(self.seconds, self.recovery.progress)
-        _notify()
-
-    def run(self) -> None:
-        """Work to the end, for background mode. An error ends the session and is raised."""
-        try:
-            while self.active:
-                self._work(time.perf_counter() + 0.5)
-        except BaseException:
-            self.close()
-            raise
-
-    def pause(self) -> None:
-        """Pause until ``resume``."""
-        if self.active:
-            self._paused_in, self.state = self.state, "paused"
-            _notify()
-
-    def resume(self, schedule: Schedule | None = None) -> None:
-        """Continue after a pause or stop, with another schedule if one is given.
-
-        Raises InputError if that schedule does not fit.
-        """
-        if self.state != "paused" and not self.stopped:
-            return
-        if schedule is not None and schedule != self.job.schedule:
-            self._change(schedule)
-        self.state = self._paused_in
-        _notify()
-
-    def finish(self) -> None:
-        """Stop; the maps wait to be kept, after held-out photographs are relit. A second call skips relighting."""
-        if not self.work.is_relit and not self.relighting:
-            self._relighting = self._relight()
-            self.state, self.title = "running", n_("Relighting unseen photographs")
-            _notify()
-            return
-        self._leave_relighting()
-        self.state, self.doubts = "done", self.recovery.warnings
-        self.title = n_("Stopped") if self.stopped else n_("Done")
-        _notify()
-
-    def maps(self, confidence: bool = True) -> Maps:
-        """Return the current maps in the solver's frames. confidence: as for a Recovery."""
-        return self.work.maps(confidence)
-
-    def relight(self, maps: Maps) -> None:
-        """Relight held-out photographs from the current ``maps``, unless that is done."""
-        if not self.work.is_relit:
-            self._leave_relighting()
-            self.work.relight(maps)
-
-    def close(self) -> None:
-        """Free all GPU memory; may be called at any time and repeatedly."""
-        global _current
-        self.closed, self.state = True, "done"
-        self._opening = None
-        self._leave_relighting()
-        self._worker.wait()
-        if self.display is not None:
-            self.display.close()
-        self.work.close()
-        self.display = None
-        if _current is self:
-            _current = None
-        _notify()
-
-    def _work(self, deadline: float) -> None:
-        if self._opening is not None:
-            self._advance_opening(deadline)
-        elif self._relighting is not None:
-            self._advance_relighting(deadline)
-        elif self.state == "running":
-            progress = self.recovery.step(time_budget_s=max(0.001, deadline - time.perf_counter()))
-            self.title = progress.title
-            if progress.done:
-                self.finish()
-
-    def _advance_opening(self, deadline: float) -> None:
-        while self._opening is not None:
-            try:
-                next(self._opening)
-            except StopIteration:
-                self._opening = None
-            if time.perf_counter() >= deadline:
-                return
-
-    def _advance_relighting(self, deadline: float) -> None:
-        try:
-            for _ in self._relighting:
-                if time.perf_counter() >= deadline:
-                    return
-        except Exception as error:  # noqa: BLE001  an error in a comparison must not lose the maps
-            failures.report(n_("Relighting unseen photographs"), error)
-        self.finish()
-
-    def _relight(self) -> Generator[None, None, None]:
-        yield from self.work.relighting(self.maps(confidence=False))  # here, so that errors end the relighting alone
-
-    def _leave_relighting(self) -> None:
-        self._worker.wait()
-        self._relighting = None
-
-    def _open(self) -> Generator[None, None, None]:
-        """Read, prepare, and start the recovery; yields often for redraws."""
-        context.ensure()
-        yield from self.work.open()
-        if self.job.resumed is not None:
-            notes = self.recovery.load(self.job.resumed)
-            self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
-            self.seconds = float(notes[unkept.SECONDS])
-        self._watch()
-        self.state = "running"
-        if self.job.resumed is not None:  # paused, as it was stored
-            self.title = self.recovery.progress.title
-            self.pause()
-            if self.recovery.progress.done:
-                self.finish()
-
-    def _watch(self) -> None:
-        """Create the recovery's display in the current graphics context."""
-        self._guard = None if bpy.app.background else ContextGuard()
-        self.display = display_of(self.recovery)
-
-    def _note(self, step: str, fraction: float) -> None:
-        """Store the fraction of a step. Also called by the worker thread while the session is paused."""
-        self._part = fraction
-        if self.title != _TITLES[step]:
-            self.title, self.state = _TITLES[step], "loading" if step == READ else "preparing"
-
-    def _change(self, schedule: Schedule) -> None:
-        if self.recovery is None:  # not started: its preparation was for the former schedule
-            self._worker.wait()
-            self.work = Run(replace(self.job, schedule=schedule), self._note, self._worker.run, _kept)
-            self._opening, self._paused_in = self._open(), "loading"
-            return
-        self.work.change(schedule)
-        self._leave_relighting()
-        self._paused_in = "running"
-        self.display.close()
-        self._time_left = TimeLeft()
-        self._watch()
-
-    def _look(self) -> None:
-        """Measure the mean error from time to time."""
-        now = time.perf_counter()
-        if self.recovery is None or self.relighting or now - self._measured < _ERROR_EVERY and self.active:
-            return
-        progress = self.recovery.progress
-        if progress.iteration < 0 and self.history:
-            return
-        self._measured = now
-        self.error = float(self.recovery.mean_error())
-        if np.isfinite(self.error):
-            self.history.append((progress.iteration_in_all, self.error))
 
 
 def current() -> Session | None:
@@ -360,7 +36,7 @@ def begin(job: SceneJob) -> Session:
     if _current is not None:
         _current.close()
     failures.clear()
-    _current = Session(job)
+    _current = Session(job, _kept, _changed)
     _notify()
     return _current
 
@@ -369,6 +45,13 @@ def end() -> None:
     """Drop the session, if any."""
     if _current is not None:
         _current.close()
+
+
+def _changed(one: Session) -> None:
+    global _current
+    if one.closed and one is _current:
+        _current = None
+    _notify()
 
 
 def _notify() -> None:

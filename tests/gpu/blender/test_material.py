@@ -1,6 +1,5 @@
-"""The material in Blender's data: images, nodes, running again, libraries, saving."""
+"""The material in Blender's data: images, nodes, slots, running again."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,14 +7,7 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender.materials.material import (
-    ORIGIN,
-    apply_material,
-    build_material,
-    card_object,
-    save_blend,
-    subject_name,
-)
+from irpso_addon.blender.materials.material import ORIGIN, apply_material, build_material, card_object, subject_name
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
@@ -283,115 +275,6 @@ def test_a_card_is_one_unit_wide_and_its_uv_square_is_the_image():
             uv.uv[:], corners[loop.vertex_index, :2] / np.ptp(corners, axis=0)[:2] + 0.5, atol=1e-6
         )
     assert card.data.polygons[0].normal[2] == 1
-
-
-@pytest.fixture
-def library(tmp_path):
-    """A .blend with the material "icon" on a card, linked into an empty file."""
-    apply_material(card_object("icon", *SHAPE), build_material(random_maps(load_model("lambert")), "icon"))
-    path = save_blend(tmp_path / "library.blend")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(str(path), link=True) as (source, target):
-        target.objects = list(source.objects)
-    return path
-
-
-def test_a_local_object_with_a_linked_mesh_gets_the_material_in_a_slot_of_its_own(library):
-    mesh = bpy.data.objects[0].data
-    theirs = mesh.materials[0]
-    material = bpy.data.materials.new("found")
-    for slots in ((0,), ()):
-        mine = bpy.data.objects.new("mine", mesh)
-        apply_material(mine, material, slots)
-        assert mine.material_slots[0].link == "OBJECT" and mine.material_slots[0].material == material
-        assert mesh.library is not None and mesh.materials[:] == [theirs]
-
-
-def test_a_linked_mesh_without_a_slot_is_refused_with_what_to_do(library, tmp_path):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.data.meshes.new("bare").use_fake_user = True
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "bare.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(str(tmp_path / "bare.blend"), link=True) as (_, target):
-        target.meshes = ["bare"]
-    mine = bpy.data.objects.new("mine", bpy.data.meshes[0])
-    with pytest.raises(InputError, match="mesh of object 'mine' is linked from .*bare.blend and has no material slot"):
-        apply_material(mine, bpy.data.materials.new("found"))
-
-
-def test_linked_materials_and_objects_are_refused_by_name(library):
-    before = counts()
-    with pytest.raises(InputError, match="material 'IRPSO icon' is linked.*library.blend"):
-        build_material(random_maps(load_model("lambert"), 1), "icon")
-    assert counts() == before
-    with pytest.raises(InputError, match="object 'IRPSO icon' is linked.*library.blend"):
-        apply_material(bpy.data.objects[0], bpy.data.materials.new("mine"))
-
-
-def test_a_saved_file_holds_packed_images_and_the_session_keeps_its_name(tmp_path):
-    maps = random_maps(load_model("cook_torrance_two_lobe"))
-    apply_material(card_object("icon", *SHAPE), build_material(maps, "icon"))
-    path = save_blend(tmp_path / "icon.blend")
-    assert bpy.data.filepath == ""
-    assert os.listdir(tmp_path) == ["icon.blend"]
-    bpy.ops.wm.open_mainfile(filepath=str(path))
-    lobes = np.concatenate([maps.values[name] for name in ("r1", "r2", "w")], axis=-1)
-    np.testing.assert_allclose(pixels(bpy.data.images["IRPSO icon roughness_lobes"]), lobes, atol=1e-5)
-    build_material(maps, "icon")
-    assert len(bpy.data.materials) == 1
-
-
-def test_pictures_beside_the_file_have_relative_paths_and_move_with_it(tmp_path):
-    maps = random_maps(load_model("lambert"))
-    apply_material(card_object("icon", *SHAPE), build_material(maps, "icon", tmp_path / "a" / "textures"))
-    save_blend(tmp_path / "a" / "icon.blend")
-    for image in bpy.data.images:
-        assert Path(image.filepath).parent == tmp_path / "a" / "textures"
-    (tmp_path / "a").rename(tmp_path / "b")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "icon.blend"))
-    image = bpy.data.images["IRPSO icon base_color"]
-    assert image.filepath.replace("\\", "/") == "//textures/IRPSO_icon_base_color.png"
-    assert image.packed_file is None
-    np.testing.assert_allclose(pixels(image), maps.values["base_color"], atol=4e-5)
-
-
-def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
-    model = load_model("lambert")
-    build_material(random_maps(model, 0), "icon")
-    second, third = random_maps(model, 1), random_maps(model, 2)
-    build_material(second, "icon", tmp_path)
-    image = bpy.data.images["IRPSO icon base_color"]
-    assert image.packed_file is None
-    np.testing.assert_allclose(pixels(image), second.values["base_color"], atol=4e-5)
-    build_material(third, "icon", tmp_path)
-    np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
-    build_material(second, "icon")
-    assert image.packed_file is not None
-    np.testing.assert_allclose(pixels(image), second.values["base_color"], atol=4e-5)
-    build_material(third, "icon")
-    np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
-
-
-def test_a_file_that_cannot_be_saved_is_refused_and_nothing_is_left(tmp_path):
-    with pytest.raises(InputError, match="its folder does not exist"):
-        save_blend(tmp_path / "none" / "x.blend")
-    with pytest.raises(InputError, match="is a folder"):
-        save_blend(tmp_path)
-    assert not os.listdir(tmp_path)
-
-
-def test_an_old_file_survives_when_saving_fails(tmp_path, monkeypatch):
-    target = tmp_path / "x.blend"
-    target.write_bytes(b"old")
-
-    def no_space(source, destination):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", no_space)
-    with pytest.raises(InputError, match="No space left"):
-        save_blend(target)
-    assert target.read_bytes() == b"old"
-    assert os.listdir(tmp_path) == ["x.blend"]
 
 
 def test_a_card_takes_the_proportions_of_other_maps_unless_it_was_edited():

@@ -8,7 +8,7 @@ from irpso_addon.blender.scenes.scene import DISTORTION, camera_from_object
 from irpso_addon.core.errors import InputError
 from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import write_png
-from tests.unit.capture.test_poses import (
+from tests.builders.poses import (
     CENTRE,
     COLMAP_LENSES,
     HEIGHT,

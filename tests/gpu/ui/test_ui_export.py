@@ -11,9 +11,9 @@ import pytest
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.exports.result import read_result
 from irpso_addon.results import seamless
+from tests.builders.drawn_panels import Drawn
 from tests.builders.exports import read_glb
 from tests.gpu.ui.conftest import SHAPE
-from tests.gpu.ui.test_ui_panels import Drawn
 
 pytestmark = pytest.mark.usefixtures("registered")
 

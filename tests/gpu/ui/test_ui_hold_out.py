@@ -8,7 +8,7 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from tests.builders import command_line as cli_maker
-from tests.gpu.ui.test_ui_panels import drawn
+from tests.builders.drawn_panels import drawn
 
 SHAPE = (18, 24)
 LIGHTS = cli_maker.dome_lights(20, widest=60)

@@ -6,8 +6,8 @@ import pytest
 
 from irpso_addon.solver.lights.refine import Lights
 from tests.builders import command_line as cli_maker
+from tests.builders.drawn_panels import Drawn
 from tests.builders.lights import gains, off
-from tests.gpu.ui.test_ui_panels import Drawn
 
 LIGHTS = cli_maker.dome_lights(12)
 FACTORS = gains(12, np.random.default_rng(1))

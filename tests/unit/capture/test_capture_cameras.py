@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from test_poses import CENTRE, HEIGHT, POINTS, ROTATION, SEEN, WIDTH, colmap, quaternion, row
 
 from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.read import read_spec
 from tests.builders.captures import chunk, decode_png, write_png
+from tests.builders.poses import CENTRE, HEIGHT, POINTS, ROTATION, SEEN, WIDTH, colmap, quaternion, row
 
 LENS = "OPENCV 64 48 50 51 33.05 23.625 -0.11 0.06 0.004 -0.003"
 LIT = "light_direction = [0, 0, 1]\n"

@@ -1,0 +1,247 @@
+"""Cameras and lights of a capture as a scene's objects: read back as the capture, shown one by one, rendered."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.blender.images import decode
+from irpso_addon.blender.scenes import scene_lights
+from irpso_addon.blender.scenes.scene import camera_from_object
+from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
+from irpso_addon.ui.operators import scene_setup
+from irpso_addon.ui.session import scene_capture
+from tests.builders.captures import LIGHTS, shade, sphere, write_diligent, write_png
+from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, given, image_of, write_views
+
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
+RNG = np.random.default_rng(5)
+CAMERAS = {
+    "wide": Camera.from_fov(40, 30, 75.0),
+    "tall and turned": Camera.from_fov(30, 50, 20.0, ANYWHERE),
+    "off centre": Camera(64, 48, (90.0, 90.0), (20.5, 40.25), ANYWHERE),
+    "oblong pixels": Camera(64, 48, (90.0, 60.0), (30.0, 22.0), ANYWHERE),
+    "lying pixels": Camera(64, 48, (60.0, 75.0), (30.0, 22.0), ANYWHERE),
+    "orthographic": Camera(50, 70, (12.0, 15.0), (22.0, 33.0), ANYWHERE, False),
+}
+
+
+@pytest.fixture(autouse=True)
+def scene(registered):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy.context.scene
+
+
+def assert_same(found, expected):
+    """Lights and cameras are equal to float32, masks and images exactly."""
+    assert found.name == expected.name and len(found.observations) == len(expected.observations)
+    for a, b in zip(found.observations, expected.observations, strict=True):
+        assert (a.light.distant, a.camera) == (b.light.distant, b.camera)
+        np.testing.assert_allclose(a.light.vector, b.light.vector, atol=3e-7)
+        np.testing.assert_allclose(a.light.intensity, b.light.intensity, rtol=3e-7)
+        np.testing.assert_array_equal(a.read(), b.read())
+    for a, b in zip(found.cameras, expected.cameras, strict=True):
+        assert_same_camera(a, b)
+    for a, b in zip(found.masks, expected.masks, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def assert_same_camera(a, b):
+    assert (a.width, a.height, a.perspective) == (b.width, b.height, b.perspective)
+    np.testing.assert_allclose(a.scale, b.scale, rtol=1e-6)
+    np.testing.assert_allclose(a.centre, b.centre, atol=1e-5)
+    np.testing.assert_allclose(a.matrix, b.matrix, atol=1e-6)
+
+
+# ---- cameras and lights
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_camera_object_is_the_camera_again(scene, name):
+    camera = CAMERAS[name]
+    obj = add_camera(scene)
+    scene_setup.set_camera(obj, camera)
+    assert_same_camera(camera_from_object(obj, camera.width, camera.height, tuple(obj["irpso_pixel_aspect"])), camera)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_blender_projects_points_where_the_camera_does(scene, name):
+    camera = CAMERAS[name]
+    obj = add_camera(scene)
+    scene_setup.set_camera(obj, camera)
+    aspect = obj["irpso_pixel_aspect"]
+    bpy.context.view_layer.update()
+    projection = obj.calc_matrix_camera(
+        bpy.context.evaluated_depsgraph_get(), x=camera.width, y=camera.height, scale_x=aspect[0], scale_y=aspect[1]
+    )
+    points = RNG.uniform((-1, -1, -5), (1, 1, -2), (20, 3)) @ camera.matrix[:3, :3].T + camera.matrix[:3, 3]
+    clip = np.c_[points, np.ones(20)] @ np.array(projection @ obj.matrix_world.inverted()).T
+    pixels = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * (camera.width, camera.height)
+    np.testing.assert_allclose(pixels, camera.project(points)[0], atol=2e-3)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_lights_are_read_at_world_positions_even_parented_or_hidden(scene, hidden):
+    direction = np.array([0.48, 0.64, 0.6])
+    light = add_light(scene, "Key")
+    scene_setup.set_light(light, Light(tuple(direction), (2.0, 1.0, 0.5)), (1, 2, 3), 4.0)
+    parent = bpy.data.objects.new("Turntable", None)
+    scene.collection.objects.link(parent)
+    light.parent, parent.rotation_euler = parent, (0, 0, np.pi / 2)
+    light.hide_viewport = hidden
+    bpy.context.view_layer.update()
+    found = scene_lights.light_of(light)
+    np.testing.assert_allclose(found.vector, (-0.64, 0.48, 0.6), atol=1e-6)
+    np.testing.assert_allclose(found.intensity, (2.0, 1.0, 0.5), rtol=1e-6)
+    # On a dome of radius 4 about (1, 2, 3), turned by the parent.
+    place = np.array([1, 2, 3]) + 4 * direction
+    from irpso_addon.blender.scenes.scene import world_matrix
+
+    np.testing.assert_allclose(world_matrix(light)[:3, 3], (-place[1], place[0], place[2]), atol=1e-5)
+
+
+def test_strength_exposure_and_nodes_of_a_light_multiply(scene):
+    light = add_light(scene, "Lamp", kind="POINT")
+    light.data.energy, light.data.color, light.location = 4 * np.pi**2, (1.0, 0.5, 0.25), (1, 2, 3)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(scene_lights.light_of(light).intensity, (1, 0.5, 0.25), rtol=1e-6)
+    assert scene_lights.light_of(light).vector == (1, 2, 3)
+    light.data.use_nodes = True
+    light.data.node_tree.nodes["Emission"].inputs["Strength"].default_value = 3.0
+    np.testing.assert_allclose(scene_lights.light_of(light).intensity, (3, 1.5, 0.75), rtol=1e-6)
+    if hasattr(light.data, "exposure"):
+        light.data.exposure = 1.0
+        np.testing.assert_allclose(scene_lights.light_of(light).intensity, (6, 3, 1.5), rtol=1e-6)
+
+
+# ---- the scene as a capture
+
+
+@pytest.mark.parametrize("single_file", [False, True])
+def test_the_scene_of_a_capture_is_the_capture_again(scene, tmp_path, single_file):
+    expected = write_views(tmp_path / "views", single_file)
+    assert_same(created(scene, tmp_path / "views"), expected)
+
+
+def test_the_scene_of_a_masked_capture_survives_saving(scene, tmp_path):
+    normals, mask = sphere(24)
+    write_diligent(tmp_path / "ball", shade(normals), mask=mask)
+    expected = read_capture(tmp_path / "ball", decode)
+    assert_same(created(scene, tmp_path / "ball"), expected)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert_same(scene_capture.capture_of(bpy.context.scene), expected)
+
+
+def test_the_scene_of_the_icon_is_the_capture_again(scene, shared_data):
+    expected = read_capture(shared_data / "rti_icon", decode)
+    found = created(scene, shared_data / "rti_icon")
+    assert len(found.observations) == 72
+    assert_same(*(replace(c, observations=c.observations[::9]) for c in (found, expected)))  # all take six seconds
+
+
+@pytest.mark.parametrize(("bits", "space"), [(8, "auto"), (8, "linear"), (16, "auto"), (16, "srgb")])
+def test_the_colour_space_of_files_goes_along(scene, tmp_path, bits, space):
+    for k in range(3):
+        write_png(tmp_path / f"{k}.png", RNG.integers(0, 2**bits - 1, (9, 11, 3)), bits)
+    rows = [f'[[observation]]\nimage = "{k}.png"\nlight_direction = [0.0, {k / 4}, 1.0]' for k in range(3)]
+    table = "\n".join([f'colour_space = "{space}"', 'name = "spaces"', "[[camera]]", *rows])
+    (tmp_path / "capture.toml").write_text(table)
+    assert_same(created(scene, tmp_path), read_capture(tmp_path, decode))
+
+
+def test_setup_again_keeps_the_users_objects_and_removes_stale_ones(scene, tmp_path):
+    mine = add_light(scene, "My own", kind="AREA")
+    camera = add_camera(scene)
+    normals, mask = sphere(24)
+    write_diligent(tmp_path / "ball", shade(normals), mask=mask)
+    created(scene, tmp_path / "ball")
+    first = {obj.name: obj.session_uid for obj in scene.objects}
+    images = len(bpy.data.images)
+    bpy.ops.irpso.create_scene()
+    assert {obj.name: obj.session_uid for obj in scene.objects} == first and len(bpy.data.images) == images
+    assert scene.camera == camera and not mine.hide_render
+    write_diligent(tmp_path / "ball", shade(normals)[:4], LIGHTS[:4], mask)
+    bpy.ops.irpso.create_scene()
+    assert sorted(set(first) - {obj.name for obj in scene.objects}) == ["Light 004 004.exr"]
+    assert len([light for light in bpy.data.lights if light.name.startswith("Light")]) == 4
+
+
+def test_one_light_shines_at_a_time_over_its_photograph(scene, tmp_path):
+    write_views(tmp_path / "views")
+    created(scene, tmp_path / "views")
+    lights = [obj for obj in scene.objects if obj.type == "LIGHT"]
+    for number in (1, 4, 2, 99):
+        bpy.ops.irpso.show_observation(number=number)
+        shown = [obj for obj in lights if not obj.hide_render]
+        assert [obj.name[:9] for obj in shown] == [f"Light {min(number, 4) - 1:03d}"]
+        assert scene.irpso.view.observation == min(number, 4)
+        assert shown == [obj for obj in lights if not obj.hide_viewport]
+        assert scene.camera == shown[0].irpso.camera
+        assert scene.camera.data.background_images[0].image == shown[0].irpso.image
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (24, 18)
+    np.testing.assert_allclose((scene.render.pixel_aspect_x, scene.render.pixel_aspect_y), (1.1, 1.0), rtol=1e-6)
+
+
+def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scene, tmp_path):
+    add_camera(scene)
+    image = image_of(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    room = add_light(scene, "Room")
+    lamps = [add_light(scene, f"Lamp {number}", image) for number in (1, 2, 10)]
+    assert not bpy.ops.irpso.show_observation.poll()
+    scene.irpso.source = "SCENE"
+    bpy.context.view_layer.update()
+    for index in (2, 0):
+        bpy.ops.irpso.show_observation(number=index + 1)
+        assert [obj for obj in [room, *lamps] if not obj.hide_render] == [room, lamps[index]]
+        assert [obj for obj in [room, *lamps] if not obj.hide_viewport] == [room, lamps[index]]
+
+
+def rendered(scene, path):
+    """Return (H, W, 3) radiance of a render by Cycles, row 0 at the bottom."""
+    scene.render.engine, scene.cycles.samples, scene.cycles.max_bounces = "CYCLES", 16, 0
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01  # pixel centres alone
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Raw"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    values = np.empty(np.prod(image.size) * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], -1)[..., :3]
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
+    # Oblong pixels and an off-centre axis, seen from somewhere: near lights tell whether the card lies right.
+    camera = Camera(16, 12, (14.0, 15.0), (7.0, 6.5), ANYWHERE, perspective)
+    if not perspective:
+        camera = Camera(16, 12, (9.0, 9.0), (7.0, 6.5), ANYWHERE, False)
+    points, facing, albedo = camera.points(2.5), ANYWHERE[:3, 2], 0.8
+    near = tuple(points[3, 12] + 0.9 * facing + 0.2 * ANYWHERE[:3, 0])
+    lights = [Light(tuple(ANYWHERE[:3, :3] @ (0.6, 0, 0.8)), (1.0, 0.5, 0.25)), Light(near, (0.1, 0.2, 0.3), False)]
+    toward = [np.broadcast_to(lights[0].vector, points.shape), np.array(near) - points]
+    far = [1.0, np.linalg.norm(toward[1], axis=-1)]
+    frames = [
+        albedo * (t @ facing / d**3)[..., None] * light.intensity
+        for t, d, light in zip(toward, far, lights, strict=True)
+    ]
+    shots = tuple(Observation(str(k), given(frames)[k], light) for k, light in enumerate(lights))
+    taken = Capture("card", shots, (camera,), (np.ones((12, 16), bool),), card_distance=2.5)
+    write_capture(taken, tmp_path / "card")
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path / "card"))
+    scene.irpso.subject = "CARD"
+    bpy.ops.irpso.create_scene()
+    (card,) = [obj for obj in scene.objects if obj.type == "MESH"]
+    matt = bpy.data.materials.new("matt")
+    matt.use_nodes = True
+    matt.node_tree.nodes.clear()
+    diffuse, output = (matt.node_tree.nodes.new(f"ShaderNode{kind}") for kind in ("BsdfDiffuse", "OutputMaterial"))
+    diffuse.inputs["Color"].default_value = (albedo, albedo, albedo, 1)
+    matt.node_tree.links.new(diffuse.outputs[0], output.inputs[0])
+    card.data.materials.append(matt)
+    for index, frame in enumerate(frames):
+        bpy.ops.irpso.show_observation(number=index + 1)
+        np.testing.assert_allclose(rendered(scene, tmp_path / f"{index}.exr"), frame, rtol=5e-3, atol=1e-5)
