@@ -65,8 +65,9 @@ class Course:
         """Return the fractions of all work that are done, now and at the end of the stage."""
         done = self._done[index]
         made = min(len(done) - 1 - self._stages[index].iterations + iteration, len(done) - 1)
-        step = part * (done[min(made + 1, len(done) - 1)] - done[made])
-        return float(self._ends[index] + done[made] + step), float(self._ends[index + 1])
+        following = done[min(made + 1, len(done) - 1)]
+        now = min(done[made] + part * (following - done[made]), following)  # not above it by rounding
+        return float(self._ends[index] + now), float(self._ends[index + 1])
 
 
 class TimeLeft:

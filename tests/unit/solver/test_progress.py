@@ -3,7 +3,7 @@
 import pytest
 
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.progress import Progress, TimeLeft
+from irpso_addon.solver.engine.progress import Course, Progress, TimeLeft
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.planning.cost import work_of
 from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedSwarm, resolve
@@ -34,6 +34,19 @@ def test_placing_counts_as_many_renders_as_there_are_particles():
     assert particles > 1 and work == (10.0,) * (particles + stage.iterations)
     prefit, swarm = (works("standard")[1][i] for i in (0, 5))
     assert swarm[0] == swarm[1] and prefit[0] == prefit[1]  # all are placed at once, and all are moved
+
+
+@pytest.mark.parametrize("observations", [10, 24, 37, 96])
+def test_the_fraction_never_steps_back(observations):
+    stages, work = works("standard", observations)
+    course = Course(stages, work)
+    fractions = [
+        course.at(index, iteration, part, 0).fraction
+        for index, stage in enumerate(stages)
+        for iteration in range(stage.iterations)
+        for part in (0.0, 0.5, 1.0)
+    ]
+    assert fractions == sorted(fractions) and course.at(len(stages), None, 0.0, 0).fraction == 1
 
 
 def test_the_time_left_is_the_rest_of_the_work_at_the_pace_so_far():
