@@ -259,7 +259,7 @@ def test_a_fresh_clone_stays_small():
     history = len(subprocess.run(pack, cwd=ROOT, input=names.stdout.encode(), capture_output=True, check=True).stdout)
     # Sources, translations (0.4 MB), tests, benchmarks, and the pages, plots and pictures of docs/; no data.
     assert files < 7_500_000
-    assert history < 7_000_000  # it grows by some 50 kB an issue
+    assert history < 7_500_000  # some 50 kB more an issue; rewriting all pages and shaders once took 150 kB
 
 
 @pytest.mark.parametrize("name", [name for name in irpso_addon.__all__ if name not in ("register", "unregister")])
