@@ -19,11 +19,12 @@
 #define SMALL 0.02       // scale of the errors, over the texel's bright light
 #define RIDGE_MEAN 0.001 // of the harmonic of order 0
 #define RIDGE 0.1        // of the other harmonics
-#define RIDGE_DIRECT 1e-6 // of a Lambertian normal
+#define RIDGE_DIRECT 1e-4 // of a Lambertian normal, over the trace of its normal equations
 
 // Acceptance tests. On convex subjects the dark samples show noise and sheen, which harmonics do not explain. The
-// extrapolated harmonics turn the normal by about 1° on their own: a turn below the chord LEAST_TURN is not accepted.
+// extrapolated harmonics turn the normal by about 1° on their own: a turn below the chord LEAST_TURN (3°) is not accepted.
 #define FEWEST 10            // samples in shadow
+#define FEWEST_LIT 4         // lit samples
 #define MOST_UNEXPLAINED 0.3 // of the light in shadow
 #define MOST_GLOSS 0.25      // of the lit samples' direct light: its difference to a Lambertian texel's
 
@@ -260,13 +261,15 @@ bool is_lit(Sample s, Fit fit)
     return s.cosine > FACING && !cast_shadow(s, fit.before, fit.albedo);
 }
 
-// Fits a Lambertian texel to the lit samples without this indirect light; returns its normal, fit.n if that faces away.
+// Fits a Lambertian texel to the lit samples without this indirect light. Returns its normal; fit.n if they are too few or
+// the normal faces away.
 vec3 lambertian_normal(Texel t, Fit fit, Indirect indirect)
 {
     vec3 scaled = vec3(0.0); // albedo times normal
     for (int round = 0; round < FITS; round++) {
-        mat3 gram = mat3(RIDGE_DIRECT);
+        mat3 gram = mat3(0.0);
         vec3 right = vec3(0.0);
+        int lit = 0;
         for (int k = 0; k < u_observations; k++) {
             Sample s;
             if (read_sample(t, k, fit.n, s) && is_lit(s, fit)) {
@@ -274,9 +277,13 @@ vec3 lambertian_normal(Texel t, Fit fit, Indirect indirect)
                 float weight = round == 0 ? 1.0 : weight_of(direct - dot(scaled, s.l), fit.bright);
                 gram += weight * outerProduct(s.l, s.l);
                 right += weight * direct * s.l;
+                lit++;
             }
         }
-        scaled = inverse(gram) * right;
+        if (lit < FEWEST_LIT) {
+            return fit.n;
+        }
+        scaled = inverse(gram + mat3(RIDGE_DIRECT * (gram[0][0] + gram[1][1] + gram[2][2]))) * right;
     }
     return scaled.z > 0.0 ? normalize(scaled) : fit.n;
 }

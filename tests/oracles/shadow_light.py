@@ -27,7 +27,7 @@ _RIDGE = np.array([1e-3, *[0.1] * (HARMONICS - 1)])
 
 # What a texel must show: on convex subjects what is dark is noise and sheen, which no harmonics explain. The errors of
 # the harmonics turn a normal by a degree: light that turns it by less than ``turn`` stays.
-_FEWEST = 10  # shadows
+_FEWEST, _FEWEST_LIT = 10, 4  # shadows, lit samples
 _MOST_UNEXPLAINED = 0.3  # of the light in them
 _MOST_GLOSS = 0.25  # of the light beside them, unlike a matt surface's: metal is dark beside its highlight, too
 
@@ -89,16 +89,18 @@ def _found(
 def _lambertian(
     vectors: np.ndarray, light: np.ndarray, lit: np.ndarray, bright: np.ndarray, other: np.ndarray
 ) -> np.ndarray:
-    """Return (T, 3) normals of Lambertian texels by least absolute errors; another where they would face away."""
+    """Return (T, 3) normals of Lambertian texels by least absolute errors; another where lights are few, or behind."""
     every = np.broadcast_to(vectors, (*light.shape, 3))
     weight = lit.astype(np.float64)
     for _ in range(_FITS):
-        gram = np.einsum("kt,kti,ktj->tij", weight, every, every) + 1e-6 * np.eye(3)
-        own = np.linalg.solve(gram, np.einsum("kt,kt,kti->ti", weight, light, every)[..., None])[..., 0]
+        gram = np.einsum("kt,kti,ktj->tij", weight, every, every)
+        ridge = np.maximum(1e-4 * np.trace(gram, axis1=1, axis2=2), 1e-30)[:, None, None] * np.eye(3)
+        own = np.linalg.solve(gram + ridge, np.einsum("kt,kt,kti->ti", weight, light, every)[..., None])[..., 0]
         error = np.abs(light - dot(every, own)) / np.maximum(bright, 1e-30)
         weight = lit * (_SMALL / (error + _SMALL))
     length = np.linalg.norm(own, axis=-1, keepdims=True)
-    return np.where(own[:, 2:] > 0, own / np.maximum(length, 1e-30), other)
+    told = (own[:, 2:] > 0) & (lit.sum(axis=0) >= _FEWEST_LIT)[:, None]
+    return np.where(told, own / np.maximum(length, 1e-30), other)
 
 
 def _fitted(

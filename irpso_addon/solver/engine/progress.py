@@ -44,7 +44,7 @@ class Course:
         total = sum(map(sum, works))
         self._stages = stages
         self._done = [np.cumsum([0.0, *work]) / total for work in works]
-        self._ends = np.cumsum([0.0, *(done[-1] for done in self._done)])
+        self._ends = np.minimum(np.cumsum([0.0, *(done[-1] for done in self._done)]), 1.0)  # not above by rounding
 
     def at(self, index: int, iteration: int | None, part: float, evaluations: int) -> Progress:
         """Return the progress at an iteration of stage ``index``, None if all are done. part: of the iteration, 0…1."""
@@ -66,8 +66,8 @@ class Course:
         done = self._done[index]
         made = min(len(done) - 1 - self._stages[index].iterations + iteration, len(done) - 1)
         following = done[min(made + 1, len(done) - 1)]
-        now = min(done[made] + part * (following - done[made]), following)  # not above it by rounding
-        return float(self._ends[index] + now), float(self._ends[index + 1])
+        now = self._ends[index] + min(done[made] + part * (following - done[made]), following)
+        return float(min(now, self._ends[index + 1])), float(self._ends[index + 1])
 
 
 class TimeLeft:

@@ -29,8 +29,8 @@ from .prefit import adopt_pass, adopt_where
 from .sheen import CHOSEN
 
 SEPARATION = "prefit_separation"
-# Degrees: indirect light that turns a normal by less is not subtracted. With 0 the normal error of a dirty card is
-# 0.54 in place of 0.16°; in hollows it is 0.1° less.
+# Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
+# 0 the normal error of a dirty card is 0.54 in place of 0.16°; in hollows it is 0.1° less.
 LEAST_TURN = 3.0
 REACH = 1  # an iteration that needs the whole domain's sample has a reach
 
