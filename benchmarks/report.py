@@ -262,7 +262,8 @@ def _minified(svg: str) -> str:
     svg = _without_bare_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
     svg = re.sub(rf";? *{_FONT}(, sans-serif)?", "", svg).replace("</style>", f"text{{{_FONT}, sans-serif}}</style>")
     svg = re.sub(r'(?<= )style="[^"]*"', lambda found: re.sub(r"([:;]) ", r"\1", found[0]), svg)
-    svg = re.sub(r'(?<= )d="[^"]*"', lambda found: re.sub(r" ?([A-Zz]) ?", r"\1", found[0]), svg)
+    svg = re.sub(r'(?<= )d="[^"]*"', lambda found: re.sub(r" ?([A-Zz\"]) ?", r"\1", found[0]), svg)
+    svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda found: re.sub(r"(\d)\.0\b", r"\1", found[0]), svg)
     svg = re.sub(r"\s*\n\s*", " ", svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 
