@@ -111,6 +111,7 @@ class PrefitPhase(Phase):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
         yield from self.inner.advance(bands, seconds)
+        bands.part = 0.0  # the inner phase has counted this iteration
         if self.inner.done and not self._refining:
             yield from self.inner.conclude(bands, seconds)
             self.own.accept()

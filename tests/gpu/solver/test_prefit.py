@@ -75,6 +75,15 @@ def prefit_fitness(recovery):
     return recovery.maps(confidence=False)
 
 
+def test_the_fraction_never_steps_back(recover):
+    domain, _ = card("principled", (6, 7))
+    recovery, fractions = recover(domain, PRINCIPLED, schedule=STANDARD), []
+    while recovery.progress.title == "prefit of the normals":
+        fractions.append(recovery.step(time_budget_s=0.0).fraction)  # returns after every band
+    assert len(fractions) > 4 * STANDARD.prefit.iterations
+    assert fractions == sorted(fractions)
+
+
 # ---- grey --------------------------------------------------------------------------------------------------------
 
 
