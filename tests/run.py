@@ -3,7 +3,7 @@
 Usage: python tests/run.py [FILE_OR_FOLDER…] [--jobs 2] [--timeout 1800] [-- ARGUMENTS FOR PYTEST]
 The last line is `N passed, N failed, N skipped`; the exit code is 1 if anything failed. IRPSO_REQUIRE_GPU=1 turns a
 missing GPU context from a reason to skip into a failure. A process that a signal ends runs once more, and a line AGAIN
-names the test: under load, software GL sometimes crashes in a draw or a new texture.
+names the test: llvmpipe with threads of its own sometimes damages the heap (docs/install.md).
 """
 
 import argparse
@@ -175,8 +175,8 @@ def main() -> int:
 
 def run_all(targets: list[Path], jobs: int, timeout: float, arguments: list[str], no_gpu: str = "") -> list[Result]:
     """Run pytest on every target, ``jobs`` at a time, and print a line for each; return what became of them."""
-    # Software GL would start a thread a core in every process, and have them wait for each other at every small draw.
-    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // jobs)))
+    # No threads of llvmpipe: a race between them damages the heap (docs/install.md), and small draws wait for them.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
     results = []
     with ThreadPoolExecutor(jobs) as pool:
         for result in pool.map(lambda target: run_pytest(target, timeout, arguments, no_gpu), targets):

@@ -34,7 +34,7 @@ def needs_mpi():
 
 def environment(**more):
     """Return the environment of a job: for root, Open MPI requires two variables."""
-    allowed = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "LP_NUM_THREADS": "1"}
+    allowed = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "LP_NUM_THREADS": "0"}
     return {**os.environ, **allowed, **more}
 
 

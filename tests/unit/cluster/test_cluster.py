@@ -150,7 +150,7 @@ def test_distributed_samples_read_like_those_in_memory():
 
 @pytest.mark.parametrize(
     ("own", "others", "threads"),
-    [({0, 1}, [{0, 1}], 1), ({0}, [{1}], 1), (set(range(8)), [set(range(8, 16))], 8), (set(range(16)), [], 16)],
+    [({0, 1}, [{0, 1}], 0), ({0}, [{1}], 0), (set(range(8)), [set(range(8, 16))], 8), (set(range(16)), [], 16)],
     ids=["unbound", "bound to a core", "bound to eight", "alone on its machine"],
 )
 def test_llvmpipe_has_as_many_threads_as_a_rank_has_cores(own, others, threads, monkeypatch):
