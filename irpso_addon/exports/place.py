@@ -38,7 +38,7 @@ def filled_folder(folder: str | Path, replace: bool = True) -> Iterator[Path]:
 
 
 def file_place(out: str | Path, stem: str, suffixes: Sequence[str], replace: bool = True) -> Path:
-    """Return ``out`` if it has one of the suffixes, else the file with this stem and the first suffix in folder ``out``.
+    """Return ``out`` if it has one of the suffixes, else the file of this stem and first suffix in folder ``out``.
 
     Raises InputError where it cannot be written, has the suffix of another format, or exists without ``replace``.
     """
