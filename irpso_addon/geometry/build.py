@@ -100,7 +100,6 @@ def _settling(capture: Capture) -> Generator[None, None, None]:
 
 
 def _at_origin(camera: Camera) -> Camera:
-    """Return the camera with its own frame as the world."""
     return replace(camera, matrix=np.eye(4))
 
 

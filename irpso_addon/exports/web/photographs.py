@@ -67,10 +67,7 @@ def spread(lights: np.ndarray, bake: GeometryBake, first: Sequence[int], count: 
 
 
 def _plane(position: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit a plane to positions (H, W, 3), row 0 at the bottom.
-
-    Return ``Photographs.place`` and the largest distance of a covered position from it, as a fraction of the width.
-    """
+    """Fit a plane to positions (H, W, 3); return ``Photographs.place`` and the largest distance over the width."""
     height, width = covered.shape
     rows, columns = np.nonzero(covered)
     terms = np.stack([np.ones(len(rows)), columns + 0.5, height - rows - 0.5], axis=-1)
