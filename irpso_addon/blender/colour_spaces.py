@@ -1,4 +1,4 @@
-"""Colour spaces of Blender's images by what they are for, and the space in which Blender renders.
+"""Colour spaces of Blender's images by their use, and the space in which Blender renders.
 
 Names differ between OpenColorIO configurations. Blender's own has "Non-Color", "sRGB" and "Linear Rec.709"; those of
 ACES have "Raw", "sRGB - Texture" and "Linear Rec.709 (sRGB)". The role of data is asked from the configuration; Python
@@ -46,7 +46,7 @@ def use_space(image: Any, use: Use) -> None:
 
 
 def use_of(image: Any) -> Use | None:
-    """Return what the colour space of an image is for; None if it is another."""
+    """Return the use of an image's colour space; None for a space of another use."""
     settings = image.colorspace_settings
     if settings.is_data:
         return "data"
@@ -54,9 +54,9 @@ def use_of(image: Any) -> Use | None:
 
 
 def working_matrix() -> np.ndarray | None:
-    """Return the matrix (3, 3) from linear Rec. 709 to the scene-linear space of the file; None where they are one.
+    """Return the matrix (3, 3) from linear Rec. 709 to the scene-linear space of the file; None if they are equal.
 
-    Colours of lights and sockets are in that space, and pixels of float images that are no data. Since Blender 5.0 a
+    Colours of lights and sockets, and pixels of float images other than data, are in that space. Since Blender 5.0 a
     file chooses it (Rec. 709, Rec. 2020, ACEScg); ACES configurations have ACEScg. It is measured: Blender converts the
     pixels of 16-bit images to it. Raises InputError where the configuration has no sRGB.
     """

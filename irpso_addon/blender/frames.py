@@ -17,12 +17,12 @@ from ..core.png import encode_png
 from .movie import Movie, opened_movie
 
 COUNT = 40  # photographs, where no number is given
-_LOOKING = 0.8  # of the work
+_SEARCH_SHARE = 0.8  # of the work: the search for frames of different light; the rest writes
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Photographs that were written. numbers: of the frames, from 1, in the order of the files. total: frames seen.
+    """Photographs that were written. numbers: of the frames, from 1, in the order of the files. total: of all frames.
 
     files: their names. warnings: lines.
     """
@@ -55,7 +55,7 @@ def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Genera
         files, greys = [], []
         with new_folder(out) as folder:
             for done, (number, index) in enumerate(chosen):
-                yield _LOOKING + (1 - _LOOKING) * done / len(chosen), "writing"
+                yield _SEARCH_SHARE + (1 - _SEARCH_SHARE) * done / len(chosen), "writing"
                 movie = movies[number]
                 picture = movie.frame(index)
                 greys.append(profiles[number].linearised(picture.values).mean(axis=-1))
@@ -83,7 +83,7 @@ def _chosen_steps(
         places += [(number, index) for index in indices.tolist()]
     looks = []
     for number, index in places:
-        yield _LOOKING * len(looks) / len(places), "looking for lights"
+        yield _SEARCH_SHARE * len(looks) / len(places), "looking for lights"
         looks.append(look_at(movies[number].frame(index).values, profiles[number].linearised))
     return [places[k] for k in chosen_frames(looks, count, where)]
 

@@ -72,8 +72,8 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
     )
     solved = None if slots is None else np.isin(materials, np.asarray(slots, np.int32))
     if solved is not None and not solved.any():
-        asked = ", ".join(f"'{names[slot]}'" for slot in slots)
-        raise InputError(f"no face of '{name}' has the material slot {asked}; choose one that has faces")
+        listed = ", ".join(f"'{names[slot]}'" for slot in slots)
+        raise InputError(f"no face of '{name}' has the material slot {listed}; choose one that has faces")
     chosen = slice(None) if solved is None else solved
     check_uvs(name, layer.name, positions[chosen], uvs[chosen])
     tiles, placed = lay_out(f"UV map '{layer.name}' of '{name}'", uvs[chosen])
@@ -117,8 +117,8 @@ def _tangents(coordinates: np.ndarray, vertices: np.ndarray, normals: np.ndarray
         around = np.zeros(places.max() + 1, bool)
         around[corners[own]] = True
         with_ring = np.flatnonzero(around[corners].any(axis=1))
-        found = _tangents_together(coordinates, triangles[with_ring], normals[with_ring], uvs[with_ring])
-        result[own] = found[np.searchsorted(with_ring, own)]
+        tangents = _tangents_together(coordinates, triangles[with_ring], normals[with_ring], uvs[with_ring])
+        result[own] = tangents[np.searchsorted(with_ring, own)]
     return result
 
 

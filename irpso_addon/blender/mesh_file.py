@@ -34,7 +34,7 @@ def write_mesh(path: Path, vertices: np.ndarray, quads: np.ndarray, uv: np.ndarr
             other.select_set(False)
         obj.select_set(True)
         with replacing_file(path) as partial, quiet_operator():
-            named = partial.with_suffix(path.suffix)  # exporters go by it
+            named = partial.with_suffix(path.suffix)  # exporters take the format from the suffix
             _export(named, path.suffix.lower())
             if named != partial:
                 named.replace(partial)

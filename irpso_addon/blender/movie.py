@@ -24,7 +24,7 @@ _UNSPECIFIED, _REC709 = 2, 1  # codes of ITU-T H.273
 # Elements of Matroska: its head, the tracks and the pictures behind them, and in a track its colours.
 _MATROSKA, _TRACKS, _CLUSTER = bytes.fromhex("1a45dfa3"), bytes.fromhex("1654ae6b"), bytes.fromhex("1f43b675")
 _COLOUR, _PRIMARIES, _TRANSFER = bytes.fromhex("55b0"), bytes.fromhex("55bb"), bytes.fromhex("55ba")
-_HELD = 16  # frames that Blender caches: 8 MB each at 1920 × 1080
+_CACHED = 16  # frames that Blender caches: 8 MB each at 1920 × 1080
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Movie:
     def frame(self, index: int) -> Picture:
         """Return a frame's RGB code values, from 0; bits are 8, or 16 for finer videos. Raises InputError."""
         user, image = self._texture.image_user, self._texture.image
-        if index % _HELD == 0:
+        if index % _CACHED == 0:
             image.buffers_free()
         user.frame_current = index + 1
         self._texture.evaluate((0.0, 0.0, 0.0))
@@ -77,7 +77,7 @@ def opened_movie(path: Path) -> Iterator[Movie]:
 
 
 def cicp_of(path: Path) -> tuple[int, int]:
-    """Return colour primaries and transfer function of a video by ITU-T H.273; Rec. 709 where its file tells none.
+    """Return colour primaries and transfer function of a video by ITU-T H.273; Rec. 709 where its file has none.
 
     Read from the box colr of MP4 and MOV files (ISO/IEC 14496-12, 12.1.5), and the element Colour of MKV and WebM (RFC
     9559, 5.1.4.1.28.16).
@@ -94,7 +94,7 @@ def cicp_of(path: Path) -> tuple[int, int]:
 
 
 def _matroska_codes(data: mmap.mmap) -> tuple[int, int]:
-    """Return primaries and transfer function of a Matroska file, 0 for what it does not tell."""
+    """Return primaries and transfer function of a Matroska file, 0 for a missing one."""
     tracks = data.find(_TRACKS)
     at = data.find(_COLOUR, tracks, data.find(_CLUSTER, tracks)) if tracks >= 0 else -1
     if at < 0:
@@ -103,9 +103,9 @@ def _matroska_codes(data: mmap.mmap) -> tuple[int, int]:
     start = at + 2 + lead
     size = int.from_bytes(data[at + 2 : start], "big") - (1 << 7 * lead)
     colours = data[start : start + size]
-    found = []
+    codes = []
     for element in (_PRIMARIES, _TRANSFER):
         place = colours.find(element)
         long = colours[place + 2] & 0x7F if place >= 0 else 0
-        found.append(int.from_bytes(colours[place + 3 : place + 3 + long], "big"))
-    return found[0], found[1]
+        codes.append(int.from_bytes(colours[place + 3 : place + 3 + long], "big"))
+    return codes[0], codes[1]

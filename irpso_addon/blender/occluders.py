@@ -20,8 +20,8 @@ def with_occluders(mesh: MeshData, objects: Iterable[Any]) -> MeshData:
 
     Raises InputError, with the object's name, where one has no surface or is hidden.
     """
-    found = [_triangles(obj) for obj in objects]
-    return replace(mesh, occluders=np.concatenate(found)) if found else mesh
+    triangles = [_triangles(obj) for obj in objects]
+    return replace(mesh, occluders=np.concatenate(triangles)) if triangles else mesh
 
 
 def named_occluders(names: Iterable[str], subject: Any, option: str) -> list[Any]:
@@ -31,7 +31,7 @@ def named_occluders(names: Iterable[str], subject: Any, option: str) -> list[Any
     """
     import bpy
 
-    scene, found = bpy.context.scene, []
+    scene, objects = bpy.context.scene, []
     for name in dict.fromkeys(names):
         if name not in scene.objects:
             raise InputError(f"{option} {name}: there is no such object in scene '{scene.name}'; check the name")
@@ -39,8 +39,8 @@ def named_occluders(names: Iterable[str], subject: Any, option: str) -> list[Any
             raise InputError(
                 f"{option} {name}: is the mesh that is recovered, which shades itself anyway; leave it out"
             )
-        found.append(scene.objects[name])
-    return found
+        objects.append(scene.objects[name])
+    return objects
 
 
 def _triangles(obj: Any) -> np.ndarray:

@@ -22,9 +22,9 @@ from .operators import cycles_operator
 
 RAYS = 128
 _NAME = "IRPSO occlusion"
-_BEHIND = 1e-4  # of the extent of all that there is: a copy of the mesh behind it
-_REACH = 10.0  # of the extent of all that there is: nothing lies farther away than 1
-_LEAST_FOUND = 0.98  # share of the maps' texels that the mesh must cover; edges differ by rounding
+_BEHIND = 1e-4  # of the extent of mesh and occluders: distance of a copy of the mesh behind it
+_REACH = 10.0  # length of rays, of the same extent: nothing lies farther away than 1
+_LEAST_COVERED = 0.98  # share of the maps' texels that the mesh must cover; edges differ by rounding
 
 
 def mesh_open_sky(mesh: MeshData, maps: Maps, rays: int = RAYS) -> np.ndarray:
@@ -37,11 +37,11 @@ def mesh_open_sky(mesh: MeshData, maps: Maps, rays: int = RAYS) -> np.ndarray:
     if mesh.tiles != maps.tiles:
         raise _other_mesh(mesh)
     baked, share = _baked(mesh, _normals(maps), maps.covered.shape, rays)
-    found = share > 0
-    if (found & maps.covered).sum() < _LEAST_FOUND * maps.covered.sum():
+    written = share > 0
+    if (written & maps.covered).sum() < _LEAST_COVERED * maps.covered.sum():
         raise _other_mesh(mesh)
-    sky = np.divide(baked, share, out=baked, where=found)
-    return np.clip(fill_margin(sky[..., None], found)[..., 0], 0, 1)
+    sky = np.divide(baked, share, out=baked, where=written)
+    return np.clip(fill_margin(sky[..., None], written)[..., 0], 0, 1)
 
 
 def _other_mesh(mesh: MeshData) -> InputError:
@@ -63,7 +63,7 @@ def _normals(maps: Maps) -> np.ndarray | None:
 def _baked(
     mesh: MeshData, normals: np.ndarray | None, shape: tuple[int, int], rays: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (H, W) float32 what Cycles bakes, and the share of each texel that it has written.
+    """Return (H, W) float32 the occlusion that Cycles bakes, and the share of each texel that it has written.
 
     In the margin Cycles blends texels with neighbours that it has not written. They are 0 in colour and alpha, so that
     a texel's alpha is the share of what is baked in its colour.
@@ -99,7 +99,7 @@ def _baked(
 
 @contextlib.contextmanager
 def _removed_afterwards() -> Iterator[list[Any]]:
-    """Yield a list; what is put into it is taken out of the open file at the end."""
+    """Yield a list; the data blocks appended to it are removed from the open file at the end."""
     import bpy
 
     made: list[Any] = []

@@ -1,4 +1,4 @@
-"""Context managers around Blender's operators: they keep its lines off the terminal and lose no signal."""
+"""Context managers around Blender's operators: they keep its output off the terminal and lose no signal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..gpu.context import exit_process
 from ..gpu.output import caught_output
 
 _PATIENCE = 3.0  # seconds from a signal to the end of the process, where Cycles goes on
-_ERROR = re.compile(r"^Error\b|\bERROR\b")  # Cycles also tells of "unknown error" at GPUs that a machine lacks
+_ERROR = re.compile(r"^Error\b|\bERROR\b")  # Cycles also logs "unknown error" for GPUs that a machine lacks
 
 
 @contextlib.contextmanager
@@ -49,28 +49,28 @@ def cycles_operator() -> Iterator[None]:
 def _ended_by_signals() -> Iterator[None]:
     """Have a thread end the process if a signal comes and this context lasts for more than ``_PATIENCE`` after it."""
     terminal = os.dup(2)  # standard error is caught meanwhile
-    heard, told = os.pipe()
-    if os.name != "nt":  # where no such call is asked for
-        os.set_blocking(told, False)
+    read_end, write_end = os.pipe()
+    if os.name != "nt":  # which has no such call
+        os.set_blocking(write_end, False)
     returned = threading.Event()
 
     def watch() -> None:
-        while (came := os.read(heard, 1)) and came[0] not in SIGNALS:  # nothing is read once the pipe is closed
+        while (byte := os.read(read_end, 1)) and byte[0] not in SIGNALS:  # nothing is read once the pipe is closed
             pass
-        if came and not returned.wait(_PATIENCE):
+        if byte and not returned.wait(_PATIENCE):
             remove_unfinished()
             os.write(terminal, b"\nirpso: interrupted\n")
             exit_process(INTERRUPTED)
 
     watcher = threading.Thread(target=watch, daemon=True)
-    before = signal.set_wakeup_fd(told)
+    before = signal.set_wakeup_fd(write_end)
     watcher.start()
     try:
         yield
     finally:
         returned.set()
         signal.set_wakeup_fd(before)
-        os.close(told)
+        os.close(write_end)
         watcher.join()
-        os.close(heard)
+        os.close(read_end)
         os.close(terminal)

@@ -1,4 +1,4 @@
-"""Blender's tiled images: their pixels tile by tile, which Blender itself shows scripts of the first tile alone."""
+"""Pixels of Blender's tiled images, tile by tile: Blender's Python interface reads only the first tile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..core.udim import ONE_SQUARE, PATTERN, tile_place
 
 @contextmanager
 def tile_images(image, tiles: Sequence[int]) -> Iterator[list]:
-    """Yield an image of its own for each of the UDIM tiles, gone afterwards; of one square the image itself.
+    """Yield one temporary image for each UDIM tile; for an image that is not tiled, the image itself.
 
     Raises InputError where the image is not tiled though the maps are, or has no file for a tile.
     """

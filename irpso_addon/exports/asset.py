@@ -17,7 +17,7 @@ _DESCRIPTION, _TAG = "Recovered from photographs by IRPSO", "photographed"
 
 @dataclass(frozen=True)
 class Shelf:
-    """Where an asset goes, and what is written on it. catalog: as Stone/Marble, "" for none. Raises InputError."""
+    """Library, catalog and metadata of an asset. catalog: as Stone/Marble, "" for none. Raises InputError."""
 
     library: Path
     catalog: str = ""
@@ -30,7 +30,7 @@ class Shelf:
             catalog_path(self.catalog)
 
     def path(self, name: str) -> Path:
-        """Return the .blend of an asset. Raises InputError where it is there already, or cannot be written."""
+        """Return the .blend of an asset. Raises InputError where it exists already, or cannot be written."""
         path = check_output_folder(self.library) / f"{file_stem(name)}.blend"
         if path.exists():
             raise InputError(f"{path}: the library has this file already; give another --asset-name, or remove it")

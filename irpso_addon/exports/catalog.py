@@ -29,21 +29,21 @@ def catalog_path(name: str) -> str:
 
 
 def catalog_id(library: Path, name: str) -> str:
-    """Return the UUID of a library's catalog, which is added where the library has none of this path.
+    """Return the UUID of a library's catalog; add the catalog where the library has none of this path.
 
-    What the file holds besides stays as it is. Raises InputError where it cannot be read or written.
+    Other lines of the file stay unchanged. Raises InputError where it cannot be read or written.
     """
-    path, wanted = library / CATALOGS, catalog_path(name)
+    path, catalog = library / CATALOGS, catalog_path(name)
     try:
         text = path.read_text(encoding="utf-8") if path.is_file() else _HEAD
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); repair it, or leave out the catalog") from error
     for line in text.splitlines():
         number, _, rest = line.partition(":")
-        if not line.startswith("#") and rest.partition(":")[0].strip() == wanted:
+        if not line.startswith("#") and rest.partition(":")[0].strip() == catalog:
             return number.strip()
     added = str(uuid.uuid4())
-    line = f"{added}:{wanted}:{wanted.replace('/', '-')}\n"
+    line = f"{added}:{catalog}:{catalog.replace('/', '-')}\n"
     with replacing_file(path, durable=True) as partial:
         partial.write_text(text + ("" if text.endswith("\n") else "\n") + line, encoding="utf-8")
     return added

@@ -1,4 +1,4 @@
-"""Writes a result in the format of a name."""
+"""Writes a result in an export format, chosen by name."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def export(
     """Write a result in a format; return the entries of its report. Raises InputError; then nothing is written.
 
     out: a folder; for gltf and ptm also a file. convention: of texture sets. subject: called only for gltf, returns the
-    object in the open file to export. photographs: called only for a page, returns what the page shows of the capture.
-    replace: files that are there.
+    object in the open file to export. photographs: called only for a page, returns the capture's photographs.
+    replace: existing files.
     """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: choose one of {', '.join(FORMATS)}")

@@ -1,4 +1,4 @@
-"""glTF 2.0: the mesh in triangles, and the maps in the textures that the format has.
+"""glTF 2.0: the mesh as triangles, and the maps as the format's textures.
 
 Roughness and metallic go into green and blue of one picture, with the occlusion in red, 1 where it is unknown. The
 specular level is KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's index as well.
@@ -23,7 +23,7 @@ from .surface import surface_of
 
 
 def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
-    """Write an object of the open file with a result's maps as .glb, and return what the format could not hold.
+    """Write an object of the open file with a result's maps as .glb; return the entries of the report.
 
     A model of two lobes is given the one GGX lobe nearest to them. Raises InputError as ``write_glb`` does.
     """
@@ -40,13 +40,13 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
 
 
 def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surface, np.ndarray | None]:
-    """Return the pictures of maps, and what is lost of two lobes in one. open_sky: (H, W) occlusion, or 1."""
+    """Return the pictures of maps, and the error of fitting two lobes by one. open_sky: (H, W) occlusion, or 1."""
     surface = surface_of(maps)
     fit = fit_ggx(surface)
     f0 = surface.f0 * fit.scale
     # Above 4 % the index of refraction has to rise: the factor is at most 1.
     highest = max(0.04, float(f0[maps.covered].max(initial=0)))
-    found = Surface(
+    pictures = Surface(
         name=name,
         base_color=pixels.colour(surface.base_color, maps),
         orm=pixels.packed(maps, open_sky, np.sqrt(fit.alpha), surface.metallic),
@@ -55,7 +55,7 @@ def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surfa
         ior=(1 + highest**0.5) / (1 - highest**0.5),
         occluded=not isinstance(open_sky, float),
     )
-    return found, fit.error[maps.covered] if len(surface.lobes) > 1 else None
+    return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None
 
 
 def _specular(maps: Maps, factor: np.ndarray) -> np.ndarray | float:

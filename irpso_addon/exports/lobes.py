@@ -36,8 +36,8 @@ class Fit:
 def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
     """Return the Ward lobes nearest to a surface's, with widths lowest…highest; their albedo is scale · f0.
 
-    The view is straight from above, so the texel's normal gives the view angle, and the fit is made at this angle. The
-    albedo then includes what a Ward lobe lacks: the Fresnel term and the cosines of a microfacet lobe.
+    The view is straight from above: the texel's normal gives the view angle at which the lobe is fitted. The fitted
+    albedo includes the terms that a Ward lobe lacks: Fresnel, and the cosines of a microfacet lobe.
     """
     if not surface.lobes:
         return _none(surface.f0.shape)
@@ -93,8 +93,8 @@ def _configurations(views: tuple[float, ...]) -> _Configurations:
     light = 2 * between * np.cos(theta) - np.cos(view_angle)
     # dω of the light is 4 v·h times dω of the half vector. Equal steps of log tan θ give dθ ∝ sin θ cos θ.
     weight = 4 * between * np.sin(theta) ** 2 * np.cos(theta)
-    seen = (light > 1e-3) & (between > 1e-3)
-    return _Configurations(light[seen], np.cos(view_angle)[seen], np.cos(theta)[seen], between[seen], weight[seen])
+    valid = (light > 1e-3) & (between > 1e-3)
+    return _Configurations(light[valid], np.cos(view_angle)[valid], np.cos(theta)[valid], between[valid], weight[valid])
 
 
 def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str = "GGX") -> np.ndarray:
@@ -140,26 +140,26 @@ def _fit(
     candidates = candidate(k, widths) * rows
     own = np.einsum("jk,jk->j", candidates, candidates)
     crosses = [table @ candidates.T for table in tables]
-    places = [_place(lobe.alpha, grid) for lobe in lobes]
+    places = [_cells(lobe.alpha, grid) for lobe in lobes]
     weights = [lobe.weight.astype(np.float64) for lobe in lobes]
     fitted = np.zeros((3, len(weights[0])))
     for start in range(0, len(weights[0]), _BLOCK):
         block = slice(start, start + _BLOCK)
         product = sum(
-            w[block, None] * _between(cross, p, block) for w, cross, p in zip(weights, crosses, places, strict=True)
+            w[block, None] * _row_at(cross, p, block) for w, cross, p in zip(weights, crosses, places, strict=True)
         )
         fitted[:, block] = _best(product, own, _energy(tables, weights, places, block), widths)
     return fitted
 
 
-def _place(alpha: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _cells(alpha: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return each width's cell in the grid, and its fraction along the cell."""
     at = np.interp(np.log(np.maximum(alpha, grid[0])), np.log(grid), np.arange(len(grid)))
     low = np.minimum(at.astype(int), len(grid) - 2)
     return low, at - low
 
 
-def _between(table: np.ndarray, place: tuple[np.ndarray, np.ndarray], block: slice) -> np.ndarray:
+def _row_at(table: np.ndarray, place: tuple[np.ndarray, np.ndarray], block: slice) -> np.ndarray:
     low, part = place[0][block], place[1][block, None]
     return table[low] * (1 - part) + table[low + 1] * part
 
@@ -184,8 +184,8 @@ def _best(product: np.ndarray, own: np.ndarray, energy: np.ndarray, widths: np.n
     best = np.clip(score.argmax(axis=1), 1, len(widths) - 2)
     row = np.arange(len(best))
     left, middle, right = (score[row, best + d] for d in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1), np.sign(right - left))
+    curvature = left - 2 * middle + right
+    shift = np.where(curvature < 0, 0.5 * (left - right) / np.where(curvature < 0, curvature, 1), np.sign(right - left))
     at = best + np.clip(shift, -1, 1)
     low = np.minimum(at.astype(int), len(widths) - 2)
     part = at - low

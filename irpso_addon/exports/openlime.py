@@ -31,7 +31,7 @@ _EXPONENT = 4  # of OpenLIME's gloss
 _LOWEST, _HIGHEST = 0.005, 1.0
 _OUTSIDE = 0.5
 _GAMMA = 2.2
-_AMBIENT = 1e-6  # of kAmbient, which is 0.1 where none is given, and 0 counts as none
+_AMBIENT = 1e-6  # of kAmbient: OpenLIME replaces 0, as a missing value, by 0.1
 
 
 def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Maps as pixels in the encodings that formats share, with filled margins."""
+"""Maps as pixels in the encodings common to the formats, with filled margins."""
 
 from __future__ import annotations
 

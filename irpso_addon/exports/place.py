@@ -1,4 +1,4 @@
-"""Output folder of an export: files are written to a temporary folder, then moved together."""
+"""Output places of exports: files are written to a temporary folder, then moved together."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _FILES = {".glb", ".gltf", ".fbx", ".obj", ".stl", ".ply", ".ptm", ".png", ".jpg
 def filled_folder(folder: str | Path, replace: bool = True) -> Iterator[Path]:
     """Yield a temporary folder; at the end move its files, and its folders' files, into ``folder``.
 
-    replace: files of the same name; otherwise they are an InputError. An exception moves nothing. Raises InputError if
-    the folder cannot be written.
+    replace: overwrite files of the same name; otherwise they are an InputError. An exception moves nothing. Raises
+    InputError if the folder cannot be written.
     """
     _refuse_file(Path(folder), "name a folder")
     folder = check_output_folder(folder)
@@ -38,9 +38,9 @@ def filled_folder(folder: str | Path, replace: bool = True) -> Iterator[Path]:
 
 
 def file_place(out: str | Path, stem: str, suffixes: Sequence[str], replace: bool = True) -> Path:
-    """Return the file that ``out`` names by one of these suffixes, or the file of this stem in the folder ``out``, with
-    the first suffix. Raises InputError where it cannot be written, has the suffix of another kind of file, or is there
-    already without ``replace``.
+    """Return ``out`` if it has one of the suffixes, else the file of this stem and first suffix in folder ``out``.
+
+    Raises InputError where it cannot be written, has the suffix of another format, or exists without ``replace``.
     """
     path = Path(out)
     if path.suffix.lower() in suffixes:
@@ -53,13 +53,13 @@ def file_place(out: str | Path, stem: str, suffixes: Sequence[str], replace: boo
 
 
 def check_replaced(files: Iterable[Path], replace: bool) -> None:
-    """Raise InputError where one of these files is there already, unless ``replace``."""
-    if not replace and (there := next((file for file in files if file.exists()), None)):
-        raise InputError(f"{there}: is there already; choose another -o, or replace it with --replace")
+    """Raise InputError where one of these files exists, unless ``replace``."""
+    if not replace and (existing := next((file for file in files if file.exists()), None)):
+        raise InputError(f"{existing}: is there already; choose another -o, or replace it with --replace")
 
 
 def _refuse_file(path: Path, remedy: str) -> None:
-    """Raise InputError where a new folder would have the name of a file of some kind: it was meant to be one."""
+    """Raise InputError where a new folder's name has the suffix of a file format: the user meant a file."""
     if path.suffix.lower() in _FILES and not path.is_dir():
         raise InputError(f"{path}: this format writes no {path.suffix} file; {remedy}")
 

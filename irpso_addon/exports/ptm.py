@@ -31,7 +31,7 @@ _WIDEST = 80.0  # degrees from the normal
 def write_ptm(result: Result, path: str | Path, replace: bool = True) -> dict[str, Any]:
     """Write NAME.ptm, one per UDIM tile; return the PSNR (dB) of the polynomials against their reference renders.
 
-    The result's own shader renders the reference, so every model can be written. replace: files that are there. Raises
+    The result's own shader renders the reference, so every model can be written. replace: existing files. Raises
     InputError or GpuUnavailableError.
     """
     path, report = Path(path), {}

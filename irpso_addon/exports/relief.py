@@ -1,4 +1,4 @@
-"""A card's relief as a body, for print and study."""
+"""A card's relief as a solid mesh file, for 3D printing and study."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..geometry.relief.solid import relief_solid
 from .place import file_place, file_stem
 from .result import Result
 
-WIDTH, BASE = 100.0, 0.02  # of the card: millimetres, as printing programs read STL; of the width
+WIDTH, BASE = 100.0, 0.02  # card's width in mm, STL's unit in printing programs; base as a fraction of it
 
 
 def write_relief(result: Result, out: str | Path, width: float = WIDTH, replace: bool = True) -> dict[str, Any]:
     """Write a card's relief as .stl, .ply or .obj; return the entries of the report.
 
-    out: the file, or a folder for NAME.stl. width: of the whole card. replace: a file that is there. Raises InputError
+    out: the file, or a folder for NAME.stl. width: of the whole card. replace: an existing file. Raises InputError
     where the result has no height or is a mesh's.
     """
     if result.height is None:

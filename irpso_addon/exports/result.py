@@ -41,8 +41,9 @@ class Result:
 
     @cached_property
     def open_sky(self) -> np.ndarray | float:
-        """(H, W) the share of an even sky that a card's relief leaves open, or a mesh, where that was requested; 1 if
-        unknown: the relief of a mesh is only its fine detail."""
+        """(H, W) visible share of an even sky: of a card's relief, or ``baked_sky`` of a mesh; 1 if unknown.
+
+        The relief of a mesh gives none: it is only the mesh's fine detail."""
         if self.baked_sky is not None:
             return self.baked_sky
         if self.height is None or self.height.unit != TEXELS:

@@ -1,6 +1,6 @@
 """Interprets any model's maps as a diffuse base with one or two specular lobes.
 
-The model's parameters drive sockets in Blender, of a Principled BSDF or of the two-lobe group; these give the meaning.
+A parameter's meaning is the Blender socket that it drives, of a Principled BSDF or of the two-lobe group.
 """
 
 from __future__ import annotations

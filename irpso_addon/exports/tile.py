@@ -1,4 +1,4 @@
-"""A card's maps as ones that repeat without a seam: maps, relief, report and picture, for command line and window."""
+"""Seamless tiles of a card's maps: maps, relief, report and picture, for command line and window."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REPEATS = 3
 
 @dataclass(frozen=True)
 class Tile:
-    """maps: they repeat. height: their relief, None where it is not wanted. cut: how they were made."""
+    """A seamless tile. maps: periodic. height: their relief, None if not requested. cut: how the maps were made."""
 
     maps: Maps
     height: Height | None
@@ -33,17 +33,17 @@ class Tile:
         return [] if self.height is None else [height_map(self.height)]
 
     def report(self, former: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the report, which keeps the model and the settings of the maps' own."""
+        """Return the tile's report, with model, settings, seed and versions from the report of the original maps."""
         x, y, side = self.cut.crop
         seams = {
             "square": [x, y, side], "period": list(self.cut.period), "seam": round(self.cut.seam, 4),
             "seam_of_plain_repetition": round(self.cut.plain, 4),
         }  # fmt: skip
-        kept = {name: former[name] for name in ("model", "settings", "seed", "versions") if name in former}
+        original = {name: former[name] for name in ("model", "settings", "seed", "versions") if name in former}
         rows, columns = self.maps.covered.shape
         more = {} if self.height is None else {"height": self.height.described()}
         shape = {"size": [columns, rows], "texels": rows * columns}
-        return plain({**kept, **shape, **more, "tile": seams})
+        return plain({**original, **shape, **more, "tile": seams})
 
     def picture(self) -> np.ndarray:
         """Return (H, W, 3) display values: the maps, three times in each direction, side by side."""
@@ -54,7 +54,7 @@ class Tile:
 
 
 def tiled(maps: Maps, relief: bool, size: int | None = None, overlap: float | None = None) -> Tile:
-    """Return a card's maps as ones that repeat; see ``seamless``. relief: also its heights. Raises InputError."""
+    """Return a seamless tile of a card's maps; see ``seamless``. relief: with heights. Raises InputError."""
     cut = seamless(maps.model, maps.values, maps.covered, size, overlap)
     side = len(next(iter(cut.values.values())))
     repeating = Maps(maps.model, cut.values, np.ones((side, side), bool), wrapped=True)

@@ -1,4 +1,4 @@
-"""A strip of pictures of a result's material on its subject, which turns once."""
+"""Turntable: a strip of renders of a result's subject with its material, through one full turn."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _PICTURES, _SIDE, _RIM = 8, 224, 8  # pictures; pixels of a side of each, and of
 def write_turntable(
     result: Result, out: str | Path, subject: Callable[[], Any], replace: bool = True
 ) -> dict[str, Any]:
-    """Write a PNG of pictures side by side, by Cycles; return the entries of the report.
+    """Write a PNG of Cycles renders side by side; return the entries of the report.
 
     out: the file, or a folder for NAME_turntable.png. subject: returns the object of the result's open file. replace:
-    a file that is there. Raises InputError where nothing can be written there, or the result has no material.
+    an existing file. Raises InputError where nothing can be written there, or the result has no material.
     """
     path = file_place(out, f"{file_stem(result.name)}_turntable", [".png"], replace)
     strip = np.concatenate(turntable(subject(), _SIDE, _PICTURES), axis=1)

@@ -65,8 +65,8 @@ def card_steps(
         if observation.light.axis is not None:
             # Not @: its rounding of a texel's sum may depend on the array's size.
             points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
-            _weigh(out, texels, *_shape_of(observation.light, points, texels))
-    views = np.broadcast_to(_local(camera).view, (len(capture.observations), 4))
+            _scale_samples(out, texels, *_beam_correction(observation.light, points, texels))
+    views = np.broadcast_to(_at_origin(camera).view, (len(capture.observations), 4))
     domain = _domain(capture, bake, stack, views, inverse, card=True, noise=(yield from noise.finishing()))
     if window is None:
         _check_seen(capture, domain, "the card")
@@ -84,7 +84,7 @@ def loading_steps(capture: Capture, on_mesh: bool) -> int:
 def card_bake(capture: Capture) -> GeometryBake:
     """Return the geometry of the domain of a flat subject, without reading an image. Raises InputError."""
     mask = check_card(capture)
-    return _card_bake(_local(capture.cameras[0]), mask, card_depth(capture))
+    return _card_bake(_at_origin(capture.cameras[0]), mask, card_depth(capture))
 
 
 def card_lights(capture: Capture) -> np.ndarray:
@@ -99,7 +99,7 @@ def _settling(capture: Capture) -> Generator[None, None, None]:
         yield from capture.encoding.settling()
 
 
-def _local(camera: Camera) -> Camera:
+def _at_origin(camera: Camera) -> Camera:
     return replace(camera, matrix=np.eye(4))
 
 
@@ -226,7 +226,7 @@ def _fill_light(
     texels = np.flatnonzero(np.logical_or.reduce(list(seen.values())))
     if not len(texels):
         return
-    gain, weight = _shape_of(light, bake.position.reshape(-1, 3), texels)
+    gain, weight = _beam_correction(light, bake.position.reshape(-1, 3), texels)
     if caster is not None:
         weight = weight * caster.weights(light, texels)
     for k in numbers:
@@ -237,7 +237,7 @@ def _fill_light(
         image = _read(capture.observations[k], capture)
         noise.take(capture.observations[k], image)
         stack.layer(k)[:] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
-        _weigh(stack.layer(k), texels, gain, weight)
+        _scale_samples(stack.layer(k), texels, gain, weight)
 
 
 def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
@@ -251,8 +251,8 @@ def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
     return numbers
 
 
-def _shape_of(light: Light, positions: np.ndarray, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N,) gains of radiance and (N,) weights for the light's shape; texels: flat indices into positions."""
+def _beam_correction(light: Light, positions: np.ndarray, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N,) gains of radiance and (N,) weights for the light's beam; texels: flat indices into positions."""
     gain, weight = np.ones(len(texels), np.float32), np.ones(len(texels), np.float32)
     if light.axis is not None:
         for part in blocks(np.arange(len(texels))):
@@ -261,7 +261,7 @@ def _shape_of(light: Light, positions: np.ndarray, texels: np.ndarray) -> tuple[
     return gain, weight
 
 
-def _weigh(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.ndarray) -> None:
+def _scale_samples(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.ndarray) -> None:
     """Multiply radiance and weight of a layer (H, W, 4) at texels (flat indices); at weight 0 the radiance stays."""
     if (gain == 1).all() and (weight == 1).all():
         return
@@ -323,7 +323,7 @@ def _read(observation: Observation, capture: Capture) -> np.ndarray:
 
 
 def _finite(image: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool of (H, W, 4): all() over an axis of four is ten times slower."""
+    """Return (H, W) bool: all channels of (H, W, 4) are finite. all() over an axis of four is ten times slower."""
     finite = np.isfinite(image)
     return finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3]
 

@@ -14,7 +14,7 @@ from .domain import Domain, GeometryBake, laid_on
 from .seams.seams import SeamMap, seam_map
 
 _SHORT = 1e-6  # length of a mean of unit vectors; shorter means have no direction, as on two sides of a thin wall
-_STRANGE = 1e-6  # weight of another island's coarse texel: it counts only where no other is near
+_OTHER_ISLAND = 1e-6  # weight of another island's coarse texel: matters only where no other is near
 _NEAR, _FAR = 0.75, 0.25  # bilinear weights: a texel's centre lies a quarter of a coarse texel off its cell's
 
 
@@ -37,8 +37,8 @@ def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool
     normal: the map holds unit normals in tangent frames; they are averaged in world space and normalised.
     """
     count = _cells(domain.bake.coverage).sum(axis=(1, 3))
-    held = in_world(domain, values) if normal else np.asarray(values, np.float64)
-    total = _cells(np.where(domain.bake.coverage[..., None], held, 0)).sum(axis=(1, 3))
+    vectors = in_world(domain, values) if normal else np.asarray(values, np.float64)
+    total = _cells(np.where(domain.bake.coverage[..., None], vectors, 0)).sum(axis=(1, 3))
     mean = total / np.maximum(count, 1)[..., None]
     return (in_frames(coarse, mean) if normal else mean).astype(np.float32)
 
@@ -50,16 +50,16 @@ def finer_map(
 
     otherwise: (H, W, n), or broadcastable to it, where no such texel is near. normal: as in ``coarser_map``.
     """
-    held = in_world(coarse, values) if normal else np.asarray(values, np.float64)
-    total = np.zeros((*domain.shape, held.shape[-1]))
+    vectors = in_world(coarse, values) if normal else np.asarray(values, np.float64)
+    total = np.zeros((*domain.shape, vectors.shape[-1]))
     weights = np.zeros((*domain.shape, 1))
-    for rows, down in _beside(domain.shape[0], coarse.shape[0]):
-        for columns, across in _beside(domain.shape[1], coarse.shape[1]):
+    for rows, down in _linear_weights(domain.shape[0], coarse.shape[0]):
+        for columns, across in _linear_weights(domain.shape[1], coarse.shape[1]):
             weight = (down[:, None] * across * coarse.solvable[rows[:, None], columns])[..., None]
             if domain.seams is not None and coarse.seams is not None:
                 own = coarse.seams.island[rows[:, None], columns] == domain.seams.island
-                weight *= np.where(own, 1.0, _STRANGE)[..., None]
-            total += np.where(weight > 0, weight * held[rows[:, None], columns], 0)
+                weight *= np.where(own, 1.0, _OTHER_ISLAND)[..., None]
+            total += np.where(weight > 0, weight * vectors[rows[:, None], columns], 0)
             weights += weight
     mean = total / np.where(weights > 0, weights, 1)
     mean = in_frames(domain, mean) if normal else mean
@@ -75,7 +75,7 @@ def in_world(domain: Domain, normals: np.ndarray) -> np.ndarray:
 def in_frames(domain: Domain, vectors: np.ndarray) -> np.ndarray:
     """Return (H, W, 3) float64 unit normals in tangent frames, of world vectors of any length.
 
-    A vector below the texel's surface is bent up to it; a zero vector becomes the texel's own normal.
+    A vector below the tangent plane is projected onto it; a zero vector becomes the texel's own normal.
     """
     local = vectors if domain.card else np.einsum("hwj,hwij->hwi", vectors, domain.bake.frames())
     local = np.concatenate([local[..., :2], np.maximum(local[..., 2:], 0)], axis=-1)
@@ -131,14 +131,14 @@ def _coarser_bake(bake: GeometryBake) -> GeometryBake:
         counted = counted[..., None]
         return np.where(counted, values, 0).sum(axis=2) / np.maximum(counted.sum(axis=2), 1)
 
-    def chosen(values: np.ndarray) -> np.ndarray:
+    def first_covered(values: np.ndarray) -> np.ndarray:
         return np.take_along_axis(values, first, axis=2)[:, :, 0]
 
     normals, tangents = children(bake.normal), children(bake.tangent)
-    normal = _unit(mean(normals, flat), chosen(normals))
-    sign = chosen(tangents)[..., 3:]
-    alike = flat & (tangents[..., 3] == sign)  # a mirrored neighbour's tangent would be another frame's
-    tangent = _across(mean(tangents[..., :3], alike), chosen(tangents)[..., :3], normal)
+    normal = _unit(mean(normals, flat), first_covered(normals))
+    sign = first_covered(tangents)[..., 3:]
+    same_frame = flat & (tangents[..., 3] == sign)  # a mirrored neighbour's tangent would be another frame's
+    tangent = _orthogonal(mean(tangents[..., :3], same_frame), first_covered(tangents)[..., :3], normal)
     return GeometryBake(
         mean(children(bake.position), flat).astype(np.float32), normal.astype(np.float32),
         np.concatenate([tangent, sign], axis=-1).astype(np.float32), flat.any(axis=-1),
@@ -146,7 +146,7 @@ def _coarser_bake(bake: GeometryBake) -> GeometryBake:
     )  # fmt: skip
 
 
-def _across(tangent: np.ndarray, otherwise: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _orthogonal(tangent: np.ndarray, otherwise: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Return the unit vectors perpendicular to the normal that are nearest to the tangent (Gram–Schmidt)."""
     result = tangent - (tangent * normal).sum(axis=-1, keepdims=True) * normal
     second = otherwise - (otherwise * normal).sum(axis=-1, keepdims=True) * normal
@@ -164,7 +164,7 @@ def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
     )
 
 
-def _beside(size: int, coarse: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _linear_weights(size: int, coarse: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield, for each texel of an axis, the index and bilinear weight of its own cell, then of the next cell."""
     at = np.arange(size)
     yield at // 2, np.full(size, _NEAR)

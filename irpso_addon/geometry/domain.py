@@ -1,4 +1,4 @@
-"""The grid on which maps are solved, and all that a solver needs to know of it."""
+"""Domains: the texels on which maps are solved, with their geometry, samples, lights and views."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class GeometryBake:
         return np.stack([tangent[..., :3], bitangent, normal], axis=-2)
 
     def each(self, change: Callable[[np.ndarray], np.ndarray]) -> GeometryBake:
-        """Return the geometry of other texels: what ``change`` makes of each array."""
+        """Return the geometry with ``change`` applied to each array."""
         return GeometryBake(**{item.name: change(getattr(self, item.name)) for item in fields(GeometryBake)})
 
 
@@ -92,9 +92,9 @@ class Domain:
 
 
 def solvable_texels(bake: GeometryBake, stack: SampleStack) -> np.ndarray:
-    """Return (H, W) bool: covered texels that at least one observation sees lit. It may read the whole stack.
+    """Return (H, W) bool: covered texels that at least one observation sees lit. May read the whole stack.
 
-    A texel that is black under every light says nothing: any normal that faces no light would do for it.
+    A texel that is black under every light has no information: any normal that faces away from all lights fits it.
     """
     return stack.lit(bake.coverage)
 
@@ -129,7 +129,7 @@ def with_lights(domain: Domain, lights: np.ndarray, intensities: np.ndarray) -> 
 def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: np.ndarray | None = None) -> Domain:
     """Return the domain with only some observations, by index or (K,) bool. Geometry and tiling stay as they are.
 
-    solvable: of the result, where it has been found already.
+    solvable: (H, W) bool of the result; None: computed from its samples.
     """
     chosen = np.asarray(observations)
     chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.intp)
@@ -149,7 +149,7 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: n
 def laid_on(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
     """Return a domain of other texels, whole and at the origin, with samples ``values`` (K, H, W, 4).
 
-    Lights, views and noise are those of the domain.
+    Lights, views and noise stay those of ``domain``.
     """
     return with_samples(replace(domain, bake=bake, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0)), values)
 

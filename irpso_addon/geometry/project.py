@@ -86,7 +86,7 @@ class Projector:
         self._shape = bake.coverage.shape
         self._bake, self._seen, self._grazing, self._steps, self._fall = bake, seen, grazing, steps, fall
         self._rounding = ROUNDING * float(np.abs(seen.position).max(initial=0))
-        parts = [self._look(block) for block in blocks(np.flatnonzero(bake.coverage))]
+        parts = [self._visible_groups(block) for block in blocks(np.flatnonzero(bake.coverage))]
         self._groups = _joined([group for groups in parts for group in groups])
         del self._bake, self._seen, self._steps  # they may be large
 
@@ -160,7 +160,7 @@ class Projector:
                 result |= flags[np.where(counts, pixel, 0)] & (counts & (weight > 0))[:, None]
         return result
 
-    def _look(self, texels: np.ndarray) -> list[_Group]:
+    def _visible_groups(self, texels: np.ndarray) -> list[_Group]:
         """Return the visible texels in groups with the same number of places."""
         camera, size = self.camera, len(texels)
         texels = filled(texels)
@@ -201,11 +201,11 @@ class Projector:
             chosen = np.flatnonzero(along[:, 0].astype(int) * (MOST + 1) + along[:, 1] == key)
             group = seen.part(chosen)
             group.along = divmod(int(key), MOST + 1)
-            shown = self._count(group, surface.part(chosen))
+            shown = self._mark_visible(group, surface.part(chosen))
             groups.append(group.part(shown >= (1 if group.along == (1, 1) else USABLE)))
         return [group for group in groups if len(group.texels)]
 
-    def _count(self, group: _Group, surface: _Surface) -> np.ndarray:
+    def _mark_visible(self, group: _Group, surface: _Surface) -> np.ndarray:
         """Set the bits of the places that show each texel's surface; return their share."""
         limit = np.array([self.camera.width - 1, self.camera.height - 1], np.float32)
         tolerance = _SAME_SURFACE * surface.pixel * max(1.0, max(group.along) / 2) + self._rounding

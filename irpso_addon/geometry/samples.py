@@ -1,4 +1,4 @@
-"""The sample stack of a domain: what every observation shows at every texel, wherever it is stored."""
+"""Sample stacks: radiance and weight of every observation at every texel; in memory, in a file or over ranks."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class SampleStack(Protocol):
         """Yield the samples of every observation, as ``layer`` returns them."""
 
     def another(self, scratch: Path | None = None) -> SampleStack:
-        """Return a stack of zeros of its shape, to be filled by ``put``, in a store of its kind.
+        """Return a stack of zeros with this shape and kind of store, to be filled by ``put``.
 
-        scratch: folder of a mapped file, None for memory; ranks have memory alone.
+        scratch: folder of a mapped file, None for memory; a stack over ranks ignores it.
         """
 
     def put(self, observation: int, layer: np.ndarray) -> None:
@@ -76,7 +76,7 @@ class ArrayStack:
         return iter(self.values)
 
     def another(self, scratch: Path | None = None) -> ArrayStack:
-        """Return a stack of zeros of its shape, in memory or mapped from a file in the folder ``scratch``."""
+        """Return a stack of zeros with this shape, in memory or mapped from a file in the folder ``scratch``."""
         return new_stack(*self.shape, scratch)
 
     def put(self, observation: int, layer: np.ndarray) -> None:
@@ -118,9 +118,9 @@ def new_stack(observations: int, height: int, width: int, scratch: Path | None =
 
 
 def mapped_array(folder: Path, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
-    """Return zeros mapped from a temporary file in a folder; the file is gone with the array, or with the process.
+    """Return zeros mapped from a temporary file in a folder; the file disappears with the array or the process.
 
-    Raises InputError where the disk has no room: found out later, in the middle of a write, it would kill the process.
+    Raises InputError where the disk has no room: on a full disk a later write would kill the process.
     """
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     try:

@@ -22,7 +22,7 @@ def world_normals(bake: GeometryBake, normals: np.ndarray) -> np.ndarray:
 
     A card's world is its camera's frame. Texels outside the coverage become (0, 0, 1).
     """
-    return changed_normals(bake, normals, lambda texels, frames, given: np.einsum("nij,ni->nj", frames, given))
+    return changed_normals(bake, normals, lambda texels, frames, local: np.einsum("nij,ni->nj", frames, local))
 
 
 def changed_normals(bake: GeometryBake, normals: np.ndarray, change: Change) -> np.ndarray:
@@ -36,8 +36,8 @@ def changed_normals(bake: GeometryBake, normals: np.ndarray, change: Change) -> 
     texels = np.flatnonzero(bake.coverage)
     for start in range(0, len(texels), BLOCK):
         block = texels[start : start + BLOCK]
-        given = np.asarray(normals, np.float64).reshape(-1, 3)[block]
-        changed = change(block, bake.frames(np.unravel_index(block, bake.coverage.shape)), given)
+        local = np.asarray(normals, np.float64).reshape(-1, 3)[block]
+        changed = change(block, bake.frames(np.unravel_index(block, bake.coverage.shape)), local)
         changed[~changed.any(axis=1)] = (0, 0, 1)
         result.reshape(-1, 3)[block] = unit(changed)
     return result

@@ -1,4 +1,4 @@
-"""Long draws in bands of rows: drivers kill long draws, and a window must not stall."""
+"""Draws in bands of rows of limited time: drivers kill long draws, and a window must not stall."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterator
 _FIRST_BANDS = 64  # bands of a pass without a measured rate
 _GRAIN = 4  # rows that cost the same as one: software renderers shade blocks of 4 × 4
 _GROWTH = 2  # largest ratio of the rows of successive bands
-_FORGET = 0.8  # of a rate kept after a faster band: the next region of a picture may be slow again
+_DECAY = 0.8  # factor of the seconds per row after a faster band: the next region may be slow again
 _TIMED_BANDS = 3  # per kind, before unpaced runs use its rate
 _TIME_AGAIN = 64  # runs of a pass between later timings
 
 
 class Bands:
-    """Rows per band of every pass, from times measured with a fence. The result of a pass does not depend on it.
+    """Rows per band of every pass, from times measured with a fence. The bands do not change a pass's result.
 
-    paced: wait for every band, so that a clock read between bands shows their cost. part: fraction drawn, 0…1, of the
+    paced: wait for every band, so that the time between yields is the band's cost. part: drawn fraction, 0…1, of the
     last ``counted`` pass.
     """
 
@@ -39,8 +39,8 @@ class Bands:
     ) -> Iterator[None]:
         """Draw all rows in bands of about ``seconds`` each; yields after every band.
 
-        The very first band is the smallest: drivers compile in it, so its time is ignored. counted: ``part`` follows
-        this pass.
+        The very first band is the smallest: drivers compile in it, so its time is ignored. counted: ``part`` shows
+        this pass's progress.
         """
         runs = self._runs[name] = self._runs.get(name, 0) + 1
         row = 0
@@ -85,4 +85,4 @@ class Bands:
         rate = max(1e-7, seconds_per_row)
         before = self._seconds_per_row.get(name, rate)
         # Slower rates apply at once, faster ones gradually: an extra band costs less than a stall.
-        self._seconds_per_row[name] = max(rate, _FORGET * before)
+        self._seconds_per_row[name] = max(rate, _DECAY * before)

@@ -9,18 +9,18 @@ from ..core.paths import ROOT
 
 
 def child_command(code: str, arguments: Sequence[str] = ()) -> list[str]:
-    """Return the command that runs Python code in a process of its own, which finds this program and its libraries.
+    """Return the command that runs Python code in a child process with this program and its libraries in its path.
 
     The code gets the arguments as the end of ``sys.argv``. The process has the user's Blender with factory settings, or
     this Python with the bpy wheel.
     """
     # Last in the path: an extension's libraries are there, but also Blender's own modules, which hide the wheel's bpy.
-    found = f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.path += {sys.path!r}; {code}"
+    script = f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.path += {sys.path!r}; {code}"
     if not _inside_blender():
-        return [sys.executable, "-c", found, *arguments]
+        return [sys.executable, "-c", script, *arguments]
     import bpy
 
-    options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", found]
+    options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", script]
     return [bpy.app.binary_path, *options, "--", *arguments]
 
 

@@ -11,10 +11,10 @@ from ..core.errors import ShaderError
 from .output import caught_output
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # Blender colours its log where the process has a terminal
-_PLACED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | after its row
+_LOCATED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | after its row
 _ECHO = re.compile(r"[\s|]*?(\d+) \|")
 # A place before the message is Blender's own mapping of the row to files, which is wrong in 4.2.
-_SAID = re.compile(r"[\s|]*(?:\S+:\d+:\d+: )?((?:\w+ )?(?:error|warning|note): .*)", re.IGNORECASE)
+_MESSAGE = re.compile(r"[\s|]*(?:\S+:\d+:\d+: )?((?:\w+ )?(?:error|warning|note): .*)", re.IGNORECASE)
 _STAGE = re.compile(r"(?:(Vert|Frag|Compute)Shader|Linking):\s*$")
 _STAGES = {"Vert": "vertex", "Frag": "fragment", "Compute": "compute"}
 _MARK = re.compile(r'#line 1 "([^"]+)"')
@@ -35,10 +35,10 @@ def compile_shader(name: str | Path, make_info: Callable[[], Any], sources: Mapp
     # Some drivers and versions accept marks with a file name; their log is complete.
     shader, named = _attempt(make_info, sources)
     if shader is None and any(f"{label}:" in named for text in sources.values() for label in _MARK.findall(text)):
-        said = messages_of(named)
+        messages = messages_of(named)
     else:
-        said = _mapped(make_info, sources) or messages_of(log)
-    raise ShaderError(f"shader '{name}' does not compile", said)
+        messages = _mapped(make_info, sources) or messages_of(log)
+    raise ShaderError(f"shader '{name}' does not compile", messages)
 
 
 def messages_of(log: str) -> str:
@@ -48,7 +48,7 @@ def messages_of(log: str) -> str:
     """
     log = _COLOUR.sub("", log)
     lines = [line.strip(" |\t") for line in log.splitlines()]
-    return _errors([line for line in lines if _PLACED.match(line)]) or log.strip()
+    return _errors([line for line in lines if _LOCATED.match(line)]) or log.strip()
 
 
 def rows_of(log: str) -> Iterator[tuple[str | None, int | None, str]]:
@@ -60,10 +60,10 @@ def rows_of(log: str) -> Iterator[tuple[str | None, int | None, str]]:
             stage, row = _STAGES.get(header[1]), None
         elif echo := _ECHO.match(line):
             row = int(echo[1])
-        elif said := _SAID.match(line):
+        elif message := _MESSAGE.match(line):
             # Messages of one place are consecutive; a new place begins with an empty line, then its code.
             row = None if gutter else row
-            yield stage, row, said[1].strip()
+            yield stage, row, message[1].strip()
         gutter = not line.strip(" |\t")
 
 
@@ -83,13 +83,13 @@ def _mapped(make_info: Callable[[], Any], sources: Mapping[str, str]) -> str:
     places = {stage: places_of(text) for stage, text in sources.items()}
     before: dict[str, int | None] = {}
     lines = []
-    for stage, row, said in rows_of(_attempt(make_info, texts)[1]):
+    for stage, row, message in rows_of(_attempt(make_info, texts)[1]):
         if stage in places and stage not in before:
             before[stage] = _rows_before(make_info, texts, stage)
         if stage is not None and row is not None and (offset := before.get(stage)) is not None:
             index = min(max(row - offset, 1), len(places[stage])) - 1
-            said = "{}:{}: {}".format(*places[stage][index], said)
-        lines.append(said)
+            message = "{}:{}: {}".format(*places[stage][index], message)
+        lines.append(message)
     return _errors(lines)
 
 

@@ -1,4 +1,4 @@
-"""GPU context, with or without a window, and a clean end of the process."""
+"""GPU context with or without a window: creation, limits of the device, clean end of the process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..core.interrupt import interrupted_afterwards
 from .output import caught_output
 
 _SOFTWARE = ("llvmpipe", "softpipe", "lavapipe", "swiftshader")
-# What OpenGL calls free memory, in KiB: GL_NVX_gpu_memory_info, GL_ATI_meminfo.
+# OpenGL enums of free memory in KiB: GL_NVX_gpu_memory_info, GL_ATI_meminfo.
 _FREE_KIB = (0x9049, 0x87FC)
 _ready = False
 
@@ -87,9 +87,9 @@ def on_software_vulkan() -> bool:
 
 
 def free_device_memory() -> int | None:
-    """Return the free bytes of the device's own memory, as its OpenGL driver tells them; None where it does not.
+    """Return the free bytes of the device's memory from its OpenGL driver; None where the driver has no such query.
 
-    Blender has no name for it. Right on an H100, whose driver is NVIDIA's.
+    Blender has no query for it. Correct on an H100 with NVIDIA's driver.
     """
     import gpu
 
@@ -101,7 +101,7 @@ def free_device_memory() -> int | None:
         return None
     for name in _FREE_KIB:
         answer = (ctypes.c_int * 4)()
-        driver.glGetError()  # of others, before
+        driver.glGetError()  # clears errors of earlier calls
         driver.glGetIntegerv(name, answer)
         if driver.glGetError() == 0 and answer[0] > 0:
             return answer[0] << 10

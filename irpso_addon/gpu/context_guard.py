@@ -1,4 +1,4 @@
-"""A guard against use of frame buffers in another GPU context."""
+"""Guard against the use of frame buffers in another GPU context."""
 
 from __future__ import annotations
 

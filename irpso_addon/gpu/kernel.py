@@ -1,4 +1,4 @@
-"""Kernels: GLSL for one texel, with what it reads, writes and is given."""
+"""Kernels: GLSL for one texel, with declarations of its inputs, outputs, constants and includes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Packed:
 
 @dataclass(frozen=True)
 class Output:
-    """What a kernel writes: the GLSL variable's name and the texture's format (R32F, RGBA32F, RGBA16F, or Packed)."""
+    """An output of a kernel: the GLSL variable's name and the texture's format (R32F, RGBA32F, RGBA16F, or Packed)."""
 
     name: str
     format: str | Packed = "RGBA32F"
@@ -45,7 +45,7 @@ class Kernel:
     The function is not called kernel because that is a keyword of Metal, into which Blender translates it on macOS.
     source: path under shaders/ or of the user's own. outputs: at most 6 textures, all of one size. samplers: name →
     FLOAT_2D, FLOAT_2D_ARRAY or Packed. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. given:
-    what an #include of that name brings, as text (generated declarations) or as the path of a file (a model).
+    name of an #include → its text (generated declarations) or the path of its file (a model).
     """
 
     source: str | Path
@@ -61,7 +61,7 @@ class Kernel:
         return [pair for output in self.outputs for pair in _textures(output.name, output.format, "RGBA32F")]
 
     def declared(self, source: str) -> dict[str, str]:
-        """Return the textures that the source of this kernel reads, with their kinds: kernels share their tables."""
+        """Return the textures that this kernel's source reads, with kinds; its table of samplers may have more."""
         named = set(re.findall(r"\b(?:u|read)_\w+", source))
         return {
             each: kind_of_each
@@ -71,7 +71,7 @@ class Kernel:
         }
 
     def needed(self, source: str) -> dict[str, str]:
-        """Return the constants that the source of this kernel names, with their kinds: kernels share their tables."""
+        """Return the constants that this kernel's source names, with kinds; its table of constants may have more."""
         named = set(re.findall(r"\bu_\w+", source))
         return {name: kind for name, kind in self.constants.items() if name in named}
 

@@ -1,4 +1,4 @@
-"""The shader library: GLSL files with includes; every line stays traceable to its file."""
+"""Shader library: GLSL files with their includes expanded; #line marks give each line's file."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ def defined(path: str, prefix: str = "") -> dict[str, int | float]:
     return {name: float(value) if re.search("[.e]", value) else int(value) for name, value in found}
 
 
-def _expand(found: Path | tuple[str, str], given: Mapping[str, str | Path], seen: set) -> list[str]:
-    seen.add(found)
-    if isinstance(found, Path):
-        # Names are short, without quotes and backslashes, which break #line.
-        label = found.relative_to(SHADERS).as_posix() if found.is_relative_to(SHADERS) else found.name
-        text, beside = found.read_text(encoding="utf-8"), found.parent
+def _expand(source: Path | tuple[str, str], given: Mapping[str, str | Path], seen: set) -> list[str]:
+    seen.add(source)
+    if isinstance(source, Path):
+        # A short label: quotes or backslashes of a full path would break #line.
+        label = source.relative_to(SHADERS).as_posix() if source.is_relative_to(SHADERS) else source.name
+        text, folder = source.read_text(encoding="utf-8"), source.parent
     else:
-        label, text = found
-        beside = None
+        label, text = source
+        folder = None
     before: list[str] = []
     for match in _INCLUDE.finditer(text):
-        included = _find(match.group(1), beside, given, label, text.count("\n", 0, match.start()) + 1)
+        included = _find(match.group(1), folder, given, label, text.count("\n", 0, match.start()) + 1)
         if included not in seen:
             before += _expand(included, given, seen)
     return [*before, f'#line 1 "{label}"', _INCLUDE.sub("", text).removesuffix("\n")]
 
 
 def _find(
-    name: str, beside: Path | None, given: Mapping[str, str | Path], label: str, line: int
+    name: str, folder: Path | None, given: Mapping[str, str | Path], label: str, line: int
 ) -> Path | tuple[str, str]:
     if name in given:
         value = given[name]
         return value.resolve() if isinstance(value, Path) else (name, value)
-    for path in (Path(name) if beside is None else beside / name, SHADERS / name):
+    for path in (Path(name) if folder is None else folder / name, SHADERS / name):
         if path.is_file():
             return path.resolve()
     raise ShaderError(f'{label}:{line}: #include "{name}" names no file beside it or in shaders/')

@@ -15,7 +15,7 @@ def caught_output() -> Iterator[Callable[[], str]]:
     sys.stdout.flush()
     sys.stderr.flush()
     with tempfile.TemporaryFile() as log:
-        kept = [os.dup(stream) for stream in (1, 2)]
+        copies = [os.dup(stream) for stream in (1, 2)]
         for stream in (1, 2):
             os.dup2(log.fileno(), stream)
 
@@ -30,6 +30,6 @@ def caught_output() -> Iterator[Callable[[], str]]:
         finally:
             sys.stdout.flush()
             sys.stderr.flush()
-            for stream, copy in zip((1, 2), kept, strict=True):
+            for stream, copy in zip((1, 2), copies, strict=True):
                 os.dup2(copy, stream)
                 os.close(copy)

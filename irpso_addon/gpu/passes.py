@@ -13,10 +13,10 @@ from .textures import Texture
 
 
 class Pass:
-    """A kernel, compiled where it is first run. Fragment and compute entries take the same arguments, write the same.
+    """A kernel, compiled at its first run. Fragment and compute entries take the same arguments and write the same.
 
-    Compiling may take a second, on software renderers most of it in the first draw: who has a window to keep alive
-    runs a pass for the first time in a slice of its own.
+    Compiling may take a second, on software renderers most of it in the first draw: callers with a window give the
+    first run of a pass a slice of its own.
     """
 
     def __init__(self, kernel: Kernel, entry: Entry = "fragment"):
@@ -28,7 +28,7 @@ class Pass:
         self._framebuffers: dict[tuple[int, ...], Any] = {}
 
     def compile(self) -> Program:
-        """Compile now what would be at the first run; return the program. Raises ShaderError, GpuUnavailableError."""
+        """Compile the kernel, unless done; return the program. Raises ShaderError, GpuUnavailableError."""
         self._program = self._program or program_of(self.kernel, self.entry)
         return self._program
 
@@ -39,7 +39,7 @@ class Pass:
         constants: Mapping[str, int | float] = {},
         rows: tuple[int, int] | None = None,
     ) -> None:
-        """Run the kernel over rows [start, stop) of the targets (all rows where None). Returns before it is done."""
+        """Start the kernel over rows [start, stop) of the targets (None: all); return before the GPU has finished."""
         import gpu
 
         first, last = rows or (0, targets[0].height)
@@ -50,7 +50,7 @@ class Pass:
             for name in program.samplers:
                 shader.uniform_sampler(name, textures[name])
             for name, kind in program.constants.items():
-                value = constants[name]  # on every backend: Vulkan keeps those that OpenGL's compiler removes
+                value = constants[name]  # on every backend: Vulkan keeps constants that OpenGL's compiler removes
                 if name in program.active:
                     (shader.uniform_int if kind == "INT" else shader.uniform_float)(name, value)
             if self.entry == "compute":
@@ -83,7 +83,7 @@ class Pass:
         textures: Mapping[str, Texture],
         constants: Mapping[str, int | float] = {},
     ) -> Iterator[None]:
-        """Run something short over all rows, then yield."""
+        """Run a short pass over all rows in one draw, then yield."""
         return bands.once(lambda: self.run(targets, textures, constants), lambda: self.fence(targets))
 
     def framebuffer(self, targets: Sequence[Texture]) -> Any:
@@ -100,13 +100,13 @@ class Pass:
         return self._framebuffers[key][0]
 
     def fence(self, targets: Sequence[Texture]) -> None:
-        """Wait until all that was drawn into ``targets`` is there."""
+        """Wait until the GPU has finished all draws into ``targets``."""
         framebuffer = self.framebuffer(targets)
-        with framebuffer.bind():  # its size is not known before
+        with framebuffer.bind():  # its size is unknown before it is bound
             framebuffer.read_color(0, 0, 1, 1, 4, 0, "FLOAT")
 
     def close(self) -> None:
-        """Free the frame buffers, and the program unless others run it."""
+        """Free the frame buffers, and the program unless another pass uses it."""
         self._framebuffers.clear()
         self._program = None
 
@@ -115,7 +115,7 @@ class Pass:
 
         framebuffer = self.framebuffer(targets)
         blend = gpu.state.blend_get()
-        gpu.state.blend_set("NONE")  # a draw callback is called with whatever its window blends with
+        gpu.state.blend_set("NONE")  # in a draw callback the window's blend mode is active
         try:
             with framebuffer.bind():
                 gpu.state.viewport_set(0, first, targets[0].width, last - first)

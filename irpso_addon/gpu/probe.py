@@ -29,7 +29,7 @@ _PROBE_SECONDS = 120
 def probe() -> dict:
     """Try a context and the probe kernel in a child process; return its description. Raises GpuUnavailableError.
 
-    Without a usable EGL the process that creates a context dies.
+    In a child, because without a usable EGL the process that creates a context dies.
     """
     command = child_command("from irpso_addon.gpu.probe import main; main()")
     try:
@@ -84,7 +84,7 @@ def faster_entry() -> Entry:
 
 
 def rounds_per_second(seconds: float) -> float:
-    """Return the rounds of the probe kernel, over all its texels, that a device does in a second."""
+    """Return the texel rounds per second of a device that runs the probe kernel in ``seconds``."""
     return _SIZE**2 * _ROUNDS / seconds
 
 

@@ -1,4 +1,4 @@
-"""Programs: kernels compiled for the GPU, once for all passes that run them at the same time."""
+"""Programs: kernels compiled for the GPU; passes that are alive at the same time share them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GLSL = {1: ("float", "FLOAT"), 4: ("vec4", "VEC4")}
 
 
 class Program:
-    """A compiled kernel. samplers, constants: what its source names. active: the constants that the compiler kept."""
+    """A compiled kernel. samplers, constants: those its source uses. active: constants that the compiler kept."""
 
     def __init__(self, kernel: Kernel, entry: Entry, source: str):
         """Compile a kernel. source: its own, with all that it includes. Raises ShaderError, GpuUnavailableError."""
@@ -83,9 +83,9 @@ _keepers: WeakSet[KeptPrograms] = WeakSet()
 
 
 class KeptPrograms:
-    """Keeps the programs that any pass asks for, until closed: of recoveries that follow one another.
+    """Keeps all requested programs until closed, for recoveries that follow one another.
 
-    Each would compile its kernels anew, which is a third of the time of many small ones.
+    Without it each recovery compiles its kernels anew: a third of the time of many small ones.
     """
 
     def __init__(self) -> None:
@@ -93,34 +93,34 @@ class KeptPrograms:
         _keepers.add(self)
 
     def add(self, program: Program) -> None:
-        """Keep one more."""
+        """Keep a program."""
         self._programs.add(program)
 
     def close(self) -> None:
-        """Let them go: those that no pass has are freed."""
+        """Release all programs; those without a pass are freed."""
         self._programs.clear()
 
 
 def program_of(kernel: Kernel, entry: Entry) -> Program:
-    """Return the program of a kernel: one that is alive, where all that it is made of is equal, or a new one."""
+    """Return the program of a kernel: a living one with equal source and declarations, or a new one."""
     source = source_of(kernel)
-    made_of = (entry, source, repr((kernel.outputs, kernel.samplers, kernel.constants, kernel.defines)))
-    program = _alive.get(made_of)
+    key = (entry, source, repr((kernel.outputs, kernel.samplers, kernel.constants, kernel.defines)))
+    program = _alive.get(key)
     if program is None:
-        program = _alive[made_of] = Program(kernel, entry, source)
+        program = _alive[key] = Program(kernel, entry, source)
     for keeper in _keepers:
         keeper.add(program)
     return program
 
 
 def source_of(kernel: Kernel) -> str:
-    """Return the GLSL of a kernel with all that it includes, without what Blender declares and without an entry."""
+    """Return the GLSL of a kernel with its includes, without Blender's declarations and without an entry."""
     source = read_source(kernel.source, kernel.given)
     return _packed_functions(kernel, source) + source
 
 
 def _packed_functions(kernel: Kernel, source: str) -> str:
-    """Return the functions that read and write the packed numbers of which the source speaks."""
+    """Return the GLSL functions that read and write the packed numbers named in the source."""
     named = set(re.findall(r"\b(?:read|write)_\w+", source))
     bound = [(f"read_{name.removeprefix('u_')}", name, kind) for name, kind in kernel.samplers.items()]
     bound += [(f"write_{output.name.removeprefix('o_')}", output.name, output.format) for output in kernel.outputs]
@@ -140,7 +140,7 @@ def _packed_functions(kernel: Kernel, source: str) -> str:
 
 
 def _declared(kernel: Kernel, source: str) -> dict[str, str]:
-    """Return ``kernel.declared``. Raises GpuUnavailableError where the device has no room: some have only 16 units."""
+    """Return ``kernel.declared``. Raises GpuUnavailableError above the device's texture units: some have only 16."""
     declared = kernel.declared(source)
     if len(declared) > (most := context.max_samplers()):
         raise GpuUnavailableError(
@@ -151,7 +151,7 @@ def _declared(kernel: Kernel, source: str) -> dict[str, str]:
 
 
 def _has_uniform(shader: Any, name: str) -> bool:
-    """Return whether the compiler kept a uniform: setting one that it removed is an error in Blender."""
+    """Return whether the compiled shader has a uniform: setting a removed one is an error in Blender."""
     try:
         shader.uniform_from_name(name)
     except ValueError:

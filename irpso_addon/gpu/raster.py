@@ -1,4 +1,4 @@
-"""Rasterization of triangles: the surface at each pixel's centre."""
+"""Rasterization of triangles on the GPU: the surface at each pixel's centre."""
 
 from __future__ import annotations
 
@@ -99,19 +99,19 @@ def _shader(source: str, outputs: list[tuple[str, str]], samplers: list[str]) ->
     import gpu
 
     def info() -> Any:
-        made = gpu.types.GPUShaderCreateInfo()
-        made.vertex_in(0, "VEC4", "place")
-        made.vertex_in(1, "INT", "corner")
+        create_info = gpu.types.GPUShaderCreateInfo()
+        create_info.vertex_in(0, "VEC4", "place")
+        create_info.vertex_in(1, "INT", "corner")
         between = gpu.types.GPUStageInterfaceInfo("bake")
         between.flat("INT", "v_triangle")
-        made.vertex_out(between)
+        create_info.vertex_out(between)
         for slot, name in enumerate(samplers):
-            made.sampler(slot, "FLOAT_2D", name)
+            create_info.sampler(slot, "FLOAT_2D", name)
         if samplers:
-            made.push_constant("VEC2", "u_size")
+            create_info.push_constant("VEC2", "u_size")
         for slot, (name, kind) in enumerate(outputs):
-            made.fragment_out(slot, kind, name)
-        return made
+            create_info.fragment_out(slot, kind, name)
+        return create_info
 
     sources = {"vertex": read_source("bake/vertex.glsl"), "fragment": read_source(source)}
     return compile_shader(source, info, sources)

@@ -1,4 +1,4 @@
-"""Exact transfer between numpy arrays and GPU textures."""
+"""GPU textures, and their exact transfer from and to numpy arrays."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def download(texture: Texture) -> np.ndarray:
 
 
 def texels(texture: Texture, places: Iterable[tuple[int, int]]) -> np.ndarray:
-    """Return (n, C) float32 of a float texture at n places (x, y): some microseconds each, however large it is."""
+    """Return (n, C) float32 of a float texture at n places (x, y): some microseconds each, at any texture size."""
     import gpu
 
     channels = CHANNELS[texture.format]

@@ -18,9 +18,9 @@ def versions() -> dict[str, str]:
 
     with open(ROOT / "blender_manifest.toml", "rb") as file:
         own = tomllib.load(file)["version"]
-    found = {"irpso": own, "python": platform.python_version(), "numpy": np.__version__, "openexr": OpenEXR.__version__}
+    table = {"irpso": own, "python": platform.python_version(), "numpy": np.__version__, "openexr": OpenEXR.__version__}
     try:
         import bpy
     except ImportError:
-        return found
-    return found | {"blender": bpy.app.version_string}
+        return table
+    return table | {"blender": bpy.app.version_string}

@@ -45,11 +45,11 @@ class Surface:
         depth: bool = True,
         stripes: float = 0.0,
     ) -> None:
-        """Draw it with a picture, in a POST_VIEW callback or with a bound frame buffer.
+        """Draw the surface with a picture, in a POST_VIEW callback or with a bound frame buffer.
 
         picture: a texture of display values; alpha 0 is not drawn. view_projection, model: (4, 4). second: another
         picture, right of ``split``, a fraction of the region's width. region_size: in pixels, by default of the bound
-        frame buffer. depth: the scene in front and its own near side hide it. stripes: distance, in pixels, of stripes
+        frame buffer. depth: the scene and nearer parts of the surface hide it. stripes: distance, in pixels, of stripes
         over texels of alpha below 1, 0 for none.
         """
         matrix = np.asarray(view_projection, np.float64) @ np.asarray(model, np.float64)
@@ -61,7 +61,7 @@ class Surface:
             "u_stripes": stripes,
         }
         bound = {"u_picture": picture, "u_second": picture if second is None else second}
-        # It writes its own depth too: an engine that is still compiling draws no scene to hide its far side.
+        # The surface writes depth too: while an engine compiles, no scene depth hides its far side.
         _draw(self._shader, self._batch, matrix, constants, bound, depth, write=depth)
 
     def close(self) -> None:

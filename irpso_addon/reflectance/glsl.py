@@ -1,4 +1,4 @@
-"""The table of parameters, written as GLSL declarations for the kernels that use it: components and priors."""
+"""GLSL declarations generated from a model's table of parameters: packing of components, and priors."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
 
 def material_declaration(model: ReflectanceModel) -> str:
-    """Return ``struct Material``, one field a parameter, and the functions that pack and unpack components.
+    """Return the GLSL of ``struct Material``, one field per parameter, and of its packing and unpacking.
 
     ``Material material_from(inout float c[12])`` and ``void material_to(Material s, out float c[12])`` keep the order;
-    arrays go by reference, since Metal has none by value.
+    arrays are passed by reference: Metal has none by value.
     """
     fields = [f"    {_TYPES[p.components]} {p.name};" for p in model.parameters]
     unpack, pack = [], ["    for (int i = 0; i < 12; i++) { c[i] = 0.0; }"]
@@ -27,12 +27,12 @@ def material_declaration(model: ReflectanceModel) -> str:
 
 
 def prior_declaration(model: ReflectanceModel) -> str:
-    """Return PRIORS, how many components have a prior, and what the priors say of a material's components.
+    """Return the GLSL of PRIORS, the number of components with a prior, and of functions of the priors.
 
     ``float prior_deviance(inout float c[12])`` is −2 log of their densities, up to a constant. ``void prior_slopes(
     inout float c[12], out float slope[12], out float curvature[12])`` gives half its first and half its second
-    derivatives, ``float prior_precision(inout float c[12], int component)`` 1 over its variance; 0 for a concave one,
-    which chooses between what the samples leave open and makes none of it certain.
+    derivatives. ``float prior_precision(inout float c[12], int component)`` is 1 over its variance; 0 for a concave
+    one, which selects among values that the samples do not determine, but makes none of them certain.
     """
     deviances, slopes, precisions = [], [], []
     for p in model.parameters:
@@ -55,13 +55,13 @@ def prior_declaration(model: ReflectanceModel) -> str:
                 deviance = f"2.0 * (abs(d) - d * d * {0.5 / extent!r}) / w"
                 slope, curvature = f"{side!r} * {left} / w", "0.0"
             deviances.append([*lines, f"sum += {deviance};"])
-            found = [*lines, f"slope[{i}] += {slope};", f"curvature[{i}] += {curvature};"]
+            derivatives = [*lines, f"slope[{i}] += {slope};", f"curvature[{i}] += {curvature};"]
             if along is not None:  # d(1 / wᵏ) = k / wᵏ · 2 x / (1 − x²) dx
                 power = 2.0 if p.prior.kind == "normal" else 1.0
-                found.append(
+                derivatives.append(
                     f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x / max(1.0 - x * x, {NARROWEST!r});"
                 )
-            slopes.append(found)
+            slopes.append(derivatives)
 
     def blocks(parts: list[list[str]]) -> list[str]:
         return [line for part in parts for line in ("    {", *(f"        {x}" for x in part), "    }")]

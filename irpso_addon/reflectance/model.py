@@ -1,4 +1,4 @@
-"""Reading a reflectance model: its table of parameters (TOML) and the shader beside it (GLSL)."""
+"""Reflectance models: table of parameters (TOML), checked when read, and the shader beside it (GLSL)."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from ..core.paths import MODELS
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
-NARROWEST = 0.02  # of a prior's width, what is left of it where it vanishes
+NARROWEST = 0.02  # least fraction of a prior's width where it vanishes
 _KINDS = ("search", "linear")
 _PRIORS = ("normal", "concave")
 _COLOR_SPACES = ("Non-Color", "sRGB")
-# What the keys of the TOML hold, where it is no number.
+# Types of TOML keys; others are texts.
 _KIND_OF = {"ordered": list, "complement": list, "material": dict}
 _WORDS: dict[type, str] = {str: "a text", list: "a list of names", dict: "a table"}
 
 
-Start = tuple[tuple[str, tuple[float, ...]], ...]  # parameters' names, each with its components; the mirror's has none
-_MIRROR = "mirror"  # what a start says of the normal, and nothing else
+Start = tuple[tuple[str, tuple[float, ...]], ...]  # (name, components), …; none for a mirror normal
+_MIRROR = "mirror"  # the only start value of a normal
 
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """What is believed of a parameter before any photograph is seen, of each of its components alike.
+    """Prior density of a parameter, the same for each of its components.
 
-    kind: "normal" around ``value`` with the standard deviation ``width``; "concave" away from ``value``, an end of the
-    range: −2 log p = 2 (d − d² / 2R) / width at the distance d of R, which draws at what is near the value and leaves
-    the other end alone (the minimax concave penalty; Zhang 2010, Nearly Unbiased Variable Selection). vanishes_with:
-    a scalar parameter, at the end of whose range the width is 0; it is (1 − x²) times its own at the place x in it.
+    kind: "normal" around ``value`` with the standard deviation ``width``; "concave", where ``value`` is an end of the
+    range of length R: −2 log p = 2 (d − d² / 2R) / width at the distance d from it, which attracts near the value and
+    not at all at the other end (the minimax concave penalty; Zhang 2010, Nearly Unbiased Variable Selection).
+    vanishes_with: a scalar parameter; at its position x in its range, 0…1, the width is (1 − x²) times ``width``.
     """
 
     kind: str
@@ -47,9 +47,9 @@ class ParameterPrior:
     vanishes_with: str = ""
 
     def variance(self, values: np.ndarray, extent: float, place: np.ndarray | None = None) -> np.ndarray:
-        """Return (…) its variance around values (…): ∞ where it draws at nothing. extent: of the range.
+        """Return (…) the prior's variance around values (…), ∞ where it has no slope. extent: length of the range.
 
-        place: (…) of the scalar that it vanishes with, in that scalar's range, 0 to 1.
+        place: (…) position of the scalar ``vanishes_with`` in that scalar's range, 0…1.
         """
         width = self.width if place is None else self.width * np.maximum(1 - place**2, NARROWEST)
         left = 1.0 if self.kind == "normal" else 1 - np.abs(values - self.value) / extent
@@ -62,11 +62,11 @@ class Parameter:
     """One row of a model's table.
 
     name: also the field of ``Material`` in GLSL. components: 1 to 4 (a normal has 3). range: (low, high), the same for
-    all components. default: what it is held at where it is neither known nor searched. kind: "search" for what swarms
-    must search, "linear" for what the radiance is linear in. map: the file stem it is written to; parameters that name
-    the same map become its channels in order. color_space: "sRGB" or "Non-Color", of the 8/16-bit picture.
-    socket: the shader socket it drives, "" for none. stage: which stage of a staged schedule searches it.
-    is_normal: a unit vector rather than independent numbers. prior: what is believed of a searched parameter.
+    all components. default: its value where it is neither known nor searched. kind: "search" if swarms must search it,
+    "linear" if the radiance is linear in it. map: stem of its file; parameters that name the same map become its
+    channels in order. color_space: "sRGB" or "Non-Color", of the 8/16-bit picture.
+    socket: the shader socket it drives, "" for none. stage: the stage of a staged schedule that searches it.
+    is_normal: a unit vector rather than independent numbers. prior: of a searched parameter, None for a uniform one.
     """
 
     name: str
@@ -83,29 +83,29 @@ class Parameter:
 
     @property
     def width(self) -> float:
-        """The width of its range: the deviation of a number about which nothing is known, a normal's in radians."""
+        """The width of its range, the deviation of an unknown value; of a normal π / 2 radians."""
         return math.pi / 2 if self.is_normal else self.range[1] - self.range[0]
 
     @property
     def has_unknown(self) -> bool:
-        """Whether one deviation says at which texels it is unknown: of a normal, or of a searched number."""
+        """Whether a single deviation tells where it is unknown: for a normal or a searched scalar."""
         return self.is_normal or (self.kind == "search" and self.components == 1)
 
     @property
     def is_albedo(self) -> bool:
-        """Whether radiance is proportional to this colour: brightness bounds it, a seed starts it."""
+        """Whether it is a colour to which radiance is proportional: brightness bounds it, a seed starts it."""
         return self.kind == "linear" and self.components == 3
 
 
 @dataclass(frozen=True)
 class ReflectanceModel:
-    """A reflectance model: what there is to find, and the shader that says how it looks.
+    """A reflectance model: its parameters, and the shader of its BRDF.
 
-    bases: names of the linear parameters whose basis the shader defines, and "fixed" where it defines what is left
+    bases: names of the linear parameters whose basis the shader defines, and "fixed" if it defines the radiance
     without them (shaders/README.md). ordered: names of scalar parameters kept in rising order while searching
     (interchangeable lobes). complement: names of scalars that become 1 − value when the lobes are exchanged. material:
     the table [material] of the TOML, read by blender/materials/material.py: ``shader`` names a builder there. starts:
-    places from which a refinement begins besides the estimate.
+    starting points of a refinement besides the estimate.
     """
 
     name: str
@@ -119,7 +119,7 @@ class ReflectanceModel:
     starts: tuple[Start, ...] = ()
 
     def parameter(self, name: str) -> Parameter:
-        """Return the parameter called ``name``; InputError names the ones there are."""
+        """Return the parameter of this name. Raises InputError that lists the names."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
@@ -127,17 +127,17 @@ class ReflectanceModel:
         raise InputError(f"model {self.name} has no parameter '{name}'; it has: {names}")
 
     def without_priors(self, names: Collection[str]) -> ReflectanceModel:
-        """Return the model without what it believes of the parameters named."""
+        """Return the model without the priors of the named parameters."""
         parameters = tuple(replace(p, prior=None) if p.name in names else p for p in self.parameters)
         return replace(self, parameters=parameters)
 
     @property
     def components(self) -> int:
-        """How many numbers describe one texel's material."""
+        """The number of components of all parameters together."""
         return sum(p.components for p in self.parameters)
 
     def offset(self, name: str) -> int:
-        """Return the index of a parameter's first component among all components, in the table's order."""
+        """Return the index of a parameter's first component among all, in the table's order. Raises KeyError."""
         position = 0
         for parameter in self.parameters:
             if parameter.name == name:
@@ -154,7 +154,7 @@ def shipped_models() -> list[str]:
 def load_model(name_or_path: str | Path) -> ReflectanceModel:
     """Read a shipped model by name, or a user's own by the path of its .toml file (the .glsl lies beside it).
 
-    What both files hold: shaders/README.md. The shader is compiled by the recovery that uses it. Raises InputError
+    Their format: shaders/README.md. The shader is compiled by the recovery that uses it. Raises InputError
     naming the file, the key and the remedy.
     """
     table, path = load_shipped_table("model", name_or_path, MODELS)

@@ -1,4 +1,4 @@
-"""Nodes from a grain's two numbers to Anisotropic, Anisotropic Rotation and Tangent of Principled BSDF."""
+"""Nodes that convert a grain's two parameters to Anisotropic, Anisotropic Rotation and Tangent of Principled BSDF."""
 
 from __future__ import annotations
 

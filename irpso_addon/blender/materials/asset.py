@@ -1,4 +1,4 @@
-"""A recovered material in a Blender asset library: a file of its own, with a preview and what is known of it."""
+"""Recovered materials as assets of a Blender library: one file each, with a preview and metadata."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SIDE = 256  # pixels of a preview, as Blender's own have
 
 @dataclass(frozen=True)
 class About:
-    """What Blender's asset browser shows of an asset. tags: words that the browser's search finds."""
+    """Metadata of an asset in Blender's asset browser. tags: words that the browser's search finds."""
 
     author: str = ""
     license: str = ""
@@ -31,11 +31,11 @@ class About:
 
 def recovered_slot(obj: Any) -> Any:
     """Return the first recovered material of an object. Raises InputError where it has none."""
-    made = (slot.material for slot in obj.material_slots)
-    found = next((material for material in made if material is not None and TAG in material), None)
-    if found is None:
+    materials = (slot.material for slot in obj.material_slots)
+    recovered = next((material for material in materials if material is not None and TAG in material), None)
+    if recovered is None:
         raise InputError(f"object '{obj.name}' has no recovered material")
-    return found
+    return recovered
 
 
 def write_asset(path: Path, obj: Any, name: str, about: About, catalog: str) -> None:
@@ -67,7 +67,7 @@ def write_asset(path: Path, obj: Any, name: str, about: About, catalog: str) -> 
 
 @contextlib.contextmanager
 def _copy_named(material: Any, name: str) -> Iterator[Any]:
-    """Yield a copy of a material that has this very name, even if the material itself has it."""
+    """Yield a copy of a material with exactly this name; a material that has it already is renamed meanwhile."""
     import bpy
 
     taken = bpy.data.materials.get(name)
@@ -85,7 +85,7 @@ def _copy_named(material: Any, name: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _packed(images: Iterable[Any]) -> Iterator[None]:
-    """Pack images that are files; they are files again afterwards."""
+    """Pack images that are files; unpack them again afterwards."""
     files = [image for image in images if image.packed_file is None and image.source in ("FILE", "TILED")]
     try:
         for image in files:
@@ -99,8 +99,8 @@ def _packed(images: Iterable[Any]) -> Iterator[None]:
 
 def _images(tree: Any) -> set[Any]:
     """Return the images of a node tree and of the groups in it."""
-    found = {node.image for node in tree.nodes if node.type == "TEX_IMAGE" and node.image is not None}
+    images = {node.image for node in tree.nodes if node.type == "TEX_IMAGE" and node.image is not None}
     for node in tree.nodes:
         if node.type == "GROUP" and node.node_tree is not None:
-            found |= _images(node.node_tree)
-    return found
+            images |= _images(node.node_tree)
+    return images

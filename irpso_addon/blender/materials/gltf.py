@@ -1,7 +1,7 @@
-"""glTF 2.0 by Blender's own exporter: an object in triangles, with pictures that the exporter takes as they are.
+"""glTF 2.0 by Blender's own exporter: an object as triangles, with pictures that the exporter writes unchanged.
 
-A texture at Specular IOR Level Blender's exporter takes for the specular factor as it is, half of what it means, unless
-a node halves it: as here.
+Blender's exporter writes a texture at Specular IOR Level unchanged as the specular factor, which is twice the level.
+The textures here hold the factor, and a node halves it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Surface:
 
 @dataclass
 class _Made:
-    """What is put into the open file for the exporter, and taken out again."""
+    """Data blocks that are made in the open file for the exporter, and removed afterwards."""
 
     objects: list[Any] = field(default_factory=list)
     meshes: list[Any] = field(default_factory=list)
@@ -65,8 +65,8 @@ class _Made:
 def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) -> list[str]:
     """Write an object of the open file as .glb, and return warnings. surfaces: by UDIM tile.
 
-    Pictures have 8 bits. The slots that have a recovered material get these surfaces, the others keep what they have.
-    The open file is left as it was. Raises InputError.
+    Pictures have 8 bits. Slots with a recovered material get these surfaces, other slots keep their materials.
+    The open file stays unchanged. Raises InputError.
     """
     import bpy
 
@@ -74,7 +74,7 @@ def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) 
     if properties is None:
         raise InputError("Blender's glTF exporter is switched off; enable the add-on 'glTF 2.0 format'")
     with _kept_selection(), _removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        # Of a card nothing lies past its borders; a mesh's UV map may go all around.
+        # A card has nothing past its borders; a mesh's UV map may continue at the opposite border.
         extension = "EXTEND" if TAG in obj else "REPEAT"
         materials = {n: _material(made, one, Path(temporary), extension) for n, one in surfaces.items()}
         with _undivided(obj):
@@ -141,7 +141,7 @@ def _has_exporter() -> bool:
 
 @contextlib.contextmanager
 def _kept_selection() -> Iterator[None]:
-    """Bring selection and active object back afterwards."""
+    """Restore selection and active object afterwards."""
     import bpy
 
     layer = bpy.context.view_layer
@@ -149,7 +149,7 @@ def _kept_selection() -> Iterator[None]:
     try:
         yield
     finally:
-        layer.update()  # else it still counts what has been removed
+        layer.update()  # else it still lists removed objects
         for obj in layer.objects:
             obj.select_set(obj in selected)
         layer.objects.active = active
@@ -157,7 +157,7 @@ def _kept_selection() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _undivided(obj: Any) -> Iterator[None]:
-    """Leave a card flat: what it is divided for, displacement, the format has not."""
+    """Switch a card's subdivision off meanwhile: it serves displacement, which glTF lacks."""
     modifier = obj.modifiers.get(DIVISION)
     shown = modifier is not None and modifier.show_viewport
     if shown:
@@ -224,14 +224,14 @@ def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> An
     half = tree.nodes.new("ShaderNodeMath")
     half.operation = "MULTIPLY"
     half.inputs[1].default_value = 0.5
-    # The format has the factor in alpha, and the exporter hands the picture on as it is.
+    # glTF has the factor in alpha; the exporter writes the picture unchanged.
     tree.links.new(texture("_Specular", surface.specular, output="Alpha"), half.inputs[0])
     tree.links.new(half.outputs[0], level)
     return material
 
 
 def _occlusion_group(made: _Made) -> Any:
-    """Return the node group by whose name and socket Blender's exporter knows occlusion; the user's if there is one."""
+    """Return the node group by whose name and socket Blender's exporter finds occlusion; the user's if it exists."""
     import bpy
 
     group = bpy.data.node_groups.get(_OUTPUT)
@@ -244,7 +244,7 @@ def _occlusion_group(made: _Made) -> Any:
 def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> Any:
     """Return a copy of an object, in triangles, with the materials of its UDIM tiles; other slots stay.
 
-    Tangents are those of the triangles in Blender and so in the maps; of quads the exporter would have others.
+    The maps' tangents are those of Blender's triangles; for quads the exporter would compute others.
     """
     import bpy
 
@@ -264,12 +264,12 @@ def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> A
     corners = np.reshape(vertices, (-1, 3))
     mesh = mesh_of_faces(name, _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3), corners)
     made.meshes.append(mesh)
-    ours = [_recovered(slot) for slot in obj.material_slots]
-    ours = np.array(ours if any(ours) else [True] * max(len(ours), 1))
-    recovered = ours[np.minimum(slots, len(ours) - 1)]
-    kept = [slot.material for slot in obj.material_slots]
+    is_recovered = [_recovered(slot) for slot in obj.material_slots]
+    is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
+    recovered = is_recovered[np.minimum(slots, len(is_recovered) - 1)]
+    originals = [slot.material for slot in obj.material_slots]
     number, uvs = _tiles(uvs.reshape(-1, 3, 2), sorted(materials), recovered)
-    for material in (*(materials[n] for n in sorted(materials)), *kept):
+    for material in (*(materials[n] for n in sorted(materials)), *originals):
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
@@ -284,7 +284,7 @@ def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> A
 
 
 def _tiles(uvs: np.ndarray, numbers: list[int], recovered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each triangle's place among the tiles, and its texture coordinates within that: glTF knows no UDIM."""
+    """Return each triangle's index into the tiles, and its texture coordinates inside the tile: glTF has no UDIM."""
     index = np.zeros(len(uvs), int)
     moved = uvs.copy()
     for place, number in enumerate(numbers):

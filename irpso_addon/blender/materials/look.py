@@ -1,4 +1,4 @@
-"""The group node of a kept material that turns gloss and relief up or down; at 1 and 1 it changes no value."""
+"""Group node of a kept material with factors of roughness and normal strength; 1 and 1 change no value."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _INPUTS = {
 def look_node(nodes: OwnNodes, roughness: tuple[str, ...], widths: bool, normal):
     """Make the group node, and connect it to the Normal Map node ``normal``; values that the user has set stay.
 
-    roughness: of ``ROUGHNESS``, the sockets that maps drive; each has an input and an output of its name. widths: they
-    are widths of the distribution, α = r², so that the factor counts twice.
+    roughness: the sockets of ``ROUGHNESS`` that maps drive; each has an input and an output of its name. widths: the
+    maps hold widths of the distribution, α = r², to which the factor is applied twice.
     """
     node = nodes.node("look", "ShaderNodeGroup", _PLACE, "Gloss and Normal")
     group, strength = _group(roughness, widths), normal.inputs["Strength"]
     if node.node_tree != group:
-        kept = {name: node.inputs[name].default_value for name in _INPUTS if name in node.inputs}
-        kept = kept or {STRENGTH: strength.default_value}  # of a material from before this node
+        former = {name: node.inputs[name].default_value for name in _INPUTS if name in node.inputs}
+        former = former or {STRENGTH: strength.default_value}  # of a material made before this node existed
         node.node_tree = group
-        for name, value in kept.items():
+        for name, value in former.items():
             node.inputs[name].default_value = value
     nodes.link(node.outputs[STRENGTH], strength)
     return node
@@ -47,18 +47,18 @@ def _group(roughness: tuple[str, ...], widths: bool):
     for name in (*roughness, STRENGTH):
         group.interface.new_socket(name, in_out="OUTPUT", socket_type="NodeSocketFloat")
     with OwnNodes(group) as nodes:
-        given = nodes.node("input", "NodeGroupInput", (-400, 0)).outputs
+        inputs = nodes.node("input", "NodeGroupInput", (-400, 0)).outputs
         result = nodes.node("output", "NodeGroupOutput", (400, 0)).inputs
-        nodes.link(given[STRENGTH], result[STRENGTH])
+        nodes.link(inputs[STRENGTH], result[STRENGTH])
         for row, name in enumerate(roughness):
-            value = given[name]
+            value = inputs[name]
             for times in range(2 if widths else 1):
                 product = nodes.node(
                     f"{name} {times}", "ShaderNodeMath", (-200 + 200 * times, -200 * row), operation="MULTIPLY",
                     use_clamp=True,
                 )  # fmt: skip
                 nodes.link(value, product.inputs[0])
-                nodes.link(given[FACTOR], product.inputs[1])
+                nodes.link(inputs[FACTOR], product.inputs[1])
                 value = product.outputs[0]
             nodes.link(value, result[name])
     return group

@@ -36,15 +36,15 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
     for p in maps.model.parameters:
         if p.name not in values:
             continue
-        held = np.array(values[p.name], np.float32)
+        array = np.array(values[p.name], np.float32)
         if p.is_normal:
             world = world_normals(bake, solved.values[p.name]).reshape(-1, 3)
-            there = np.einsum("nt,ntc->nc", weights, world[taps])
-            found = world_to_blender(mesh, bake, beside, _carried(there, bake, taps, weights, beside))
+            opposite = np.einsum("nt,ntc->nc", weights, world[taps])
+            margin_values = world_to_blender(mesh, bake, beside, _carried(opposite, bake, taps, weights, beside))
         else:
-            found = np.einsum("nt,ntc->nc", weights, held.reshape(-1, p.components)[taps])
-        held.reshape(-1, held.shape[-1])[place] = found
-        filled[p.name] = held
+            margin_values = np.einsum("nt,ntc->nc", weights, array.reshape(-1, p.components)[taps])
+        array.reshape(-1, array.shape[-1])[place] = margin_values
+        filled[p.name] = array
     margin = np.zeros(maps.covered.shape, bool)
     margin.ravel()[place] = True
     return replace(maps, values={**values, **filled}, margin=margin)
@@ -81,11 +81,11 @@ def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray
     known = (
         (seams.place[inside, 1].astype(np.int64) * width + seams.place[inside, 0]) * count + seams.of[inside] - least
     )
-    wanted = (row.astype(np.int64) * width + column) * count + chart - least
-    entry = np.minimum(np.searchsorted(known, wanted), max(len(known) - 1, 0))
-    found = known[entry] == wanted if len(known) else np.zeros(len(wanted), bool)
-    entry = np.flatnonzero(inside)[entry[found]]
-    place, beside = (row * width + column)[found], (near_row * width + near_column)[found]
+    key = (row.astype(np.int64) * width + column) * count + chart - least
+    entry = np.minimum(np.searchsorted(known, key), max(len(known) - 1, 0))
+    is_known = known[entry] == key if len(known) else np.zeros(len(key), bool)
+    entry = np.flatnonzero(inside)[entry[is_known]]
+    place, beside = (row * width + column)[is_known], (near_row * width + near_column)[is_known]
 
     at = seams.at[entry].astype(np.float64) - 0.5
     first = np.floor(at).astype(np.int64)
@@ -96,12 +96,12 @@ def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray
         x, y = first[:, 0] + dx, first[:, 1] + dy
         within = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         texel = np.where(within, y * width + x, 0)
-        there = within & covered.ravel()[texel] & (seams.island.ravel()[texel] == other)
+        usable = within & covered.ravel()[texel] & (seams.island.ravel()[texel] == other)
         share = np.abs(1 - dx - fraction[:, 0]) * np.abs(1 - dy - fraction[:, 1])
-        taps[:, t], weights[:, t] = np.where(there, texel, 0), np.where(there, share, 0)
+        taps[:, t], weights[:, t] = np.where(usable, texel, 0), np.where(usable, share, 0)
     total = weights.sum(axis=1, keepdims=True)
     alone = (total[:, 0] < _LEAST) & covered.ravel()[seams.target[entry]]
     taps[alone] = seams.target[entry][alone, None]
     weights[alone], total[alone] = 0.25, 1.0
-    kept = total[:, 0] >= _LEAST
-    return place[kept], beside[kept], taps[kept], weights[kept] / total[kept]
+    valid = total[:, 0] >= _LEAST
+    return place[valid], beside[valid], taps[valid], weights[valid] / total[valid]

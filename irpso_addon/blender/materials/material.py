@@ -89,12 +89,12 @@ def slots_subject(obj, slots: Sequence[int]) -> str:
     """
     names = []
     for slot in slots:
-        held = obj.material_slots[slot].material
-        tag = "" if held is None else held.get(TAG, "")
+        material = obj.material_slots[slot].material
+        tag = "" if material is None else material.get(TAG, "")
         if tag.startswith(f"{obj.name} "):
             names.append(tag.removeprefix(f"{obj.name} "))
         else:
-            names.append(f"slot {slot}" if held is None or tag else held.name)
+            names.append(f"slot {slot}" if material is None or tag else material.name)
     return f"{obj.name} {', '.join(dict.fromkeys(names))}"
 
 
@@ -254,11 +254,11 @@ def _own_material(subject: str):
     """Return this subject's material, or None. Raises InputError where it is linked from a library."""
     import bpy
 
-    found = [material for material in bpy.data.materials if material.get(TAG) == subject]
-    local = [material for material in found if material.library is None]
-    if found and not local:
+    materials = [material for material in bpy.data.materials if material.get(TAG) == subject]
+    local = [material for material in materials if material.library is None]
+    if materials and not local:
         raise InputError(
-            f"material '{found[0].name}' is linked from {found[0].library.filepath};"
+            f"material '{materials[0].name}' is linked from {materials[0].library.filepath};"
             " make it local or recover under another name"
         )
     return local[0] if local else None

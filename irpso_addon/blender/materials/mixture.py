@@ -94,57 +94,57 @@ def _value(socket: Any) -> Any:
 
 
 def _fill_parameters(group: Any, surface: Any, names: list[str]) -> None:
-    """Make the values of a material's surface outputs of a node group, and its look and UV scale inputs."""
+    """Make a material's surface values the outputs of a node group, and its look and UV scale inputs."""
     copies = Copies(group)
     linked = [name for name in names if surface.inputs[name].is_linked]
     sources = {name: copies.of(surface.inputs[name].links[0].from_socket) for name in linked}
     for name in names:
         _socket(group, name, surface.inputs[name], "OUTPUT")
-    given, result = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    given.location, result.location = (-1500, 0), (400, 0)
+    group_input, group_output = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group_input.location, group_output.location = (-1500, 0), (400, 0)
     for name in names:
         if name in sources:
-            group.links.new(sources[name], result.inputs[name])
+            group.links.new(sources[name], group_output.inputs[name])
         elif name in _NORMALS:
-            group.links.new(group.nodes.new("ShaderNodeNewGeometry").outputs["Normal"], result.inputs[name])
+            group.links.new(group.nodes.new("ShaderNodeNewGeometry").outputs["Normal"], group_output.inputs[name])
         else:
-            result.inputs[name].default_value = surface.inputs[name].default_value
+            group_output.inputs[name].default_value = surface.inputs[name].default_value
     look = next((node for node in copies.made.values() if FACTOR in node.inputs), None)
     for name in (FACTOR, STRENGTH) if look is not None else ():
         if not look.inputs[name].is_linked:
-            _exposed(group, given, look, name)
-    _scaled(group, given)
+            _exposed(group, group_input, look, name)
+    _scaled(group, group_input)
 
 
-def _exposed(group: Any, given: Any, look: Any, name: str) -> None:
+def _exposed(group: Any, group_input: Any, look: Any, name: str) -> None:
     """Make an input of the group for one of a node in it, with the same limits, text and value."""
     own = next(item for item in look.node_tree.interface.items_tree if item.name == name and item.in_out == "INPUT")
     item = group.interface.new_socket(name, description=own.description, in_out="INPUT", socket_type=own.socket_type)
     item.min_value, item.max_value = own.min_value, own.max_value
     item.default_value = look.inputs[name].default_value
-    group.links.new(given.outputs[name], look.inputs[name])
+    group.links.new(group_input.outputs[name], look.inputs[name])
 
 
-def _scaled(group: Any, given: Any) -> None:
+def _scaled(group: Any, group_input: Any) -> None:
     """Make an input of the group that scales the UV map of its images, unless the user has mapped them."""
     item = group.interface.new_socket(
         "Scale", in_out="INPUT", socket_type="NodeSocketFloat",
         description="How many times the maps repeat along the UV square; their images must be set to Repeat",
     )  # fmt: skip
     item.min_value, item.max_value, item.default_value = 0.001, 1000.0, 1.0
-    placed: dict[str, Any] = {}
+    scaled: dict[str, Any] = {}
     for texture in [node for node in group.nodes if node.type == "TEX_IMAGE"]:
         links = texture.inputs["Vector"].links
         if links and links[0].from_node.type != "UVMAP":
             continue
         name = links[0].from_node.uv_map if links else ""
-        if name not in placed:
+        if name not in scaled:
             uv, mapping = group.nodes.new("ShaderNodeUVMap"), group.nodes.new("ShaderNodeMapping")
             uv.uv_map, uv.location, mapping.location = name, (-1300, -200), (-1100, 0)
             group.links.new(uv.outputs["UV"], mapping.inputs["Vector"])
-            group.links.new(given.outputs["Scale"], mapping.inputs["Scale"])
-            placed[name] = mapping.outputs["Vector"]
-        group.links.new(placed[name], texture.inputs["Vector"])
+            group.links.new(group_input.outputs["Scale"], mapping.inputs["Scale"])
+            scaled[name] = mapping.outputs["Vector"]
+        group.links.new(scaled[name], texture.inputs["Vector"])
 
 
 def _socket(group: Any, name: str, like: Any, direction: str) -> None:
@@ -166,18 +166,18 @@ def _mixing(surface: Any, names: list[str]) -> Any:
         for of in ("First", "Second"):
             _socket(group, f"{of} {name}", surface.inputs[name], "INPUT")
         _socket(group, name, surface.inputs[name], "OUTPUT")
-    given, result = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    given.location, result.location = (-600, 0), (600, 0)
+    group_input, group_output = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group_input.location, group_output.location = (-600, 0), (600, 0)
     squared = _WIDTHS if not two_lobe.is_of_widths(surface) else set()
     for row, name in enumerate(names):
-        ends = [given.outputs[f"{of} {name}"] for of in ("First", "Second")]
-        value = _mix(group, given.outputs["Factor"], ends, surface.inputs[name].type, name in squared, -220 * row)
+        ends = [group_input.outputs[f"{of} {name}"] for of in ("First", "Second")]
+        value = _mix(group, group_input.outputs["Factor"], ends, surface.inputs[name].type, name in squared, -220 * row)
         if name in _NORMALS:
             unit = group.nodes.new("ShaderNodeVectorMath")
             unit.operation, unit.location = "NORMALIZE", (300, -220 * row)
             group.links.new(value, unit.inputs[0])
             value = unit.outputs["Vector"]
-        group.links.new(value, result.inputs[name])
+        group.links.new(value, group_output.inputs[name])
     return group
 
 

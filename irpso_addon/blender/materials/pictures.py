@@ -1,4 +1,4 @@
-"""Pictures of a recovered material on its subject, by Cycles: an icon, and the subject as it turns."""
+"""Cycles renders of a recovered material on its subject: an icon, and a turntable."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[f
         about @ Matrix.Rotation(turn, 4, upright.col[2]) @ about.inverted() @ before if turn else before
         for turn in turns
     ]
-    found = []
-    temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # which is removed where the process is ended, too
+    pictures = []
+    temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # Blender also removes it when the process is ended
     with table_top.own_scene("IRPSO pictures") as scene, temporary as folder:
         scene.collection.objects.link(obj)
         corners = [_extent(obj, axes, place) for place in placed]
@@ -68,10 +68,10 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[f
             for place in placed:
                 obj.matrix_world = place
                 cycles.render_radiance(scene, rendered)
-                found.append(_displayed(rendered))
+                pictures.append(_displayed(rendered))
         finally:
             obj.matrix_world = before
-    return found
+    return pictures
 
 
 def _displayed(path: Path) -> np.ndarray:
@@ -98,7 +98,7 @@ def _add_camera(scene: Any, axes: Any, low: np.ndarray, high: np.ndarray) -> Non
 
 
 def _extent(obj: Any, axes: Any, place: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and the largest coordinates along axes of an object as it is rendered, at a place (4 × 4)."""
+    """Return (3,) least and (3,) largest coordinates, along axes, of an object's evaluated mesh at a place (4 × 4)."""
     import bpy
 
     shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())

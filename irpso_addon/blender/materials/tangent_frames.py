@@ -77,7 +77,7 @@ def _into_solver(solver: np.ndarray, blender: np.ndarray, linear: np.ndarray, no
 def _convert(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, change) -> np.ndarray:
     linear = mesh.matrix[:3, :3]
     return changed_normals(
-        bake, normals, lambda texels, frames, given: change(frames, _blender_frames(mesh, bake, texels), linear, given)
+        bake, normals, lambda texels, frames, local: change(frames, _blender_frames(mesh, bake, texels), linear, local)
     )
 
 

@@ -120,14 +120,14 @@ def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, pac
 
 
 def _point_at_tiles(image, paths: dict[int, Path]) -> None:
-    """Make it a tiled image of exactly these files."""
+    """Make an image a tiled one of exactly these files."""
     number, path = next(iter(paths.items()))
     image.filepath = str(path.with_name(path.name.replace(f".{number}.", f".{PATTERN}.")))
     image.source = "TILED"
-    there = {tile.number for tile in image.tiles}
-    for number in sorted(set(paths) - there):
+    present = {tile.number for tile in image.tiles}
+    for number in sorted(set(paths) - present):
         image.tiles.new(number)
-    for number in sorted(there - set(paths)):
+    for number in sorted(present - set(paths)):
         image.tiles.remove(image.tiles.get(number))
 
 

@@ -122,22 +122,22 @@ def _kind(settings: _Settings) -> str:
 
 def _fill(nodes: OwnNodes, settings: _Settings) -> None:
     """Make the group's nodes: Diffuse + mix(lobe 1, lobe 2, 1 − w)."""
-    given = nodes.node("input", "NodeGroupInput", (-720, 0)).outputs
+    inputs = nodes.node("input", "NodeGroupInput", (-720, 0)).outputs
     diffuse = nodes.node("diffuse", "ShaderNodeBsdfDiffuse", (-120, 260))
-    nodes.link(given["Base Color"], diffuse.inputs["Color"])
-    nodes.link(given["Normal"], diffuse.inputs["Normal"])
+    nodes.link(inputs["Base Color"], diffuse.inputs["Color"])
+    nodes.link(inputs["Normal"], diffuse.inputs["Normal"])
     mix = nodes.node("mix", "ShaderNodeMixShader", (140, 0))
-    nodes.link(given["Weight"], mix.inputs[0])
+    nodes.link(inputs["Weight"], mix.inputs[0])
     # Mix Shader shows its second shader where the weight is 1, and w is the weight of the first lobe.
     for lobe, target in ((2, mix.inputs[1]), (1, mix.inputs[2])):
-        roughness = given[f"Roughness {lobe}"]
+        roughness = inputs[f"Roughness {lobe}"]
         if settings.roughness == "alpha":
             root = nodes.node(f"root {lobe}", "ShaderNodeMath", (-440, 40 - 220 * lobe), operation="SQRT")
             nodes.link(roughness, root.inputs[0])
             roughness = root.outputs[0]
-        glossy = _lobe(nodes, lobe, settings, given)
+        glossy = _lobe(nodes, lobe, settings, inputs)
         nodes.link(roughness, glossy.inputs["Roughness"])
-        nodes.link(given["Normal"], glossy.inputs["Normal"])
+        nodes.link(inputs["Normal"], glossy.inputs["Normal"])
         nodes.link(glossy.outputs["BSDF"], target)
     add = nodes.node("add", "ShaderNodeAddShader", (340, 160))
     nodes.link(diffuse.outputs["BSDF"], add.inputs[0])
@@ -145,7 +145,7 @@ def _fill(nodes: OwnNodes, settings: _Settings) -> None:
     nodes.link(add.outputs["Shader"], nodes.node("output", "NodeGroupOutput", (540, 160)).inputs["BSDF"])
 
 
-def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
+def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, group_inputs):
     """Return one glossy lobe whose colour is the Fresnel reflectance.
 
     Measured against Cook and Torrance in Cycles 5.0: the Metallic BSDF has the Fresnel term within 0.03 % at every
@@ -169,7 +169,7 @@ def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
         return _principled_lobe(nodes, lobe, settings, ior, place)
     fresnel = nodes.node("fresnel", "ShaderNodeFresnel", (-440, 260))
     fresnel.inputs["IOR"].default_value = ior
-    nodes.link(given["Normal"], fresnel.inputs["Normal"])
+    nodes.link(group_inputs["Normal"], fresnel.inputs["Normal"])
     glossy = nodes.node(f"lobe {lobe}", "ShaderNodeBsdfAnisotropic", place, distribution=settings.distribution)
     nodes.link(fresnel.outputs["Fac"], glossy.inputs["Color"])
     return glossy

@@ -1,4 +1,4 @@
-"""Pictures by Cycles: a scene's settings, its one lamp, renders to files, and the maps that the camera sees."""
+"""Renders by Cycles: a scene's settings, its one lamp, radiance to files, and the maps that the camera sees."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..operators import cycles_operator
 from .light_units import point_power, sun_strength
 from .true_surface import TRUTHS
 
-_SUN_DISTANCE = 10.0  # from the origin; a Sun shines alike from anywhere
+_SUN_DISTANCE = 10.0  # from the origin; a Sun's irradiance is the same at any distance
 
 
 @dataclass(frozen=True)
 class View:
-    """width, height: pixels. world_width: of an orthographic picture. samples: for each pixel and light.
+    """Render settings. width, height: pixels. world_width: of an orthographic picture. samples: per pixel and light.
 
     bounces: of light paths.
     clamp: the largest radiance that a path's indirect part may add, 0 for any: without it single pixels burn out.
     filter_glossy: Cycles' Filter Glossy, which lowers noise, and the light that lobes reflect after a bounce. denoise:
-    by OpenImageDenoise, guided by albedo and normal, for what is lit by other surfaces more than by the lamp.
+    by OpenImageDenoise, guided by albedo and normal: for surfaces that are lit more indirectly than by the lamp.
     """
 
     width: int
@@ -38,7 +38,7 @@ class View:
 
 
 def set_up(scene: Any, view: View) -> None:
-    """Give a scene the settings to be photographed with; its camera stays as it is."""
+    """Give a scene the render settings of a view; its camera stays unchanged."""
     scene.render.engine = "CYCLES"
     scene.render.film_transparent = True
     scene.render.resolution_x, scene.render.resolution_y = view.width, view.height
@@ -120,17 +120,17 @@ def read_seen_maps(path: Path, more: tuple[str, ...] = ()) -> dict[str, np.ndarr
     Normals are in the camera's axes, of length 1 where coverage is above 0.
     """
     # Blender 5 writes a part for each pass, earlier ones a single part; channels carry the layer's name in both.
-    found = {
+    channels_of = {
         name.partition(".")[2]: value.astype(np.float32)
         for channels in read_exr(path).values()
         for name, value in channels.items()
     }
-    normal = np.stack([found[f"Normal.{c}"] for c in "XYZ"], axis=-1)
+    normal = np.stack([channels_of[f"Normal.{c}"] for c in "XYZ"], axis=-1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-8)
-    maps = {"coverage": found["Combined.A"], "normal": normal}
-    maps["base_color"] = np.stack([found[f"base_color.{c}"] for c in "RGB"], axis=-1)
+    maps = {"coverage": channels_of["Combined.A"], "normal": normal}
+    maps["base_color"] = np.stack([channels_of[f"base_color.{c}"] for c in "RGB"], axis=-1)
     for name in (*TRUTHS[1:], *more):
-        maps[name] = next(value for key, value in found.items() if key.startswith(f"{name}."))
+        maps[name] = next(value for key, value in channels_of.items() if key.startswith(f"{name}."))
     return maps
 
 
@@ -141,7 +141,7 @@ def _render(scene: Any, path: Path, kind: str, persistent: bool = False) -> None
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.exr")
     settings = scene.render.image_settings
-    if hasattr(settings, "media_type"):  # Blender 5 asks for the medium before the format
+    if hasattr(settings, "media_type"):  # Blender 5 needs the medium before the format
         settings.media_type = "MULTI_LAYER_IMAGE" if kind.endswith("MULTILAYER") else "IMAGE"
     settings.file_format, settings.color_depth, settings.exr_codec = kind, "16", "ZIP"
     if kind.endswith("MULTILAYER"):

@@ -1,4 +1,4 @@
-"""IRPSO's lights and Blender's: an intensity of 1 is an irradiance of π at normal incidence."""
+"""Units of light: conversion between IRPSO's intensities (1: irradiance π at normal incidence) and Blender's."""
 
 from __future__ import annotations
 

@@ -131,10 +131,10 @@ def scene_cameras(names: Sequence[str], size: tuple[int, int]) -> list[Camera]:
 
 def _distorting(camera: Camera, obj: Any) -> Camera:
     """Return the camera with the distortion of its object's custom property. Raises InputError."""
-    given = obj.get(DISTORTION, ())
+    stored = obj.get(DISTORTION, ())
     where = f"camera '{obj.name}': its custom property {DISTORTION}"
     try:
-        return replace(camera, distortion=tuple(map(float, given if hasattr(given, "__len__") else (given,))))
+        return replace(camera, distortion=tuple(map(float, stored if hasattr(stored, "__len__") else (stored,))))
     except (TypeError, ValueError) as error:
         raise InputError(f"{where} holds no numbers; they are {', '.join(NAMES)}, or remove it") from error
     except CaptureError as error:

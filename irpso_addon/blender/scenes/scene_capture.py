@@ -94,7 +94,7 @@ def setting(obj: Any, name: str) -> Any:
 
 
 def system_properties(owner: Any) -> Any:
-    """Return what Blender stores of registered properties, by name: since 5.0 apart from custom properties."""
+    """Return the stored values of registered properties, by name: since 5.0 apart from custom properties."""
     get = getattr(owner, "bl_system_properties_get", None)
     return owner if get is None else get(do_create=True)
 

@@ -72,9 +72,9 @@ def file_of(image: Any) -> Path:
     return Path(bpy.path.abspath(image.filepath, library=image.library))
 
 
-def _colour_space(image, where: str, wanted: str) -> str:
-    if wanted != "auto":
-        return wanted
+def _colour_space(image, where: str, requested: str) -> str:
+    if requested != "auto":
+        return requested
     if COLOUR_SPACE in image:
         return image[COLOUR_SPACE]
     use = use_of(image)
@@ -85,7 +85,7 @@ def _colour_space(image, where: str, wanted: str) -> str:
 
 
 def _in_memory(image, where: str, space: str) -> Photograph:
-    """An image without an up-to-date file. It is looked up by its session id: an undo invalidates all pointers."""
+    """Return an image without an up-to-date file. Found again by its session id: an undo invalidates all pointers."""
     uid, size = image.session_uid, tuple(image.size)
     if 0 in size:
         raise InputError(f"{where} has no pixels; choose another")

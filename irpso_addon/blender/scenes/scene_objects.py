@@ -1,4 +1,4 @@
-"""A camera and a light of a capture as Blender's objects; ``geometry.scene_capture`` reads them back."""
+"""A camera and a light of a capture as Blender's objects; ``scene_capture`` reads them back."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _POWER = {"SUN": sun_strength, "POINT": point_power, "SPOT": spot_power, "AREA":
 
 
 def set_camera(obj, camera: Camera) -> None:
-    """Give a camera object the projection and place of a camera: ``geometry.scene.camera_from_object`` undoes it."""
+    """Give a camera object the projection and place of a camera, the inverse of ``scene.camera_from_object``."""
     from mathutils import Matrix
 
     data, (width, height) = obj.data, (camera.width, camera.height)
@@ -39,13 +39,13 @@ def set_camera(obj, camera: Camera) -> None:
     data.shift_y = (height / 2 - camera.centre[1]) * tall / width
     obj[RESOLUTION] = width, height
     obj[ASPECT] = (max(1.0, 1 / tall), max(1.0, tall))
-    _keep(obj, DISTORTION, camera.distortion)
+    _store(obj, DISTORTION, camera.distortion)
     obj.rotation_mode = "QUATERNION"  # Euler angles lose half of the digits near a quarter turn
     obj.matrix_world = Matrix(camera.matrix.tolist())
 
 
 def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) -> None:
-    """Make a light object that light: ``geometry.scene_lights.light_of`` undoes it. A distant one is put on a dome.
+    """Set a light object to a light, the inverse of ``scene_lights.light_of``. A distant one is put on a dome.
 
     centre, radius: of the dome, world units. A light with an axis that differs with no direction becomes a Point.
     """
@@ -61,9 +61,9 @@ def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) ->
             setattr(data, name, value)
     data.energy = _POWER[data.type](strongest)
     _set_shape(data, light)
-    # What no lamp of Blender's is: a cone and a cosine, another power of it, a very wide cone.
+    # Emission that no Blender lamp has: a cone with a cosine, another power of it, a very wide cone.
     unlike = (light.cosine and light.cone is not None) or light.cosine not in (0, 1) or (light.cone or 0) > _WIDEST_SPOT
-    _keep(obj, EMISSION, (light.cone or 0.0, light.cosine) if unlike else ())
+    _store(obj, EMISSION, (light.cone or 0.0, light.cosine) if unlike else ())
     vector = Vector(light.vector)
     backward = vector if light.distant else -Vector(light.axis or (0, 0, -1))
     obj.rotation_mode = "QUATERNION"
@@ -88,8 +88,8 @@ def _set_shape(data, light: Light) -> None:
         data.spot_size, data.spot_blend, data.use_square = 2 * math.radians(min(light.cone, _WIDEST_SPOT)), 0.0, False
 
 
-def _keep(obj, name: str, values: Sequence[float]) -> None:
-    """Give an object a custom property, or take it away where there is nothing to keep."""
+def _store(obj, name: str, values: Sequence[float]) -> None:
+    """Set an object's custom property, or remove it if there are no values."""
     if values:
         obj[name] = [float(value) for value in values]
     elif name in obj:

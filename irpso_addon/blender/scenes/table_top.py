@@ -1,4 +1,4 @@
-"""Things on a table in a dark room, in a scene of their own beside the user's: built, and removed again."""
+"""Objects on a table in a dark room, in a temporary scene of their own."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STEEL = (0.80, 0.79, 0.77)
 
 @contextmanager
 def own_scene(name: str) -> Iterator[Any]:
-    """Yield a new scene without a view of the user's; it and all data made meanwhile are removed at the end."""
+    """Yield a new scene that no window shows; remove it and all data made meanwhile at the end."""
     import bpy
 
     before = {kind: set(getattr(bpy.data, kind)) for kind in _KINDS}

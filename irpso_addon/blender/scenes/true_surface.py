@@ -1,4 +1,4 @@
-"""Surfaces whose material is known at every point: meshes of grids, and Principled materials that tell their maps."""
+"""Surfaces of known material: grid meshes, and Principled materials that write their true maps to AOVs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ TRUTHS = ("base_color", "roughness", "metallic")  # AOVs that every true materia
 
 @dataclass(frozen=True)
 class TrueMaps:
-    """base_color, normal: (N, N, 3), linear and unit vectors of Blender's tangent frame. roughness: (N, N).
+    """True maps. base_color, normal: (N, N, 3), linear and unit in Blender's tangent frame. roughness: (N, N).
 
-    normal: None where the mesh's own normals are meant. metallic, specular (Specular IOR Level): (N, N), None for
+    normal: None for the mesh's own normals. metallic, specular (Specular IOR Level): (N, N), None for
     Blender's defaults, 0 and 0.5. Row 0 is at the bottom, at v = 0.
     """
 
@@ -30,8 +30,8 @@ class TrueMaps:
 def true_material(truth: TrueMaps, flat: bool = False) -> Any:
     """Return a Blender material with these maps: Principled, GGX.
 
-    flat: for a plane whose texels are the picture's pixels: nothing is interpolated, and nothing darkened for normals
-    that face away from the plane, by which Cycles' correction of bump maps departs from the maps' own model.
+    flat: for a plane whose texels are the picture's pixels: no interpolation, and no correction of bump maps by
+    Cycles, which darkens normals that face away from the plane and so departs from the maps' own model.
     """
     material, nodes = blank_material("truth")
     link, shader = material.node_tree.links.new, nodes["Principled BSDF"]

@@ -1,7 +1,7 @@
 """A result as a web page: a folder that opens in any browser, without a server and without a network.
 
 A page opened as a file may load scripts, but neither read other files nor hand pictures from them to WebGL. So the
-tiles are scripts that hold their pictures as text, and the page is made of scripts without modules.
+tiles are scripts that contain their pictures as text, and the page's scripts are no modules.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _TILE_NAME = re.compile(r"\d+-\d+-\d+-\w+\.js$")
 _QUALITY = 90  # of a photograph's JPEG
 _FROM_ABOVE = np.array([0.0, 0.0, 1.0, 0.0])
 
-Level = tuple[np.ndarray, np.ndarray]  # values (H, W, C) and what is covered (H, W), rows from the top
+Level = tuple[np.ndarray, np.ndarray]  # values (H, W, C) and coverage (H, W), rows from the top
 PlanesOf = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Encode = Callable[[np.ndarray], str]
 
@@ -52,8 +52,8 @@ def write_page(
 ) -> dict[str, Any]:
     """Write index.html, its files and the tiles into a folder; return the entries of the report.
 
-    photographs: of the same texels, None for a page without them. replace: files of the same names; a former page
-    always is. Raises InputError if the result is a mesh's.
+    photographs: of the same texels, None for a page without them. replace: overwrite files of the same names; a former
+    page always is. Raises InputError if the result is a mesh's.
     """
     if not result.card:
         raise InputError(
@@ -89,7 +89,7 @@ def write_page(
 
 
 class _TileWriter:
-    """Writes pyramids as scripts, one for each tile. names: of all that it has written."""
+    """Writes pyramids as scripts, one for each tile. names: of all written files."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -119,12 +119,12 @@ def _material_levels(maps: Maps) -> Iterable[Level]:
     values = components_of(model, maps.values, maps.covered.shape)
     at = next(model.offset(p.name) for p in model.parameters if p.is_normal)
 
-    def settle(means: np.ndarray) -> np.ndarray:
+    def normalise(means: np.ndarray) -> np.ndarray:
         length = np.linalg.norm(means[..., at : at + 3], axis=-1, keepdims=True)
         means[..., at : at + 3] /= np.maximum(length, 1e-9)
         return means
 
-    return levels(values[::-1], maps.covered[::-1], settle)
+    return levels(values[::-1], maps.covered[::-1], normalise)
 
 
 def _photograph_levels(photographs: Photographs, k: int) -> Iterable[Level]:
@@ -137,7 +137,7 @@ def _photograph_planes(radiance: np.ndarray, covered: np.ndarray) -> np.ndarray:
 
 
 def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, str]]]:
-    """Return (H, W, C) shares of what is shown in the last colour, and name → (channel, that in words)."""
+    """Return (H, W, C) deviations as fractions of the colour scale's end, and name → (channel, that end as text)."""
     channels, entries = [], {}
     for p in maps.model.parameters:
         if maps.confidence is not None and p.name in maps.confidence:
@@ -158,7 +158,7 @@ def _description(
     shown = [_view(model, p, entries.get(p.name)) for p in model.parameters]
     if "residual" in entries:
         shown.append({"name": "residual", "title": "Residual", "uncertainty": entries["residual"]})
-    # A flat card in units of its width, where no photograph says more.
+    # A flat card in units of its width: without photographs its real plane is unknown.
     flat = [[-0.5, 0.5 * height / width, 0.0], [1 / width, 0.0, 0.0], [0.0, -1 / width, 0.0]]
     return {
         "name": result.name,
@@ -196,12 +196,12 @@ def _light_list(photographs: Photographs | None) -> Sequence[dict[str, Any]]:
 
 
 def _fragment(model: ReflectanceModel) -> str:
-    given = {"model.glsl": model.shader, "web/layout.glsl": layout(model, len(COLORS))}
-    return _source("web/page.glsl", given)
+    includes = {"model.glsl": model.shader, "web/layout.glsl": layout(model, len(COLORS))}
+    return _source("web/page.glsl", includes)
 
 
 def _source(path: str, given: dict[str, Any] | None = None) -> str:
-    """Return a shader's text: the language of WebGL numbers files in #line, so names become comments."""
+    """Return a shader's text. WebGL's #line takes numbers of files only, so names become comments."""
     return re.sub(r'^#line 1 "(.*)"$', r"// \1", read_source(path, given or {}), flags=re.M)
 
 

@@ -1,4 +1,4 @@
-"""The photographs of a card beside its maps, and the lights and the camera that they were taken with."""
+"""Photographs of a card for its web page, with their lights and camera."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from ...geometry.domain import Domain, GeometryBake
 
-PHOTOGRAPHS = 8  # in a page, where nothing else is said
+PHOTOGRAPHS = 8  # in a page, by default
 _WHITE = 99.5  # percentile of a photograph: display white
-_OFF = 0.02  # of the card's width: how far a lens may bend the card before a warning
+_LARGEST_BEND = 0.02  # largest deviation from a plane (lens distortion) without a warning, of the card's width
 
 
 @dataclass(frozen=True)
 class Photographs:
-    """What the page shows of a capture, in the card's frame: x right, y up, z toward the viewer.
+    """K photographs of a capture, in the card's frame: x right, y up, z toward the viewer.
 
-    names: of K photographs. unseen: (K,) bool, those held out of the fit. lights: (K, 4), intensities: (K, 3) and view:
-    (4,) as in a Domain. place: (3, 3) the position of the upper left corner, and the steps of one texel to the right
-    and down. pictures: (K, H, W, 3) linear radiance, row 0 at the bottom. warnings: what is not exact on the page.
+    names: (K). unseen: (K,) bool, those held out of the fit. lights: (K, 4), intensities: (K, 3) and view:
+    (4,) as in a Domain. place: (3, 3) rows: position of the upper left corner, the step of one texel to the right,
+    and down. pictures: (K, H, W, 3) linear radiance, row 0 at the bottom. warnings: approximations of the page.
     """
 
     names: tuple[str, ...]
@@ -33,18 +33,18 @@ class Photographs:
     warnings: tuple[str, ...] = ()
 
     def white(self, index: int) -> float:
-        """Return the radiance that is shown as white in a photograph and in its render."""
+        """Return the radiance that the page shows as white in a photograph and in its render."""
         return max(float(np.percentile(np.nan_to_num(self.pictures[index]), _WHITE)), 1e-6)
 
 
 def photographs_of(domain: Domain, names: Sequence[str], unseen: Collection[int]) -> Photographs:
     """Return the observations of a card's domain. names: of all; unseen: the indices of those held out of the fit."""
-    place, off = _plane(domain.bake.position, domain.bake.coverage)
-    warnings = (f"the lens bends the card by {off:.1%} of its width; the page takes it as straight",)
+    place, bend = _plane(domain.bake.position, domain.bake.coverage)
+    warnings = (f"the lens bends the card by {bend:.1%} of its width; the page takes it as straight",)
     return Photographs(
         tuple(names), np.isin(np.arange(len(names)), list(unseen)), domain.lights, domain.intensities,
         domain.views[0], place, [domain.stack.layer(k)[..., :3] for k in range(domain.observations)],
-        warnings if off > _OFF else (),
+        warnings if bend > _LARGEST_BEND else (),
     )  # fmt: skip
 
 
@@ -67,12 +67,11 @@ def spread(lights: np.ndarray, bake: GeometryBake, first: Sequence[int], count: 
 
 
 def _plane(position: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the (3, 3) place of positions (H, W, 3), row 0 at the bottom, and their most distance from it, of the
-    width."""
+    """Fit a plane to positions (H, W, 3); return ``Photographs.place`` and the largest distance over the width."""
     height, width = covered.shape
     rows, columns = np.nonzero(covered)
     terms = np.stack([np.ones(len(rows)), columns + 0.5, height - rows - 0.5], axis=-1)
-    seen = position[rows, columns].astype(np.float64)
-    place = np.linalg.lstsq(terms, seen, rcond=None)[0]
-    off = np.linalg.norm(terms @ place - seen, axis=-1).max()
-    return place, float(off / max(width * np.linalg.norm(place[1]), 1e-12))
+    positions = position[rows, columns].astype(np.float64)
+    place = np.linalg.lstsq(terms, positions, rcond=None)[0]
+    largest = np.linalg.norm(terms @ place - positions, axis=-1).max()
+    return place, float(largest / max(width * np.linalg.norm(place[1]), 1e-12))

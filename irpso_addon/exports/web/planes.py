@@ -1,8 +1,8 @@
 """Maps as planes of bytes, which shaders/web/planes.glsl reads.
 
 Plane 0 holds the normal, octahedral, twelve bits each: eight of u, eight of v, four and four; 0 where nothing is
-covered. The others hold the model's remaining components, three a plane, as the root of their place in their range:
-an even error on screens, and a hundred times finer where a lobe is narrow.
+covered. The others hold the model's remaining components, three per plane, as the square root of their position in
+their range: an even error on screens, and a hundred times finer where a lobe is narrow.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def material_planes(model: ReflectanceModel, values: np.ndarray, covered: np.nda
 
 
 def share_planes(shares: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return (P, H, W, 3) uint8 of numbers (H, W, C), 0 to 1, as 1 to 255; 0 where nothing is covered."""
+    """Return (P, H, W, 3) uint8 of fractions (H, W, C), 0…1, coded as 1…255; 0 where nothing is covered."""
     codes = np.where(covered[..., None], 1 + np.rint((_HIGHEST - 1) * np.clip(np.nan_to_num(shares, nan=1), 0, 1)), 0)
     return np.stack(_in_threes(codes)).astype(np.uint8)
 
@@ -47,7 +47,7 @@ def octahedral(normals: np.ndarray) -> np.ndarray:
 
 
 def layout(model: ReflectanceModel, colours: int) -> str:
-    """Return the text of "web/layout.glsl" for a model. colours: how many a ramp has."""
+    """Return the text of "web/layout.glsl" for a model. colours: number of colours of the ramp."""
     count, at = model.components, model.offset(_normal_of(model).name)
     low, span = (np.resize(np.append(values, np.zeros(12)), 12) for values in _ranges(model))
     lines = [f"#define {name} {value}" for name, value in (
@@ -59,7 +59,7 @@ def layout(model: ReflectanceModel, colours: int) -> str:
 
 
 def components_of(model: ReflectanceModel, values: dict[str, np.ndarray], shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W, C) float32 the components of all parameters in the model's order, defaults where a map lacks."""
+    """Return (H, W, C) float32 the components of all parameters in the model's order, defaults without a map."""
     maps = []
     for p in model.parameters:
         value = np.asarray(values.get(p.name, p.default), np.float32)
@@ -73,7 +73,7 @@ def _normal_of(model: ReflectanceModel) -> Parameter:
 
 
 def _ranges(model: ReflectanceModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return (C,) the lower ends of the components' ranges, and their lengths."""
+    """Return (C,) lower ends and (C,) lengths of the components' ranges."""
     low = [p.range[0] for p in model.parameters for _ in range(p.components)]
     high = [p.range[1] for p in model.parameters for _ in range(p.components)]
     return np.array(low), np.array(high) - low

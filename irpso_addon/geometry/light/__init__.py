@@ -1,1 +1,1 @@
-"""Light on its way to a mesh: shadows, the shape of the beam, and what the mesh exchanges with itself."""
+"""Light transport to a mesh: shadows, beam shapes, and interreflection on the mesh itself."""

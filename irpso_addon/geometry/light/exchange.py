@@ -1,7 +1,7 @@
-"""What a mesh exchanges light with itself through: elements, the rays between them, and the lights that they see.
+"""Interreflection geometry of a mesh: elements, the rays between them, and the lights that each element sees.
 
-Elements are texels, one for each cell of a grid over the UV square. Each looks in directions that are distributed as
-the cosine to its normal (Malley's method: a uniform disk, projected to the hemisphere), by the R2 sequence (Roberts
+Elements are texels, one for each cell of a grid over the UV square. The rays of each are distributed as the cosine to
+its normal (Malley's method: a uniform disk, projected to the hemisphere), by the R2 sequence (Roberts
 2018) shifted for each element (Cranley & Patterson 1976).
 """
 
@@ -20,16 +20,16 @@ from .shadows import corner_weights
 
 Cast = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # blender/ray_caster.py
 _PLASTIC = 1.32471795724474602596  # the real root of x³ = x + 1, of the R2 sequence
-_LIFT = 1e-4  # by which rays begin above the surface, as a fraction of the subject's size
-_LEAST = 1e-9  # weight of a cell whose surface is unlike a texel's: it counts only where no other is near
+_LIFT = 1e-4  # height of ray origins above the surface, as a fraction of the subject's size
+_LEAST = 1e-9  # weight of a cell whose surface is unlike a texel's: matters only where no other is near
 
 
 @dataclass(frozen=True)
 class Exchange:
     """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32 unit, world.
 
-    hits: (R, E) int32, the element that a ray meets, −1 where it meets none, the back of a face or an occluder. lit:
-    (K, E) bool, whether mesh and occluders leave the way to each light free. near: (T, 4) int32 and share: (T, 4)
+    hits: (R, E) int32, the element that a ray hits, −1 for none, the back of a face or an occluder. lit: (K, E) bool,
+    whether neither mesh nor occluders block the way to each light. near: (T, 4) int32 and share: (T, 4)
     float32, the elements around each covered texel and their weights, by which ``at_texels`` interpolates.
     """
 
@@ -54,18 +54,18 @@ def exchange_steps(
     """
     grid = _Grid(bake, resolution)
     normals = bake.normal.reshape(-1, 3)[grid.texels].astype(np.float64)
-    points, face = _above(mesh, bake, grid.texels)
+    points, face = _ray_origins(mesh, bake, grid.texels)
     directions = cosine_directions(normals, rays)
     hits = np.full(directions.shape[:2], -1, np.int32)
     total = rays + len(lights)
-    for number, directed in enumerate(directions):
-        up = np.flatnonzero(np.einsum("ei,ei->e", directed, face) > 0)
-        triangle, place = cast(points[up], directed[up])
-        met = (triangle >= 0) & (triangle < len(mesh.positions))
-        hits[number, up[met]] = grid.elements_at(mesh, triangle[met], place[met], directed[up[met]])
+    for number, direction in enumerate(directions):
+        up = np.flatnonzero(np.einsum("ei,ei->e", direction, face) > 0)
+        triangle, place = cast(points[up], direction[up])
+        hit = (triangle >= 0) & (triangle < len(mesh.positions))
+        hits[number, up[hit]] = grid.elements_at(mesh, triangle[hit], place[hit], direction[up[hit]])
         yield (number + 1) / total
-    seen = lit_steps(mesh, bake, grid.texels, lights, cast)
-    lit = yield from map_steps(seen, lambda part: (rays + part * len(lights)) / total)
+    steps = lit_steps(mesh, bake, grid.texels, lights, cast)
+    lit = yield from map_steps(steps, lambda part: (rays + part * len(lights)) / total)
     return Exchange(grid.texels, directions.astype(np.float32), hits, lit, *grid.around())
 
 
@@ -73,7 +73,7 @@ def lit_steps(
     mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, lights: np.ndarray, cast: Cast
 ) -> Generator[float, None, np.ndarray]:
     """Yield the fraction of the work that is done; return ``Exchange.lit`` (K, E) of elements under lights (K, 4)."""
-    points, face = _above(mesh, bake, texels)
+    points, face = _ray_origins(mesh, bake, texels)
     lit = np.zeros((len(lights), len(points)), bool)
     for number, light in enumerate(lights.astype(np.float64)):
         toward = light[:3] - light[3] * points
@@ -87,8 +87,8 @@ def lit_steps(
     return lit
 
 
-def _above(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (E, 3) points just above the faces at texels, where their rays begin, and the faces' normals."""
+def _ray_origins(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (E, 3) ray origins of texels, just above their faces, and (E, 3) face normals."""
     face = bake.face_normal.reshape(-1, 3)[texels].astype(np.float64)
     points = bake.position.reshape(-1, 3)[texels].astype(np.float64)
     return points + _LIFT * np.ptp(mesh.positions.reshape(-1, 3), axis=0).max() * face, face
@@ -109,20 +109,20 @@ def cosine_directions(normals: np.ndarray, rays: int) -> np.ndarray:
 
 
 class _Grid:
-    """The cells of a domain and their elements: in each the covered texel nearest to its middle."""
+    """The cells of a domain and their elements: in each cell the covered texel nearest to its centre."""
 
     def __init__(self, bake: SurfaceBake, resolution: int):
         self._bake = bake
         height, width = bake.coverage.shape
         longer = max(height, width)
         count = min(resolution, longer)
-        self._stride = stride = longer / count  # texels along a cell, no whole number
+        self._stride = stride = longer / count  # texels along a cell, not always whole
         rows, columns = np.nonzero(bake.coverage)
         self._cells = -(-height * count // longer), -(-width * count // longer)
         row, column = ((2 * at + 1) * count // (2 * longer) for at in (rows, columns))
         cell = row * self._cells[1] + column
-        off = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
-        order = np.lexsort((off, cell))
+        distance = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
+        order = np.lexsort((distance, cell))
         first = order[np.unique(cell[order], return_index=True)[1]]
         self.texels = rows[first] * width + columns[first]
         self._element = np.full(self._cells[0] * self._cells[1], -1, np.int32)
@@ -130,7 +130,7 @@ class _Grid:
         self._places = bake.position.reshape(-1, 3)[self.texels]
 
     def elements_at(self, mesh: MeshData, triangle: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Return (N,) the elements nearest to places (N, 3) on triangles that rays meet; −1 on backs, and unsolved."""
+        """Return (N,) the elements nearest to hit points (N, 3) on triangles; −1 on backs and unsolved triangles."""
         weights = corner_weights(mesh.positions[triangle].astype(np.float64), place)
         uv = np.einsum("nk,nki->ni", weights, mesh.uvs[triangle])
         normal = np.einsum("nk,nki->ni", weights, mesh.normals[triangle])
@@ -149,7 +149,7 @@ class _Grid:
     def around(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
 
-        Bilinear weights, lowered where the surface is another: the element far away, or turned away.
+        Bilinear weights, lowered for elements that are far from the texel or face another way.
         """
         rows, columns = np.nonzero(self._bake.coverage)
         normals, own = self._bake.normal.reshape(-1, 3), self._bake.normal[rows, columns]
@@ -178,7 +178,7 @@ class _Grid:
         )
 
     def _spacing(self) -> float:
-        """Return the median distance of an element from that of the next cell along a row."""
+        """Return the median distance, in world units, between elements of neighbouring cells in a row."""
         rows, columns = np.divmod(np.arange(len(self._element)), self._cells[1])
         other = self._at(rows, columns + 1)
         both = (self._element >= 0) & (other >= 0)

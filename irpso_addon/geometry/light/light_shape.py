@@ -1,7 +1,7 @@
 """Lights with a beam shape: cone and cosine falloff, divided out of the samples.
 
 The observation table has a light's position and intensity only. Cone and cosine differ from texel to texel, so the
-radiances are corrected before.
+samples are corrected before the search.
 """
 
 from __future__ import annotations

@@ -61,8 +61,8 @@ class ShadowCaster:
         lit share of the four map pixels around the texel: a half shaded sample errs by half. Where both the face and
         the shading normal turn away from the light, the weight falls to 0 at 7°.
         """
-        result = self._turned(light, texels)
-        planes = self._oriented(light)
+        result = self._attached(light, texels)
+        planes = self._planes_facing(light)
         for view, chosen in self._views(light, texels, np.flatnonzero(result > 0)):
             numbers = camera_triangles(self._mesh, view)
             for part in blocks(chosen):
@@ -70,8 +70,8 @@ class ShadowCaster:
                 result[part] *= np.clip(2 * lit - 1, 0, 1)[: len(part)]
         return result
 
-    def _turned(self, light: Light, texels: np.ndarray) -> np.ndarray:
-        """Return the weights of attached shadow."""
+    def _attached(self, light: Light, texels: np.ndarray) -> np.ndarray:
+        """Return (N,) float32 weights of attached shadow, 0…1."""
         result = np.zeros(len(texels), np.float32)
         for part in blocks(np.arange(len(texels))):
             block = texels[filled(part)]
@@ -93,7 +93,7 @@ class ShadowCaster:
             size = self._size(2 * self._radius)
             scale = (size - 2 * _BORDER) / (2 * max(self._radius, 1e-30))
             place = self._centre + 2 * self._radius * toward
-            yield Camera(size, size, (scale, scale), (size / 2, size / 2), _looking(place, toward), False), left
+            yield Camera(size, size, (scale, scale), (size / 2, size / 2), _camera_matrix(place, toward), False), left
             return
         away = vector - self._centre
         distance = float(np.linalg.norm(away))
@@ -118,7 +118,7 @@ class ShadowCaster:
         """Return the pixels along a side of a map that is ``width`` wide in the world."""
         return int(np.clip(math.ceil(_PIXELS_A_TEXEL * width / max(self._texel, 1e-30)), _SMALLEST, _LARGEST))
 
-    def _oriented(self, light: Light) -> np.ndarray:
+    def _planes_facing(self, light: Light) -> np.ndarray:
         """Return (T, 4) the planes of the triangles, with the light on their positive side."""
         vector = np.asarray(light.vector, np.float64)
         height = self._planes[:, :3] @ vector + (0 if light.distant else self._planes[:, 3])
@@ -201,10 +201,10 @@ def corner_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _perspective(place: np.ndarray, backward: np.ndarray, half: float, size: int) -> Camera:
     """Return a camera that looks against ``backward``. half: tangent of its half field of view."""
     scale = (size / 2 - _BORDER) / half
-    return Camera(size, size, (scale, scale), (size / 2, size / 2), _looking(place, backward))
+    return Camera(size, size, (scale, scale), (size / 2, size / 2), _camera_matrix(place, backward))
 
 
-def _looking(place: np.ndarray, backward: np.ndarray) -> np.ndarray:
+def _camera_matrix(place: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """Return the (4, 4) matrix of a camera at a place, with its z axis along a unit vector."""
     aside = np.zeros(3)
     aside[np.abs(backward).argmin()] = 1

@@ -1,4 +1,4 @@
-"""What lights a subject besides the lamps: itself, as its mesh is, or as the relief of a card."""
+"""Surfaces on which interreflection is computed: a subject's mesh, or the relief of a card."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
 
 
 class Surroundings(Protocol):
-    """Makes of a domain and its maps the surface that lights itself.
+    """Builds the surface of interreflection from a domain and its maps.
 
-    shape_known: whether the surface is the same whatever the maps are. identity: what must be equal besides the domain
-    for a checkpoint to be resumed.
+    shape_known: whether the surface is independent of the maps. identity: what must be equal, besides the domain, to
+    resume a checkpoint.
     """
 
     shape_known: bool
@@ -39,7 +39,7 @@ class Surroundings(Protocol):
 
 @dataclass
 class MeshSurroundings:
-    """Those of a mesh, which maps do not change. resolution, rays: as for ``exchange_steps``."""
+    """Surroundings of a mesh: maps do not change its shape. resolution, rays: as for ``exchange_steps``."""
 
     mesh: MeshData
     caster_of: CasterOf
@@ -47,15 +47,15 @@ class MeshSurroundings:
     rays: int
     shape_known: bool = True
     _exchange: Exchange | None = None
-    _lights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # of the exchange
+    _lights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # under which ``_exchange`` was computed
 
     @property
     def identity(self) -> dict[str, str]:
-        """As Surroundings: samples do not always show another occluder."""
+        """A hash of the occluders: the samples do not always show that an occluder has changed."""
         return {"occluders": hashlib.sha256(self.mesh.occluders.tobytes()).hexdigest()}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
-        """Work as Surroundings; only the first call takes long, and one under other lights some time."""
+        """As Surroundings. The first call casts all rays, a call under other lights only those to the lights."""
         shape = self.mesh, surface_bake(domain.bake)
         if self._exchange is None:
             cast, self._lights = self.caster_of(self.mesh), domain.lights
@@ -68,7 +68,7 @@ class MeshSurroundings:
 
 @dataclass
 class CardSurroundings:
-    """Those of a card: the relief that its normals integrate to. normal: the parameter's name."""
+    """Surroundings of a card: the relief integrated from its normals. normal: the parameter's name."""
 
     camera: Camera
     normal: str
@@ -83,7 +83,7 @@ class CardSurroundings:
         return {}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
-        """Work as Surroundings, every time anew: the relief follows the maps."""
+        """As Surroundings. Every call casts all rays: the relief depends on the maps."""
         mesh, bake = card_surface(self.camera, domain, values[self.normal])
         cast = self.caster_of(mesh)
         exchange = yield from exchange_steps(mesh, bake, domain.lights, cast, self.resolution, self.rays)
@@ -104,7 +104,7 @@ def card_surface(camera: Camera, domain: Domain, normals: np.ndarray) -> tuple[M
     along = np.stack([up[..., 2], np.zeros(covered.shape), -up[..., 0]], axis=-1)
     along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
     facing = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0)) if min(covered.shape) > 1 else up
-    # Beside an uncovered texel a difference of places is no slope: rim texels would look along the card.
+    # Beside an uncovered texel a difference of positions is no slope: rim texels would face along the card.
     facing = np.where((facing[..., 2:] > 0) & _surrounded(covered)[..., None], facing, up)
     facing /= np.linalg.norm(facing, axis=-1, keepdims=True)
     tangent = np.concatenate([along, np.ones((*covered.shape, 1))], axis=-1)

@@ -53,7 +53,7 @@ class Height:
         return (low, high) if high > low else (low, low + 1.0)
 
     def described(self) -> dict[str, object]:
-        """Return its table for the report."""
+        """Return the relief's table for the report."""
         return {"unit": self.unit, "scale": self.scale, "midlevel": self.midlevel, "steps": self.steps}
 
 
@@ -117,12 +117,12 @@ def integrate(
 
 
 def islands(shape: tuple[int, ...], joined: list[tuple[int, np.ndarray]]) -> np.ndarray:
-    """Return (H, W) int, the number of the island that each texel is of, one alone being an island too.
+    """Return (H, W) int island numbers; a texel without connected neighbours is an island of its own.
 
     joined: bool per axis, (H, W − 1) for axis 1 and (H − 1, W) for axis 0: neighbours are connected.
     """
     number = np.arange(shape[0] * shape[1]).reshape(shape)
-    ends = [(number[_pair(shape, axis)[0]][true], number[_pair(shape, axis)[1]][true]) for axis, true in joined]
+    ends = [(number[_pair(shape, axis)[0]][joins], number[_pair(shape, axis)[1]][joins]) for axis, joins in joined]
     first, second = (np.concatenate(part) for part in zip(*ends, strict=True))
     return connected(number.size, first, second).reshape(shape)
 

@@ -13,8 +13,8 @@ _DISTANCES = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 19, 22, 26, 30, 35, 42, 50
 def open_sky(height: Height, wraps: bool = False) -> np.ndarray:
     """Return (H, W) float32 in 0…1: the share of the light of an even sky that reaches each texel, weighted by cosine.
 
-    height: a card's, in texels. wraps: it repeats; else nothing beyond its border hides the sky, nor do holes. By the
-    horizon in 16 directions up to 60 texels away, about the normal of the heights themselves.
+    height: a card's, in texels. wraps: whether the relief repeats; if not, only its covered texels hide the sky. The
+    horizon is searched in 16 directions, up to 60 texels away, around the normal of the heights.
     """
     values = np.where(height.covered, height.values, -np.inf).astype(np.float32)
     up, along = (_slope(height, axis, wraps) for axis in (0, 1))
@@ -25,7 +25,7 @@ def open_sky(height: Height, wraps: bool = False) -> np.ndarray:
         steepest = np.full(values.shape, -np.inf)
         for distance in (d for d in _DISTANCES if d < min(values.shape)):
             x, y = round(distance * np.cos(azimuth)), round(distance * np.sin(azimuth))
-            # Above the texel's own plane: the whole texels lie a little beside the direction.
+            # Above the texel's own plane: rounding to whole texels (x, y) leaves the direction.
             rise = _moved(values, x, y, wraps) - height.values - (along * x + up * y)
             np.maximum(steepest, uphill + rise / np.hypot(x, y), out=steepest)
         toward = -z * uphill  # of the normal
@@ -36,16 +36,16 @@ def open_sky(height: Height, wraps: bool = False) -> np.ndarray:
 
 
 def _slope(height: Height, axis: int, wraps: bool) -> np.ndarray:
-    """Return (H, W) the slope of the heights along an axis, by the neighbours that are there."""
+    """Return (H, W) mean slopes to the covered neighbours along an axis; 0 without any."""
     values = np.where(height.covered, height.values, np.nan).astype(np.float64)
     x, y = (0, 1) if axis == 0 else (1, 0)
     steps = np.stack([_moved(values, x, y, wraps) - values, values - _moved(values, -x, -y, wraps)])
-    there = np.isfinite(steps)
-    return np.where(there, steps, 0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+    finite = np.isfinite(steps)
+    return np.where(finite, steps, 0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
 
 
 def _moved(values: np.ndarray, x: int, y: int, wraps: bool) -> np.ndarray:
-    """Return at each texel the value that lies x to the right and y up; −∞ beyond the border."""
+    """Return at each texel the value x texels to the right and y up; −∞ beyond the border, unless it wraps."""
     moved = np.roll(values, (-y, -x), axis=(0, 1))
     if wraps:
         return moved

@@ -1,4 +1,4 @@
-"""Heights that repeat, from normals that repeat (Frankot & Chellappa 1988)."""
+"""Periodic heights from periodic normals (Frankot & Chellappa 1988)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _LEAST_NZ = 0.1  # steeper normals count as 84°
 
 
 def periodic_height(normals: np.ndarray) -> Height:
-    """Return the relief of normals (H, W, 3) that continue at their opposite borders: least squares of the slopes.
+    """Return the periodic relief of normals (H, W, 3) that repeat across opposite borders: least squares of slopes.
 
-    In texels, toward the normal, mean 0. A mean slope, which cannot repeat, is left out.
+    In texels, toward the normal, mean 0. The mean slope, which is not periodic, is dropped.
     """
     height, width = normals.shape[:2]
     z = np.maximum(normals[..., 2], _LEAST_NZ).astype(np.float64)

@@ -1,4 +1,4 @@
-"""A relief as a closed body, as printers want it."""
+"""A card's relief as a closed solid, for 3D printing."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def relief_solid(height: Height, width: float, base: float) -> tuple[np.ndarray,
     )
     count = len(used)
     edges = np.concatenate([top[:, [k, (k + 1) % 4]] for k in range(4)])
-    inner = np.isin(edges @ (1, count), edges @ (count, 1))  # its reverse is another quad's
+    inner = np.isin(edges @ (1, count), edges @ (count, 1))  # the reversed edge belongs to another quad
     a, b = edges[~inner].T
     walls = np.stack([b, a, a + count, b + count], axis=-1)
     under = top[:, ::-1] + count

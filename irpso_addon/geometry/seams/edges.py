@@ -58,21 +58,21 @@ def seam_edges(mesh: MeshData, width: int, height: int) -> tuple[SeamEdges, np.n
     turned = first > second  # all sides of an edge list its ends in one order
     a, b = uv.reshape(-1, 2), np.roll(uv, -1, axis=1).reshape(-1, 2)
     a, b = np.where(turned[:, None], b, a), np.where(turned[:, None], a, b)
-    edge = _numbered(np.minimum(first, second), np.maximum(first, second))
+    edge = _pair_numbers(np.minimum(first, second), np.maximum(first, second))
     places = _welded(np.pad(mesh.uvs.reshape(-1, 2), ((0, 0), (0, 1)))).reshape(-1, 3)
     one, other = places.ravel(), np.roll(places, -1, axis=1).ravel()
-    place = _numbered(np.where(turned, other, one), np.where(turned, one, other))
-    shared, left = _paired(_numbered(edge, place), first != second)
+    place = _pair_numbers(np.where(turned, other, one), np.where(turned, one, other))
+    shared, left = _paired(_pair_numbers(edge, place), first != second)
     pairs, alone = _paired(edge, np.isin(np.arange(len(edge)), left))
     apart = np.ptp(np.concatenate([a, b], axis=-1)[pairs], axis=1).max(axis=-1, initial=0)
     same = apart < _SAME_PLACE
     islands = connected(len(corners), *np.concatenate([shared, pairs[same]]).T // 3).astype(np.int32)
     one, two = pairs[~same].T
     here, there = np.concatenate([one, two, alone]), np.concatenate([two, one, np.full(len(alone), -1)])
-    return _described(mesh, uv, a, b, here, there, islands), islands
+    return _border_edges(mesh, uv, a, b, here, there, islands), islands
 
 
-def _numbered(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _pair_numbers(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return (N,) numbers of pairs of integers, equal where both are equal."""
     return np.unique(first.astype(np.int64) * (int(second.max()) + 1) + second, return_inverse=True)[1]
 
@@ -99,7 +99,7 @@ def _paired(keys: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.stack([order[twice], order[twice + 1]], axis=-1), order[alone]
 
 
-def _described(
+def _border_edges(
     mesh: MeshData,
     uv: np.ndarray,
     a: np.ndarray,

@@ -56,15 +56,15 @@ def pieces_of(island: np.ndarray, reach: int) -> Pieces:
     y, x = np.nonzero((island >= 0) & np.kron(mixed, np.ones((reach, reach), bool))[:height, :width])
     pairs = np.unique(np.stack([y // reach * columns + x // reach, island[y, x]], axis=-1), axis=0)
     corner = np.stack([pairs[:, 0] % columns, pairs[:, 0] // columns], axis=-1) * reach
-    kept, labels = [np.zeros(0, np.int64)], [np.zeros((0, _SIDE * reach, _SIDE * reach), np.int16)]
+    split, labels = [np.zeros(0, np.int64)], [np.zeros((0, _SIDE * reach, _SIDE * reach), np.int16)]
     steps = np.arange(_SIDE * reach)
     for start in range(0, len(pairs), _WINDOWS):
         part = slice(start, start + _WINDOWS)
         window = padded[corner[part, 1, None, None] + steps[:, None], corner[part, 0, None, None] + steps]
         label, count = _labelled(window == pairs[part, 1, None, None])
-        kept.append(start + np.flatnonzero(count > 1))
+        split.append(start + np.flatnonzero(count > 1))
         labels.append(label[count > 1].astype(np.int16))
-    chosen, label = np.concatenate(kept), np.concatenate(labels)
+    chosen, label = np.concatenate(split), np.concatenate(labels)
     core = label[:, before : before + reach, before : before + reach]
     block, piece = np.unique(np.stack([np.nonzero(core >= 0)[0], core[core >= 0]], axis=-1), axis=0).T.astype(np.int64)
     return Pieces(corner[chosen], pairs[chosen, 1], label, block, piece)
@@ -104,14 +104,14 @@ def beyond_pieces(
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
     edge, view = _edges_of(edges, island, pieces, reach)
 
-    def covered(looking: np.ndarray, place: np.ndarray) -> np.ndarray:
-        block = pieces.block[looking]
+    def covered(charts: np.ndarray, place: np.ndarray) -> np.ndarray:
+        block = pieces.block[charts]
         x, y = (place - pieces.corner[block] + _BLOCKS * reach).T
         # A chart sees at most one block far.
         outside = np.minimum(x, y) < (_BLOCKS - 1) * reach
         outside |= np.maximum(x, y) >= (_BLOCKS + 2) * reach
         x, y = np.where(outside, 0, x), np.where(outside, 0, y)
-        return outside | (pieces.label[block, y, x] == pieces.piece[looking])
+        return outside | (pieces.label[block, y, x] == pieces.piece[charts])
 
     mine = edges.some(edge)
     place, nearest = places_beyond(mine, view, covered, island.shape, reach)
@@ -176,16 +176,16 @@ def _edges_of(edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int) 
     blocks = pieces.corner // reach + _BLOCKS
     keys = (blocks[:, 1] * columns + blocks[:, 0]) * islands + pieces.island
     order = np.argsort(keys)
-    number, found = pieces.number(), []
+    number, pairs = pieces.number(), []
     for dy in range(_SIDE):
         for dx in range(_SIDE):
-            wanted = ((y // reach + dy) * columns + x // reach + dx) * islands + edges.island[edge]
-            index = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
+            key = ((y // reach + dy) * columns + x // reach + dx) * islands + edges.island[edge]
+            index = np.minimum(np.searchsorted(keys, key, sorter=order), len(keys) - 1)
             a = order[index]
-            there = np.flatnonzero(keys[a] == wanted)
-            a = a[there]
-            wx, wy = (at[there] - pieces.corner[a, axis] + _BLOCKS * reach for axis, at in enumerate((x, y)))
+            matches = np.flatnonzero(keys[a] == key)
+            a = a[matches]
+            wx, wy = (at[matches] - pieces.corner[a, axis] + _BLOCKS * reach for axis, at in enumerate((x, y)))
             label = pieces.label[a, wy, wx]
             chart = np.where(label >= 0, number[a, np.maximum(label, 0)], -1)
-            found.append(np.stack([edge[there], chart], axis=-1)[chart >= 0])
-    return tuple(np.unique(np.concatenate(found), axis=0).T)
+            pairs.append(np.stack([edge[matches], chart], axis=-1)[chart >= 0])
+    return tuple(np.unique(np.concatenate(pairs), axis=0).T)

@@ -52,14 +52,14 @@ def places_beyond(
 
     before = np.zeros(0, np.int64)
     last = nearest(*_seeds(edges), before)
-    found = [last]
+    rings = [last]
     for _ in range(reach - 1):
         key, edge = last
         around = (place_of(key)[:, None] + _AROUND).reshape(-1, 2)
         new = nearest(around, np.repeat(edge, len(_AROUND)), np.union1d(before, key))
         before, last = key, new
-        found.append(new)
-    keys, chosen = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        rings.append(new)
+    keys, chosen = (np.concatenate(parts) for parts in zip(*rings, strict=True))
     return place_of(keys), chosen
 
 

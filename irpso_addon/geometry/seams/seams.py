@@ -97,9 +97,9 @@ def seams_of(mesh: MeshData, triangle: np.ndarray, reach: int = SEAM_REACH) -> S
 def _covered(island: np.ndarray) -> Covered:
     """Return a function that tests whether places lie on the islands that see them."""
 
-    def covered(looking: np.ndarray, place: np.ndarray) -> np.ndarray:
+    def covered(viewer: np.ndarray, place: np.ndarray) -> np.ndarray:
         x, y = np.clip(place, 0, (island.shape[1] - 1, island.shape[0] - 1)).T
-        return (place == np.stack([x, y], axis=-1)).all(axis=1) & (island[y, x] == looking)
+        return (place == np.stack([x, y], axis=-1)).all(axis=1) & (island[y, x] == viewer)
 
     return covered
 
@@ -110,10 +110,10 @@ def window_seams(seams: SeamMap, window: tuple[int, int, int, int]) -> SeamMap:
     y, x = np.divmod(seams.target, seams.shape[1])
     inside = (x >= x0) & (x < x0 + width) & (y >= y0) & (y < y0 + height)
     low, high = np.array([x0, y0]) - seams.reach, np.array([x0 + width, y0 + height]) + seams.reach
-    kept = inside & ((seams.place >= low) & (seams.place < high)).all(axis=1)
+    chosen = inside & ((seams.place >= low) & (seams.place < high)).all(axis=1)
     return replace(
-        seams, island=seams.island[y0 : y0 + height, x0 : x0 + width], of=seams.of[kept], at=seams.at[kept],
+        seams, island=seams.island[y0 : y0 + height, x0 : x0 + width], of=seams.of[chosen], at=seams.at[chosen],
         chart=seams.chart[y0 : y0 + height, x0 : x0 + width],
-        place=seams.place[kept] - np.array([x0, y0], np.int32),
-        target=(y[kept] - y0) * width + x[kept] - x0,
+        place=seams.place[chosen] - np.array([x0, y0], np.int32),
+        target=(y[chosen] - y0) * width + x[chosen] - x0,
     )  # fmt: skip

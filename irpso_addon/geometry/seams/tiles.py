@@ -30,25 +30,25 @@ def tile_seams(
     own = solvable[y0 : y0 + high, x0 : x0 + wide]
     charts = seams.chart[y0 : y0 + high, x0 : x0 + wide]
     near = (seams.place >= (x0 - halo, y0 - halo)) & (seams.place < (x0 + wide + halo, y0 + high + halo))
-    kept = np.flatnonzero(near.all(axis=1) & np.isin(seams.of, np.unique(charts[own])))
+    chosen = np.flatnonzero(near.all(axis=1) & np.isin(seams.of, np.unique(charts[own])))
     if halo <= LOOKED_FOR:
-        kept = kept[_sees(np.where(own, charts, -1), seams.place[kept] - (x0, y0), seams.of[kept], halo)]
-    target = seams.target[kept]
-    passed = target >= height * width
-    y, x = np.divmod(np.where(passed, 0, target), width)
-    kept, target, passed, x, y = (a[passed | solvable[y, x]] for a in (kept, target, passed, x, y))
-    inside = ~passed & (y >= bottom) & (y < top) & (x >= left) & (x < right)
+        chosen = chosen[_sees(np.where(own, charts, -1), seams.place[chosen] - (x0, y0), seams.of[chosen], halo)]
+    target = seams.target[chosen]
+    is_ghost = target >= height * width
+    y, x = np.divmod(np.where(is_ghost, 0, target), width)
+    chosen, target, is_ghost, x, y = (a[is_ghost | solvable[y, x]] for a in (chosen, target, is_ghost, x, y))
+    inside = ~is_ghost & (y >= bottom) & (y < top) & (x >= left) & (x < right)
     outside, number = np.unique(target[~inside], return_inverse=True)
     new = (y - bottom) * (right - left) + x - left
     new[~inside] = (top - bottom) * (right - left) + number
     ay, ax = np.divmod(outside[outside < height * width], width)
     old = outside[outside >= height * width] - height * width
-    there = np.stack([ax + origin[0], ay + origin[1]], axis=-1)
+    places = np.stack([ax + origin[0], ay + origin[1]], axis=-1)
     return replace(
         seams, island=seams.island[bottom:top, left:right], chart=seams.chart[bottom:top, left:right],
-        of=seams.of[kept], target=new, at=seams.at[kept],
-        place=seams.place[kept] - np.array([left, bottom], np.int32),
-        ghosts=np.concatenate([there, seams.ghosts[old]]).astype(np.int32),
+        of=seams.of[chosen], target=new, at=seams.at[chosen],
+        place=seams.place[chosen] - np.array([left, bottom], np.int32),
+        ghosts=np.concatenate([places, seams.ghosts[old]]).astype(np.int32),
         ghost_normal=np.concatenate([normal[ay, ax], seams.ghost_normal[old]]),
         ghost_tangent=np.concatenate([tangent[ay, ax], seams.ghost_tangent[old]]),
     )  # fmt: skip
@@ -57,8 +57,8 @@ def tile_seams(
 def _sees(chart: np.ndarray, place: np.ndarray, of: np.ndarray, halo: int) -> np.ndarray:
     """Return (N,) bool: whether a texel of the chart ``of`` lies within ``halo`` of a place (N, 2)."""
     padded = np.pad(chart, 2 * halo, constant_values=-1)
-    found = np.zeros(len(place), bool)
+    seen = np.zeros(len(place), bool)
     for y in range(-halo, halo + 1):
         for x in range(-halo, halo + 1):
-            found |= padded[place[:, 1] + y + 2 * halo, place[:, 0] + x + 2 * halo] == of
-    return found
+            seen |= padded[place[:, 1] + y + 2 * halo, place[:, 0] + x + 2 * halo] == of
+    return seen

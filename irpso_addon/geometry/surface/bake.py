@@ -108,12 +108,12 @@ def camera_triangles(mesh: MeshData, camera: Camera) -> np.ndarray:
 
 def _picked(bake: SurfaceBake, index: np.ndarray) -> SurfaceBake:
     """Return a bake gathered from another by flat indices (H, W), −1 for an empty pixel."""
-    nothing = {"triangle": -1}
+    empty = {"triangle": -1}
     arrays = {}
     for item in fields(SurfaceBake):
         values = getattr(bake, item.name)
         picked = values.reshape(-1, *values.shape[2:])[np.maximum(index, 0)]
-        picked[index < 0] = nothing.get(item.name, 0)
+        picked[index < 0] = empty.get(item.name, 0)
         arrays[item.name] = picked
     return SurfaceBake(**arrays)
 
@@ -129,11 +129,11 @@ def overlap(mesh: MeshData, size: int = _OVERLAP_SIZE) -> float:
 def _first_and_last(mesh: MeshData, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and the last triangle over each texel, from 1; 0 for none. UDIM tiles are stacked in rows."""
     places = _uv_places(mesh, size * len(mesh.tiles), size)
-    found = [
+    numbers = [
         [raster.triangle_numbers(places - np.array([x, 0, 0, 0]), size, size, first) for first in (True, False)]
         for x in range(0, size * len(mesh.tiles), size)
     ]
-    first, last = (np.concatenate(part) for part in zip(*found, strict=True))
+    first, last = (np.concatenate(part) for part in zip(*numbers, strict=True))
     return first, last
 
 

@@ -54,7 +54,7 @@ def places_along(sides: np.ndarray) -> np.ndarray:
 
 
 def place(number: int, along: int) -> float:
-    """Return a place's position along a side with ``count`` places: −0.5 … 0.5 of the side."""
+    """Return the position of place ``number`` of ``along`` on a side of a texel: −0.5 … 0.5 of the side."""
     return (number + 0.5) / along - 0.5
 
 

@@ -44,7 +44,7 @@ class MeshData:
 
     @property
     def opaque(self) -> np.ndarray:
-        """(T + M, 3, 3) positions of all that light and views do not pass: the mesh's triangles, then the occluders."""
+        """(T + M, 3, 3) positions of all opaque triangles: the mesh's, then the occluders'."""
         return np.concatenate([self.positions, self.occluders]) if len(self.occluders) else self.positions
 
     @property

@@ -25,18 +25,18 @@ def slots_of_text(text: str, names: tuple[str, ...]) -> tuple[int, ...]:
     names: of all slots. A single name may contain commas.
     """
     parts = [text.strip()] if text.strip() in names else [part.strip() for part in text.split(",")]
-    found = set()
+    chosen = set()
     for part in parts:
         if part in names:
-            found |= {index for index, name in enumerate(names) if name == part}
+            chosen |= {index for index, name in enumerate(names) if name == part}
         elif part.isdecimal() and int(part) < len(names):
-            found.add(int(part))
+            chosen.add(int(part))
         else:
             raise InputError(
                 f"{OPTION} {text}: there is no slot '{part}'; "
                 + (f"the slots are {listed(names)}" if names else "the object has no material slots: leave it away")
             )
-    return tuple(sorted(found))
+    return tuple(sorted(chosen))
 
 
 def listed(names: tuple[str, ...]) -> str:

@@ -23,12 +23,12 @@ def lay_out(where: str, uvs: np.ndarray) -> tuple[tuple[int, ...], np.ndarray]:
     error. Raises InputError, with their number, where triangles cross a border of tiles or lie outside all tiles.
     """
     column, row, fits = _places(uvs)
-    there = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
-    if not (fits & there).all():
+    in_range = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
+    if not (fits & in_range).all():
         (u0, v0), (u1, v1) = uvs.min(axis=(0, 1)), uvs.max(axis=(0, 1))
         crossing = int((~fits).sum())
         raise InputError(
-            f"{where}: {(~(fits & there)).sum()} of {len(uvs)} triangles do not lie in one UDIM tile"
+            f"{where}: {(~(fits & in_range)).sum()} of {len(uvs)} triangles do not lie in one UDIM tile"
             f" (u {u0:.4g} to {u1:.4g}, v {v0:.4g} to {v1:.4g}; {crossing} cross a border of tiles); move each island"
             " into a tile, 1001 to 2000, or pack all into the unit square"
         )
