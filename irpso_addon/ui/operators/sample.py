@@ -55,7 +55,8 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
     doing = n_("Opening the sample")
 
     folder: StringProperty(
-        name="Folder", description="Where the sample lies. It is rendered into this folder unless it is there already",
+        name="Folder", description="Folder of the sample. The sample is rendered into it, unless the folder holds"
+        " it already",
         subtype="DIR_PATH", **RELATIVE_PATH,
     )  # fmt: skip
 
