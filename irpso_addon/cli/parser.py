@@ -164,7 +164,7 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
                      help="add occlusion to gltf and textures: from a card's relief, for a mesh by Cycles")  # fmt: skip
     add.add_argument("--rays", type=int, metavar="N", help="rays per texel for a mesh's occlusion (default 128)")
     add.add_argument("--occluder", action="append", default=[], metavar="NAME",
-                     help="object in the result's .blend that hides the sky from the mesh; may be repeated")  # fmt: skip
+                     help="object in the result's .blend that hides the mesh's sky; may be repeated")  # fmt: skip
     add.add_argument("--width", type=float, default=100.0, metavar="W",
                      help="width of a card exported as relief (default 100, for millimetres)")  # fmt: skip
     add.add_argument("--photographs", type=int, metavar="N",
@@ -214,7 +214,7 @@ def _add_tile(commands: argparse._SubParsersAction) -> None:
         help="texels along a side (default: the largest power of two that the card fills)",
     )
     add.add_argument("--overlap", type=float, metavar="SHARE",
-                     help="width of the joint as a part of the side (default: 0.2 to 0.4, where the ends match)")  # fmt: skip
+                     help="width of the joint as a part of the side (default: best of 0.2 to 0.4)")  # fmt: skip
     add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)
 

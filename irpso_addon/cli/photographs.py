@@ -32,7 +32,7 @@ def add_calibrate(commands: argparse._SubParsersAction) -> None:
                      " outline, X1,Y1,X2,Y2,X3,Y3,…, in pixels from the upper left corner; may be"
                      " repeated")  # fmt: skip
     add.add_argument("--inside-out", action="store_true",
-                     help="with --ball none: use the other of two possible reliefs, if the first looks inside out")  # fmt: skip
+                     help="with --ball none: use the other possible relief, if the first looks inside out")  # fmt: skip
     add.add_argument(
         "--flat", action="store_true", help="with --ball none: the subject is flat, and lamps stand near it"
     )
@@ -46,7 +46,7 @@ def add_calibrate(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--camera", metavar="FILE", help="camera.toml, instead of --fov")
     add.add_argument("--view", metavar="NAME", help="camera that saw the balls, if the capture has several")
     add.add_argument("--radius", type=float, metavar="R",
-                     help="radius of the balls, in the unit of light positions (default: 1, positions in radii)")  # fmt: skip
+                     help="radius of the balls, in the unit of light positions (default: 1)")  # fmt: skip
     add.add_argument(
         "--lights", choices=("auto", "distant", "near"), default="auto", help="kind of lights (default auto)"
     )
@@ -87,7 +87,7 @@ def add_develop(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--exposures", metavar="A,B,…", help=_EXPOSURES)
     add.add_argument("--saturated", type=part, default=0.98, metavar="S",
-                     help="merging ignores pixels at or above this part of the largest code (default 0.98)")  # fmt: skip
+                     help="merging ignores pixels above this part of the largest code (default 0.98)")  # fmt: skip
     add.add_argument("--register", action="store_true", help="shift images onto one of them")
     add.add_argument("--reference", metavar="NAME", help="image that the others are shifted onto (default: the first)")
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=COLOUR_SPACE)
@@ -156,7 +156,7 @@ def add_handheld(commands: argparse._SubParsersAction) -> None:
     add.add_argument("photographs", metavar="PHOTOS", help="folder of photographs, 30 or more, of one flat card")
     add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="new folder")
     add.add_argument("--fov", type=float, metavar="DEGREES",
-                     help="the camera's full angle over the image's width (default: from EXIF, then refined)")  # fmt: skip
+                     help="the camera's full angle over the image's width (default: EXIF, refined)")  # fmt: skip
     add.add_argument("--flash-offset", metavar="X,Y,Z",
                      help="place of the flash relative to the lens in millimetres: to the right, up, toward you"
                      " (default: found from the brightness)")  # fmt: skip
