@@ -87,7 +87,7 @@ def add_develop(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--exposures", metavar="A,B,…", help=_EXPOSURES)
     add.add_argument("--saturated", type=part, default=0.98, metavar="S",
-                     help="merging ignores pixels above this part of the largest code (default 0.98)")  # fmt: skip
+                     help="merging ignores pixels from this part of the largest code on (default 0.98)")  # fmt: skip
     add.add_argument("--register", action="store_true", help="shift images onto one of them")
     add.add_argument("--reference", metavar="NAME", help="image that the others are shifted onto (default: the first)")
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=COLOUR_SPACE)

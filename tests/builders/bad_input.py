@@ -174,7 +174,7 @@ CAPTURES = {
     "two lights": (broken("card", too_few), r"has 2 lights; a normal needs at least three"),
     "photographs in the output folder": (prepared(photographs_in_out, recover()), r"out: holds the photographs"),
     "a picture that a map would replace": (
-        prepared(picture_in_out, recover()), r"normal.png: would be replaced, and is not of a former result"),
+        prepared(picture_in_out, recover()), r"normal.png: would be replaced, but no recovery wrote it"),
     "one photograph to calibrate": (
         lambda f: ["calibrate", f / "card" / "000.exr", "-o", f / OUT, "--quiet"], r"000.exr: is one photograph; give"),
     "lamps inside of the ball": (

@@ -40,8 +40,8 @@ def read_metashape(path: Path) -> PoseFile:
     (chunk,) = chunks
     if (chunk.findtext("reference") or "").strip().startswith(_EARTH):
         raise CaptureError(
-            f"{path}: its world is the Earth; in Metashape's Reference pane choose Local Coordinates, then export the"
-            " cameras and the model again",
+            f"{path}: its cameras have geographic coordinates; in Metashape's Reference pane choose Local"
+            " Coordinates, then export the cameras and the model again",
             "camera",
         )
     sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}

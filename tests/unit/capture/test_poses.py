@@ -181,7 +181,7 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         ({"world": CHUNK.replace("2.5", "0")}, "the chunk's transform must be a rotation, a shift and a scale"),
         ({"world": CHUNK.replace("2.5", "1 2")}, "the chunk's transform must be 1 finite number"),
         ({"camera": '<camera id="9" sensor_id="5" label="x"><transform/></camera>'}, "sensor 5 is not there"),
-        ({"reference": '<reference>GEOGCS["WGS 84",1]</reference>'}, "its world is the Earth"),
+        ({"reference": '<reference>GEOGCS["WGS 84",1]</reference>'}, "its cameras have geographic coordinates"),
     ],
 )
 def test_a_broken_metashape_file_is_reported_in_one_line(tmp_path, given, words):
