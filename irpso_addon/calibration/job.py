@@ -235,8 +235,8 @@ def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[
     if degrees < _MATTERS:
         return []
     return [
-        f"nothing states the lens, so it is taken as very long; if it is a phone's ({_PHONE:.0f}° over the width), the"
-        f" lights are off by about {degrees:.0f}°: give --fov"
+        f"the field of view is unknown, so a very long lens is assumed; if it is a phone's ({_PHONE:.0f}° over the"
+        f" width), the lights are off by about {degrees:.0f}°: give --fov"
     ]
 
 

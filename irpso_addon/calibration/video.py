@@ -75,8 +75,8 @@ def chosen_frames(looks: Sequence[Look], count: int, where: str) -> list[int]:
         chosen.append(best)
     if len(chosen) < FEWEST:
         raise InputError(
-            f"{where}: shows {len(chosen)} light{'s' * (len(chosen) > 1)}, so nothing can be told from it; carry the"
-            " lamp around the subject while you film"
+            f"{where}: shows {len(chosen)} light{'s' * (len(chosen) > 1)}, too few for a recovery; carry the lamp"
+            " around the subject while you film"
         )
     return sorted(chosen)
 

@@ -83,7 +83,10 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
     )
     masks = tuple(view.mask(mask) for view, mask in zip(views, capture.masks, strict=True))
     if not all(mask.any() for mask in masks):
-        raise CaptureError(f"{part or 'scale'}: the mask of '{capture.name}' keeps nothing of it", "mask_empty")
+        raise CaptureError(
+            f"{part or 'scale'}: the mask of '{capture.name}' leaves no pixel of this part; choose another part",
+            "mask_empty",
+        )
     distance = capture.card_distance
     if framing.card_width is not None:
         distance = _distance(views[0].camera, framing.card_width)

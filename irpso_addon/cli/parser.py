@@ -12,7 +12,7 @@ from . import photographs
 from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance, add_mesh, add_shelf, seed
 
 _MODEL = f"shipped model, or your own .toml (default {DEFAULT_MODEL})"
-_ENTRY = "kind of GPU pass (default auto: as doctor says)"
+_ENTRY = "kind of GPU pass (default auto: the one that irpso doctor reports)"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -47,7 +47,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
     add.add_argument(
-        "--benchmark", action="store_true", help="also recover a rendered card, and say how fast each phase is"
+        "--benchmark", action="store_true", help="also recover a rendered card, and print the speed of each phase"
     )
     add_common(add)
     return parser
@@ -77,7 +77,8 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--corners", metavar="auto|X1,Y1,…,X4,Y4",
                      help="corners of a flat rectangle, clockwise from its upper left one: it is recovered as seen"
-                     " straight from the front; auto: by printed markers, or the one rectangle that shows")  # fmt: skip
+                     " straight from the front; auto: find them, by printed markers or as the only"
+                     " rectangle")  # fmt: skip
     add.add_argument(
         "--scale", type=float, metavar="S", help="size of the pictures, 0.25 for a quick preview (default 1)"
     )
@@ -111,8 +112,8 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         action=argparse.BooleanOptionalAction,
         help="first write maps of a quarter of each side into OUT/preview (default: from two million texels on)",
     )
-    add.add_argument("--live", action="store_true", help="keep OUT/live.png, a picture of the maps so far")
-    add.add_argument("--memory", metavar="SIZE", help="most memory to use, as 4G or device=4G,host=8G")
+    add.add_argument("--live", action="store_true", help="keep updating OUT/live.png, a picture of the maps so far")
+    add.add_argument("--memory", metavar="SIZE", help="largest memory to use, as 4G or device=4G,host=8G")
     add.add_argument(
         "--dry-run", action="store_true", help="print the plan of tiles and memory; read no image, write nothing"
     )
@@ -160,14 +161,15 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
         "--object", metavar="NAME", help="mesh object of gltf, turntable and asset, if several have recovered materials"
     )
     add.add_argument("--occlusion", action="store_true",
-                     help="occlusion in gltf and textures: of a card's relief, of a mesh by Cycles")  # fmt: skip
-    add.add_argument("--rays", type=int, metavar="N", help="rays of a texel of a mesh's occlusion (default 128)")
+                     help="add occlusion to gltf and textures: from a card's relief, for a mesh by Cycles")  # fmt: skip
+    add.add_argument("--rays", type=int, metavar="N", help="rays per texel for a mesh's occlusion (default 128)")
     add.add_argument("--occluder", action="append", default=[], metavar="NAME",
-                     help="object in the result's .blend that hides a mesh's sky; may be repeated")  # fmt: skip
+                     help="object in the result's .blend that hides the mesh's sky; may be repeated")  # fmt: skip
     add.add_argument("--width", type=float, default=100.0, metavar="W",
-                     help="width of the card of a relief (default 100, as millimetres)")  # fmt: skip
+                     help="width of a card exported as relief (default 100, for millimetres)")  # fmt: skip
     add.add_argument("--photographs", type=int, metavar="N",
-                     help="photographs in a page of web: unseen ones, then the most different (default 8)")  # fmt: skip
+                     help="number of photographs in a web page: held-out ones, then the most different"
+                     " (default 8)")  # fmt: skip
     add.add_argument("--replace", action="store_true",
                      help="replace files of the same names; an asset is never replaced")  # fmt: skip
     add_shelf(add)
@@ -197,7 +199,7 @@ def _add_sample(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--photographs", type=int, metavar="N", help="number of photographs (default 16)")
     add.add_argument("--size", metavar="WxH", help="size of the photographs in pixels (default 640x480)")
     add.add_argument("--seed", type=seed, default=0, metavar="S",
-                     help="seed of the lamp's places and of the noise (default 0)")  # fmt: skip
+                     help="seed of the lamp positions and of the noise (default 0)")  # fmt: skip
     add_common(add)
 
 
@@ -206,10 +208,13 @@ def _add_tile(commands: argparse._SubParsersAction) -> None:
     add.add_argument("result", help="folder that recover wrote for a card")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result that repeats")
     add.add_argument(
-        "--size", type=int, metavar="N", help="texels of a side (default: the power of two that is filled)"
+        "--size",
+        type=int,
+        metavar="N",
+        help="texels along a side (default: the largest power of two that the card fills)",
     )
     add.add_argument("--overlap", type=float, metavar="SHARE",
-                     help="of the side, which the joint takes (default: 0.2 to 0.4, where the ends match)")  # fmt: skip
+                     help="width of the joint as a part of the side (default: best of 0.2 to 0.4)")  # fmt: skip
     add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     add_common(add)
 

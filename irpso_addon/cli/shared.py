@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 
 SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and list them"
-COLOUR_SPACE = "encoding of the image files (default auto: as stated or measured; else 8 bits sRGB, others linear)"
+COLOUR_SPACE = (
+    "encoding of the image files (default auto: as files state or pixels show; else sRGB for 8 bits, linear for others)"
+)
 EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
 
 
@@ -26,13 +28,13 @@ def add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:
     add.add_argument("--object", metavar="NAME", help="mesh object in FILE")
     add.add_argument("--slots", metavar="A,B", help=f"use only these material slots, by name or by number from 0{more}")
     add.add_argument("--occluder", action="append", default=[], metavar="NAME",
-                     help="object in FILE that hides and shades the mesh; may be repeated")  # fmt: skip
+                     help="object in FILE that hides and shadows the mesh; may be repeated")  # fmt: skip
 
 
 def add_shelf(add: argparse.ArgumentParser) -> None:
     """Add what is written on an asset, and where it lies in its library."""
     add.add_argument("--asset-name", metavar="NAME", help="name of the asset (default: the subject's)")
-    add.add_argument("--catalog", metavar="A/B", help="catalog of the asset; made where the library lacks it")
+    add.add_argument("--catalog", metavar="A/B", help="catalog of the asset; created if the library lacks it")
     add.add_argument("--author", metavar="NAME", help="author of the asset")
     add.add_argument("--license", metavar="L", help="licence of the asset, as CC-BY-4.0")
     add.add_argument("--tag", action="append", default=[], metavar="WORD", help="tag of the asset; may be repeated")

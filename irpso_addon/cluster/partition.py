@@ -96,7 +96,7 @@ def check_gathered(found: Split, memory: Memory) -> None:
     if found.state > memory.host:
         raise InputError(
             f"--checkpoint-every: a checkpoint takes {amount(found.state)} on rank 0, where there are"
-            f" {amount(memory.host)} ({memory.host_from}); leave it out, or say with --memory host=… what there is"
+            f" {amount(memory.host)} ({memory.host_from}); leave it out, or state the memory with --memory host=…"
         )
 
 
@@ -113,5 +113,5 @@ def check_fits(found: Split, ranks: Ranks, memory: Memory, sharing: int) -> None
         raise InputError(
             f"{tile.texels} texels with a halo of {found.halo} take {amount(tile.device)} on the device, where there"
             f" are {amount(allowed)} for each of {sharing} ranks ({memory.device_from}); start more ranks on more"
-            " machines, or say with --memory device=… what there is"
+            " machines, or state the memory with --memory device=…"
         )

@@ -189,8 +189,8 @@ def joined() -> Ranks | None:
     ranks = Ranks(MPI)
     if ranks.size == 1:
         raise InputError(
-            f"{started} processes were started together, but MPI knows of one alone: the launcher is of another MPI"
-            " than mpi4py's; start them with that one's mpirun, or with srun --mpi=pmix"
+            f"{started} processes were started together, but MPI reports only one: the launcher belongs to another MPI"
+            " than mpi4py; start them with the mpirun of mpi4py's MPI, or with srun --mpi=pmix"
         )
     return ranks
 

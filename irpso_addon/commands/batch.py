@@ -72,7 +72,8 @@ def run(options: Namespace) -> dict:
     if options.only is not None:
         chosen = [job for job in jobs if job.name == options.only]
         if not chosen:
-            raise InputError(f"--only {options.only}: {options.list} has {', '.join(job.name for job in jobs)}")
+            names = ", ".join(job.name for job in jobs)
+            raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
         return _outcome([_run_job(chosen[0], output, options)], None, options)
     states = [_run_job(job, output, options) for job in jobs]
     return _outcome(states, output / "batch.json", options)

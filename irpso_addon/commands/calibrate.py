@@ -60,7 +60,7 @@ def _calibrated(options: Namespace) -> dict:
         return _by_shape(options, keys) if options.blend else _by_shading(options, keys)
     for name in ("inside_out", "flat", "blend", "object", "slots", "occluder"):
         if getattr(options, name):
-            raise InputError(f"--{name.replace('_', '-')}: goes with --ball none")
+            raise InputError(f"--{name.replace('_', '-')}: needs --ball none; add it, or leave the option out")
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
@@ -90,13 +90,13 @@ def _check_ballless(options: Namespace) -> None:
         raise InputError("--ball none: finds lights without a ball; omit the other --ball")
     for name, usual in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
         if getattr(options, name) != usual:
-            raise InputError(f"--{name}: is of balls; leave it out with --ball none")
+            raise InputError(f"--{name}: applies to balls; leave it out with --ball none")
     if options.flat and options.blend:
         raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
     if options.flat and options.inside_out:
         raise InputError("--inside-out: a flat card (--flat) has no relief; leave it out")
     if options.flat and options.lights == "distant":
-        raise InputError("--lights distant: matt shading of a flat card does not tell directions; put a ball beside it")
+        raise InputError("--lights distant: matt shading of a flat card does not show directions; put a ball beside it")
     if options.blend and options.inside_out:
         raise InputError("--inside-out: a mesh (--blend) has one side; leave it out")
     for name in ("object", "slots", "occluder"):
@@ -148,7 +148,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     turned = f"; it turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
     line = (
         f"{len(found.lights)} distant lights by shading; parts of the subject agree to {found.errors.mean():.1f}°,"
-        f" before its material is known to {found.first.errors.mean():.1f}°{turned}"
+        f" and before its material was recovered to {found.first.errors.mean():.1f}°{turned}"
     )
     return _written_without_ball(options, spec, keys, found, line)
 

@@ -45,7 +45,7 @@ def run(options: Namespace) -> dict:
     ranks = joined()
     if ranks is not None:
         if options.preview:
-            raise InputError("--preview: over ranks there is none; leave it out")
+            raise InputError("--preview: a run over ranks writes no preview; leave it out")
         return _planned(options, run_on_ranks(
             ranks, options, lambda: _job_of_ranks(options), StepBars(silent(options)),
             lambda run: _recovered(options, run, previewed=False),
@@ -68,7 +68,9 @@ def _recover(options: Namespace, job: Job) -> dict:
     if not silent(options):
         sys.stderr.write(f"{plan.texels} texels, {plan.observations} photographs: {forecast_text(seconds)}\n")
     if options.preview and not can_be_smaller(job):
-        raise InputError("--preview: a map given with --fixed has the texels of the whole; leave one of the two out")
+        raise InputError(
+            "--preview: a map of --fixed has the full size and cannot be made smaller; leave one of the two out"
+        )
     wanted = options.preview or (options.preview is None and seconds[0] >= _LONG and can_be_smaller(job))
     # A run that goes on has had its preview.
     return _recovered(options, run, bool(options.resume) or wanted and _preview(options, smaller(job), plan.work))
@@ -91,7 +93,7 @@ def _preview(options: Namespace, job: Job, work: float) -> bool:
     if not silent(options):
         seconds = report["seconds"]["solve"] * work / own
         time_left = forecast_text((seconds / _PACE_SPREAD, seconds * _PACE_SPREAD))
-        sys.stderr.write(f"preview of 1/{PART}: {folder}; by its pace the whole takes {time_left}\n")
+        sys.stderr.write(f"preview of 1/{PART}: {folder}; at this speed the whole takes {time_left}\n")
     return True
 
 
@@ -118,7 +120,7 @@ def _planned(options: Namespace, result: dict) -> dict:
 
 def _job_of_ranks(options: Namespace) -> Job:
     if options.slots == EACH:
-        raise InputError(f"--slots {EACH}: ranks recover one slot at a time; name it")
+        raise InputError(f"--slots {EACH}: ranks recover one slot at a time; name the slot")
     return job_of(options)
 
 

@@ -29,7 +29,7 @@ def _save(options: Namespace) -> dict:
     for option, value in (("--match", options.match != "auto"), ("--exposure", options.exposure),
                           ("--half", options.half)):  # fmt: skip
         if value:
-            raise InputError(f"{option}: goes with rig apply")
+            raise InputError(f"{option}: applies to rig apply; leave it out")
     rig = save_rig(read_spec(options.inputs[0]), Path(options.output), decode)
     corrected = rig.measured is not None
     if not silent(options):

@@ -131,20 +131,20 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
     if samples.values.shape[1] < _FEWEST_TEXELS or lit.min() < _FEWEST_LIT:
         number = int(lit.argmin())
         raise InputError(
-            f"'{capture.observations[number].name}': shows only {lit[number]} lit pixels of the card, {_FEWEST_LIT} are"
-            f" needed to find its light, and the card needs {_FEWEST_TEXELS}"
+            f"'{capture.observations[number].name}': shows only {lit[number]} lit pixels of the card, but {_FEWEST_LIT}"
+            f" are needed to find its light, and {_FEWEST_TEXELS} pixels of the card in all"
         )
 
 
 def _check_known(found: Found, even: Found) -> None:
     if not nearer(found, even):
         raise InputError(
-            "the card does not show that its lamps are near and apart: distant ones light it evenly, and nothing in"
-            " matt shading tells their directions; put a ball into the photographs"
+            "the lamps are too far from the card, or too close together: distant lamps light a matt card evenly, and"
+            " its shading does not show their directions; put a ball into the photographs"
         )
     degrees, distance = float(found.degrees.mean()), float(found.distance_errors.mean())
     if degrees > _MOST_DEGREES or distance > _MOST_DISTANCE:
         raise InputError(
-            f"the fall-off over the card tells its lamps only to {degrees:.0f}° and {distance:.0%} of their distance:"
-            " it is not matt, flat or large enough; bring the lamps nearer, or put a ball into the photographs"
+            f"the fall-off over the card shows the lamps only to {degrees:.0f}° and {distance:.0%} of their distance:"
+            " the card is not matt, flat or large enough; bring the lamps nearer, or put a ball into the photographs"
         )

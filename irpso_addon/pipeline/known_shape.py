@@ -223,8 +223,8 @@ def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None,
 def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: float, mismatch: float) -> None:
     if not determined >= _CLEAR:
         raise InputError(
-            f"'{mesh.name}': its visible part faces too few directions to tell lights from albedo; put a ball beside"
-            " it, or if it is flat, use --flat without --blend"
+            f"'{mesh.name}': its visible part faces too few directions to separate lights from albedo; put a ball"
+            " beside it, or if it is flat, use --flat without --blend"
         )
     if not mismatch <= _MOST_MISMATCH:
         raise InputError(
@@ -234,8 +234,8 @@ def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: flo
     check_explained(capture, found, f"'{mesh.name}'")
     if not found.degrees.mean() <= _MOST_ERROR:
         raise InputError(
-            f"'{mesh.name}': parts of it tell lights that differ by {found.degrees.mean():.0f}°: they cannot be found"
-            " from its shading; put a ball into the photographs"
+            f"'{mesh.name}': lights from different parts of it differ by {found.degrees.mean():.0f}°: lights cannot be"
+            " found from its shading; put a ball into the photographs"
         )
 
 
@@ -275,12 +275,12 @@ def _warnings(mesh: MeshData, mismatch: float, outside: float) -> tuple[str, ...
     lines = []
     if outside > _LOOSE:
         lines.append(
-            f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; where the mesh is not in its"
+            f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; where the mesh is in the wrong"
             " place, lights are off by more than their standard errors"
         )
     if mismatch > _DOUBTFUL:
         lines.append(
-            f"the normals of '{mesh.name}' differ from those of the photographs by {mismatch:.0f}° in the median: it"
-            " lacks detail, or is not in its place; lights share what is common to these errors"
+            f"the normals of '{mesh.name}' differ from those of the photographs by {mismatch:.0f}° in the median: the"
+            " mesh lacks detail, or is in the wrong place; the lights have the mean of these errors"
         )
     return tuple(lines)

@@ -51,8 +51,8 @@ class RankedRun(Run):
         if len(names) == 1:
             return []
         return [
-            f"ranks solved on unlike devices ({', '.join(names)}): the last bits of maps are not those of one of them"
-            " alone"
+            f"ranks used different devices ({', '.join(names)}): the last bits of the maps differ from those of a run"
+            " on one of them"
         ]
 
     def _read(self) -> Generator[None, None, Domain]:

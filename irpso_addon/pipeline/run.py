@@ -161,7 +161,9 @@ class Run:
     def change(self, schedule: Schedule) -> None:
         """Continue with another schedule from the current state. Raises InputError; then nothing has changed."""
         if schedule.levels != self.job.schedule.levels:
-            raise InputError(f"Levels: a running recovery keeps its {self.job.schedule.levels}; set that, or stop")
+            raise InputError(
+                f"Levels: a running recovery has {self.job.schedule.levels}; set Levels back to this, or stop"
+            )
         if schedule.interreflection != self.job.schedule.interreflection:
             raise InputError("Interreflection: a running recovery keeps its settings; set them back, or stop")
         before = present(self.recovery)

@@ -107,10 +107,10 @@ def uncalibrated_steps(
     steps = shading_steps(values, weight, small.masks[0], seed)
     first = yield from map_steps(steps, lambda part: _READ + (_SHADED - _READ) * part)
     disagreement = float(first.errors.mean())
-    apart = f"parts of the subject tell lights that differ by {disagreement:.0f}°"
+    apart = f"lights from different parts of the subject differ by {disagreement:.0f}°"
     if not disagreement <= _MOST_ERROR:
         raise InputError(
-            f"{apart}: they cannot be found from its shading; put a ball into the photographs, or if it is flat and"
+            f"{apart}: lights cannot be found from its shading; put a ball into the photographs, or if it is flat and"
             " lamps stood near it, use --flat"
         )
     if inside_out:
@@ -122,28 +122,31 @@ def uncalibrated_steps(
     refined, kept, domain = yield from pixels.refined(domain, model, _spread(first.intensities))
     if not kept:
         if disagreement > _MOST_UNFIT:
-            raise InputError(f"{apart}, and its material none that explains them; put a ball into the photographs")
+            raise InputError(f"{apart}, and no material explains them; put a ball into the photographs")
         power = strength[:, None]
         turn = pixels.rotation(first.directions * power, domain, check=True)
         directions, intensities, errors = first.directions @ turn, np.repeat(power, 3, axis=1), first.errors
         warnings = [
-            f"{model.name} makes even lamps uneven, so it does not fit the subject: lights are those of matt shading"
+            f"{model.name} does not fit the subject, because it makes equal lamps unequal: the lights of matt shading"
+            " are used"
         ]
     else:
         directions, intensities = refined.lights[:, :3].astype(np.float64), refined.intensities
         errors = errors_of((yield from pixels.without_parts(domain, model)), directions)
         warnings = refined.warnings()
-        unsure = f"parts of the subject tell lights that differ by {errors.mean():.0f}°, its material known"
+        unsure = (
+            f"lights from different parts of the subject differ by {errors.mean():.0f}° with its recovered material"
+        )
         if errors.mean() > _MOST_UNSURE:
             raise InputError(f"{unsure}; put a ball into the photographs")
         if errors.mean() > _UNSURE:
-            warnings.append(f"{unsure}; a ball beside it tells them better")
+            warnings.append(f"{unsure}; a ball beside it shows them better")
     if disagreement > _DOUBTFUL:
-        warnings.append(f"{apart} before its material is known; see whether the recovered relief is right")
+        warnings.append(f"{apart} before its material is recovered; check whether the recovered relief is right")
     if not first.solid:
         warnings.append(
-            "photographs do not tell relief from its inverse; if it looks inside out, use --inside-out (a mask with the"
-            " subject's outline tells)"
+            "photographs do not show whether a relief is inside out; if it looks so, use --inside-out (a mask with the"
+            " subject's outline decides it)"
         )
     found = _with_lights(capture, directions, intensities)
     return Uncalibrated(found, errors, first, refined, kept, tuple(warnings))
@@ -199,8 +202,8 @@ class _Pixels:
         degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
         if check and degrees > _MOST_TURN:
             raise InputError(
-                f"its shading tells lights that are turned by {degrees:.0f}° against those of the surface that it"
-                " shows; put a ball into the photographs"
+                f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface; put"
+                " a ball into the photographs"
             )
         return turn
 

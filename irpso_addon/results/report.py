@@ -94,8 +94,8 @@ def mode_warnings(maps: Maps, priors: bool) -> list[str]:
         if share > _MODES_SHARE:
             decided = priors and maps.model.parameter(name).prior is not None
             lines.append(
-                f"{name} of {share:.0%} of the texels could as well be far from the map's value: no photograph shows a"
-                f" highlight that decides, and {'the prior decided' if decided else 'the map has one of the two'}."
+                f"{name} of {share:.0%} of the texels has two possible values, far from each other: no photograph shows"
+                f" a highlight that decides, and {'the prior decided' if decided else 'the map has one of the two'}."
                 " Add lamps from more directions"
             )
     return lines

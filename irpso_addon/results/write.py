@@ -49,7 +49,7 @@ def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
     ours = [n for n in names if n in (REPORT, BLEND) or (_OWN_FILE.match(n) and n.partition(".")[0] in stems)]
     if foreign := _first_foreign(folder, ours, _former_files(folder)):
         raise InputError(
-            f"{folder / foreign}: would be replaced, and is not of a former result; choose another folder, or move it"
+            f"{folder / foreign}: would be replaced, but no recovery wrote it; choose another folder, or move it"
         )
 
 
@@ -89,7 +89,7 @@ def write_maps(
             names += _write_derived(derived, maps.tiles, Path(temporary))
             _write_report(Path(temporary), report, tables, derived, names)
             if foreign := _first_foreign(folder, [*names, REPORT], former):
-                raise InputError(f"{foreign} is not of a former result")
+                raise InputError(f"{foreign} was not written by a recovery")
             # The report is last: every file that a report lists exists.
             for name in (*names, REPORT):
                 synced(Path(temporary) / name)

@@ -174,7 +174,7 @@ CAPTURES = {
     "two lights": (broken("card", too_few), r"has 2 lights; a normal needs at least three"),
     "photographs in the output folder": (prepared(photographs_in_out, recover()), r"out: holds the photographs"),
     "a picture that a map would replace": (
-        prepared(picture_in_out, recover()), r"normal.png: would be replaced, and is not of a former result"),
+        prepared(picture_in_out, recover()), r"normal.png: would be replaced, but no recovery wrote it"),
     "one photograph to calibrate": (
         lambda f: ["calibrate", f / "card" / "000.exr", "-o", f / OUT, "--quiet"], r"000.exr: is one photograph; give"),
     "lamps inside of the ball": (
@@ -237,7 +237,7 @@ OPTIONS = {
     "known of another size": (
         lambda f: recover("--fixed", f"normal={f / 'normal_4.exr'}")(f), r"normal_4.exr.* is 4 × 3.* 8 × 6"),
     "everything known": (
-        recover("--model", "lambert", "--fixed", "normal=0,0,1", "--fixed", "base_color=1"), r"nothing is left"),
+        recover("--model", "lambert", "--fixed", "normal=0,0,1", "--fixed", "base_color=1"), r"parameter is fixed"),
     "a resolution of text": (recover("--resolution", "big"), r"--resolution big: give a whole number"),
     "a resolution of zero": (recover("--resolution", "0x8"), r"--resolution 0x8"),
     "a resolution past all limits": (recover("--resolution", "99999"), r"--resolution 99999"),

@@ -15,7 +15,9 @@ from ..radiometry.response import Response, measurable, response_from_patches
 
 AUTO = "auto"
 # Of greys alone gloss and curve cannot be told apart: base colours by a varnished chart were off by ΔE2000 4.7.
-MATT_ONLY = "the curve holds if the chart is matt, which its greys do not tell; measure a varnished one's by brackets"
+MATT_ONLY = (
+    "the curve is right only if the chart is matt, which its greys do not show; if it is varnished, use brackets"
+)
 
 
 def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...]) -> Response:

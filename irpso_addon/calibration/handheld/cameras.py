@@ -52,8 +52,8 @@ def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, len
     error = float(np.median(errors)) / factor
     if error * factor > _MOST_ERROR:
         raise InputError(
-            f"no cameras explain the photographs: points are off by {error:.1f} pixels; the card must be flat and lie"
-            " still, and the zoom must not change"
+            f"no camera positions fit the photographs: points are off by {error:.1f} pixels; the card must be flat and"
+            " lie still, and the zoom must not change"
         )
     focal = (bundle.focal / factor,) * 2
     distortion = (bundle.radial,) if bundle.radial else ()
@@ -87,8 +87,8 @@ def _solved(
     if error > max(_OTHER_LENS * best, _LEAST_ERROR):
         angle = np.degrees(2 * np.arctan(cameras[0].width * factor / 2 / free.focal))
         raise InputError(
-            f"the given focal length explains the photographs to {error / factor:.2f} pixels, one of {angle:.1f}° over"
-            f" the width to {best / factor:.2f}; correct --fov, or leave it out"
+            f"points are off by {error / factor:.2f} pixels with the given focal length, and by"
+            f" {best / factor:.2f} with one of {angle:.1f}° over the width; correct --fov, or leave it out"
         )
     return kept, _errors(kept, views), turn_errors(kept, views)
 

@@ -31,7 +31,7 @@ _UNSURE = 0.02  # of the distance: standard error of the flash's place that make
 _TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
 _SHOWN = 0.6  # of the photographs that must show a place of a card without a board
 _SIDE = 96  # samples along a side of the square in which positions of a card are compared
-_ALIKE = "the card looks the same after a turn or a shift, so that its position is in doubt in"
+_ALIKE = "the card looks the same after a turn or a shift, so its position is uncertain in"
 _BOARD = "lay a marker board (`irpso markers`) around it"
 
 
@@ -153,8 +153,8 @@ def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[
     if tracks is None:
         return found, []
     return found, [
-        f"three printed markers or more show in only {len(tracks.used)} of {len(codes)} photographs, so that features"
-        " of the card are used, and lengths have no unit"
+        f"three printed markers or more show in only {len(tracks.used)} of {len(codes)} photographs, so the"
+        " features of the card are used, and lengths have no unit"
     ]
 
 
@@ -247,7 +247,9 @@ def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> 
                 flash = told
     distance = float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
     if offset is None and (flash.error > _UNSURE * distance).any():
-        warnings.append("the brightness does not tell the flash's place; it is taken to be the lens's (--flash-offset)")
+        warnings.append(
+            "the brightness does not show where the flash is, so the place of the lens is used; give --flash-offset"
+        )
         flash = flash_of(samples, np.zeros(3))
     gains = flash.gains
     if np.log(gains).std() < _UNEVEN:
@@ -255,12 +257,12 @@ def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> 
     else:
         warnings.append(
             f"the exposure differs between the photographs, by {np.log(gains).std():.0%} (standard deviation), and is"
-            " divided out; fix it (AE lock) for a common one"
+            " divided out; lock the exposure (AE lock) for the next photographs"
         )
     white = flash.albedo[: len(board.white)] if board else flash.albedo[:0]
     if np.isfinite(white).any():
         strength = float(np.nanmedian(white)) / _WHITE
     else:
         strength = float(np.nanpercentile(flash.albedo, 95)) / _WHITE
-        warnings.append("the base colour is known up to one factor: its brightest part is taken to reflect 80 %")
+        warnings.append("the base colour is known up to one factor: its brightest part is assumed to reflect 80 %")
     return flash, strength * gains, warnings

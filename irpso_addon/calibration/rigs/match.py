@@ -46,12 +46,14 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
                 raise InputError(f"{owner}: {what[n]} has no number in its name; choose --match order")
             if key in listed[:n]:
                 raise InputError(
-                    f"{owner}: {what[n]} and {what[listed.index(key)]} have the same one of --match {way};"
+                    f"{owner}: {what[n]} and {what[listed.index(key)]} are the same by --match {way};"
                     " choose --match order"
                 )
     for name, key in zip(names, wanted, strict=True):
         if key not in known:
-            raise InputError(f"{where}: {name} is none of the rig's lamps by --match {way}: {_some(lamps)}")
+            raise InputError(
+                f"{where}: {name} matches no lamp of the rig by --match {way}; the lamps are {_some(lamps)}"
+            )
     return [known.index(key) for key in wanted]
 
 

@@ -107,7 +107,7 @@ def _matrix(value: Any, where: str) -> np.ndarray:
         raise CaptureError(f"{where}: matrix must end with the row 0, 0, 0, 1; write it row by row", "matrix")
     if not is_rotation(matrix[:3, :3]):
         raise CaptureError(
-            f"{where}: matrix is no rotation with a place (it scales, mirrors or has no inverse);"
+            f"{where}: matrix must be a rotation and a position (it scales, mirrors or has no inverse);"
             " write the camera's matrix with its scale applied",
             "matrix",
         )

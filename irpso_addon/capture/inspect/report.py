@@ -253,7 +253,7 @@ def _lacks(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
     """Return the shortfalls of the lights for ``goal``."""
     lights = written_lights(spec)
     if not lights:
-        return [sufficiency.Shortfall("unreadable", "one of the lights is none")]
+        return [sufficiency.Shortfall("unreadable", "the numbers of a light are not a light")]
     if lack := sufficiency.no_normal(lights):
         return [lack]
     distant = np.array([light.distant for light in lights])
@@ -317,7 +317,7 @@ def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iter
         return
     for view in spec.views:
         if not view.lens:
-            message = "is taken as 2 units wide, in which places of lights are counted; give fov_degrees or world_width"
+            message = "has no lens and is assumed 2 units of the light positions wide; give fov_degrees or world_width"
             yield Finding("lens", f"{view.where}: {message}")
     found: list[places.Problem] = []
     if len(capture.cameras) > 1:

@@ -45,8 +45,8 @@ def message(part: float) -> str:
     if not part:
         return ""
     return (
-        f"about {part:.0%} of the light on bright pixels follows no lamp: the room was not dark; darken it, or take a"
-        " photograph with the lamp off and subtract it (irpso develop --dark)"
+        f"about {part:.0%} of the light on bright pixels comes from no lamp: the room was not dark; darken it, or take"
+        " a photograph with the lamp off and subtract it (irpso develop --dark)"
     )
 
 

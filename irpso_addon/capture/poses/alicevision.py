@@ -124,7 +124,7 @@ def _pose(row: dict[str, Any], path: Path) -> tuple[np.ndarray, np.ndarray]:
     # Column by column world to camera is row by row camera to world.
     rotation = np.reshape(_numbers(transform, "rotation", 9, where), (3, 3))
     if not is_rotation(rotation):
-        raise CaptureError(f"{where}: its rotation is none (it scales or mirrors); {_AGAIN}", "matrix")
+        raise CaptureError(f"{where}: its rotation scales or mirrors; {_AGAIN}", "matrix")
     return rotation, np.array(_numbers(transform, "center", 3, where))
 
 

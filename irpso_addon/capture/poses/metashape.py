@@ -40,8 +40,8 @@ def read_metashape(path: Path) -> PoseFile:
     (chunk,) = chunks
     if (chunk.findtext("reference") or "").strip().startswith(_EARTH):
         raise CaptureError(
-            f"{path}: its world is the Earth; in Metashape's Reference pane choose Local Coordinates, then export the"
-            " cameras and the model again",
+            f"{path}: its cameras have geographic coordinates; in Metashape's Reference pane choose Local"
+            " Coordinates, then export the cameras and the model again",
             "camera",
         )
     sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
@@ -153,7 +153,7 @@ def _pose(element: ElementTree.Element, world: np.ndarray, where: str) -> tuple[
     """Return rotation (3, 3), camera to world, and position (3,)."""
     pose = np.reshape(_numbers(element.findtext("transform"), 16, f"{where}: its transform"), (4, 4))
     if not is_rotation(pose[:3, :3]):
-        raise CaptureError(f"{where}: its transform is no rotation with a place; {_AGAIN}", "matrix")
+        raise CaptureError(f"{where}: its transform must be a rotation and a position; {_AGAIN}", "matrix")
     whole = world @ pose
     return whole[:3, :3] / np.cbrt(np.linalg.det(world[:3, :3])), whole[:3, 3]
 

@@ -89,7 +89,8 @@ def similarity(matrix: np.ndarray, where: str) -> np.ndarray:
     scale = np.cbrt(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
     if not scale > 0 or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise CaptureError(
-            f"{where} must turn, move and scale, without mirroring, and end with the row 0, 0, 0, 1", "matrix"
+            f"{where} must be a rotation, a shift and a scale, without mirroring, and end with the row 0, 0, 0, 1",
+            "matrix",
         )
     if not is_rotation(matrix[:3, :3] / scale):
         raise CaptureError(f"{where} scales unevenly or skews; write a rotation times one scale", "matrix")

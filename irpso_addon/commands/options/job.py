@@ -118,9 +118,13 @@ def _check_mesh_options(options: Namespace) -> None:
     """Raise InputError for an option of meshes without a mesh, or of cards with one."""
     for option in ("crop", "corners", "card_width"):
         if options.blend and getattr(options, option) is not None:
-            raise InputError(f"--{option.replace('_', '-')} is of a flat card; leave it out with a mesh (--blend FILE)")
+            raise InputError(
+                f"--{option.replace('_', '-')} applies to a flat card; leave it out with a mesh (--blend FILE)"
+            )
     if options.blend and options.distance is not None:
-        raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own position")
+        raise InputError(
+            "--distance applies to a flat card; leave it out with a mesh (--blend FILE), which has its own position"
+        )
     for option in ("object", "slots", "resolution", "occluder"):
         if getattr(options, option) and not options.blend:
             raise InputError(f"--{option} is for meshes: give --blend FILE (a card's maps have the images' size)")

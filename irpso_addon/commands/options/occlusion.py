@@ -23,9 +23,11 @@ def check_occlusion(options: Namespace) -> None:
     """Raise InputError where options of occlusion do not fit."""
     for option, given in (("--rays", options.rays is not None), ("--occluder", options.occluder)):
         if given and not options.occlusion:
-            raise InputError(f"{option}: is of a mesh's occlusion; give --occlusion as well")
+            raise InputError(f"{option}: applies to a mesh's occlusion; give --occlusion as well")
     if options.occlusion and options.format not in OCCLUDED:
-        raise InputError(f"--occlusion: --format {options.format} has none; choose one of {', '.join(OCCLUDED)}")
+        raise InputError(
+            f"--occlusion: --format {options.format} has no occlusion; choose one of {', '.join(OCCLUDED)}"
+        )
     if options.rays is not None and not 1 <= options.rays <= _MOST_RAYS:
         raise InputError(f"--rays {options.rays}: give a whole number from 1 to {_MOST_RAYS}")
 
@@ -41,7 +43,9 @@ def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any
         if result.height is None:
             raise InputError(f"--occlusion: {result.folder} has no height to compute it from; recover with --height")
         if options.occluder or options.rays is not None:
-            raise InputError("--occluder and --rays: are of a mesh; a card's occlusion is that of its relief")
+            raise InputError(
+                "--occluder and --rays: apply to a mesh; leave them out, a card's occlusion is that of its relief"
+            )
         return result
     obj = subject()
     mesh = extract_mesh(obj, _slots(result, obj))

@@ -28,7 +28,7 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
     videos = videos_of(Path(options.capture))
     if not videos:
         if options.count is not None:
-            raise InputError(f"--count: is of videos, and {options.capture} has none; leave it out")
+            raise InputError(f"--count: applies to videos, and {options.capture} has none; leave it out")
         yield ()
         return
     folder = frames_folder(checked_output(Path(options.output)))

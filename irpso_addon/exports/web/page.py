@@ -62,7 +62,7 @@ def write_page(
     former_page = (Path(folder) / _RESULT).exists()
     if (Path(folder) / ENTRY).exists() and not former_page:
         raise InputError(
-            f"{Path(folder) / ENTRY}: is no page of this program's and would be replaced; name another folder"
+            f"{Path(folder) / ENTRY}: would be replaced, but this program did not write it; name another folder"
         )
     maps, bytes_of = measured_maps(result), {"maps": 0, "uncertainty": 0, "photographs": 0}
     with filled_folder(folder, replace or former_page) as place:

@@ -40,7 +40,7 @@ class Photographs:
 def photographs_of(domain: Domain, names: Sequence[str], unseen: Collection[int]) -> Photographs:
     """Return the observations of a card's domain. names: of all; unseen: the indices of those held out of the fit."""
     place, bend = _plane(domain.bake.position, domain.bake.coverage)
-    warnings = (f"the lens bends the card by {bend:.1%} of its width; the page takes it as straight",)
+    warnings = (f"the lens bends the card by {bend:.1%} of its width; the page ignores this bend",)
     return Photographs(
         tuple(names), np.isin(np.arange(len(names)), list(unseen)), domain.lights, domain.intensities,
         domain.views[0], place, [domain.stack.layer(k)[..., :3] for k in range(domain.observations)],

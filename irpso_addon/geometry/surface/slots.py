@@ -34,7 +34,11 @@ def slots_of_text(text: str, names: tuple[str, ...]) -> tuple[int, ...]:
         else:
             raise InputError(
                 f"{OPTION} {text}: there is no slot '{part}'; "
-                + (f"the slots are {listed(names)}" if names else "the object has no material slots: leave it away")
+                + (
+                    f"the slots are {listed(names)}"
+                    if names
+                    else f"the object has no material slots: leave {OPTION} out"
+                )
             )
     return tuple(sorted(chosen))
 

@@ -65,7 +65,9 @@ class Pyramid(Successive):
     def reconfigure(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
         """Return a run that continues from here, as Recovery.reconfigure; the number of levels must stay."""
         if schedule.levels != self.schedule.levels:
-            raise InputError(f"levels = {schedule.levels}: this run has {self.schedule.levels}; begin another")
+            raise InputError(
+                f"levels = {schedule.levels}: this run has {self.schedule.levels}; set that, or begin another run"
+            )
         return self._reconfigured(schedule, level_schedules(schedule), seed)
 
     def _texels(self, number: int) -> int:

@@ -33,7 +33,7 @@ from .progress import Progress
 from .watch import Note, note_of
 
 _MOST_RUNNING = 1 << 21  # solvable texels: above it, checkpoints omit the running stage (about a gigabyte)
-_DIVIDED = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"
+_DIVIDED = "the recovery runs in tiles or over ranks: no texture holds all of it; lower the resolution to view it"
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class RecoveryEngine(ABC):
 
         Raises InputError where the settings do not fit, or ``capabilities`` excludes it.
         """
-        raise InputError("a divided recovery takes no other settings in mid-run: stop, and recover again with them")
+        raise InputError("a run in tiles or over ranks cannot change its settings: stop it, and recover again")
 
     @property
     def settled(self) -> bool:

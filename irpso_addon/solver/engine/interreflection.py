@@ -112,8 +112,8 @@ class InterreflectionRounds(Successive):
         if last <= self._errors[0]:
             return ()
         return (
-            "without the light that the subject throws on itself the photographs are explained worse than before (mean"
-            f" error {last:.2g}, {self._errors[0]:.2g}); set interreflection_rounds=0",
+            "after subtracting the light that the subject throws on itself, the maps fit the photographs worse than"
+            f" before (mean error {last:.2g}, {self._errors[0]:.2g}); set interreflection_rounds=0",
         )
 
     @property

@@ -233,7 +233,7 @@ def check(intensities: bool, refine_degrees: float) -> None:
             f"--refine-directions {refine_degrees:g}: give the directions' error in degrees, 0 to {MOST_DEGREES:g}"
         )
     if not intensities and refine_degrees == 0:
-        raise InputError("lights: neither intensities nor directions are to be estimated; choose one of them")
+        raise InputError("lights: choose what to estimate, intensities or directions; neither is chosen")
 
 
 def sample_schedule(schedule: Schedule | None = None) -> Schedule:
@@ -259,12 +259,12 @@ def contradiction(
     if step is None:
         return ""
     remedy = (
-        "have them found with --intensities estimate"
+        "estimate them with --intensities estimate"
         if can_tell(domain)
         else "they are too few or too close together to be found from the images"
     )
     return (
-        "the images contradict the lights' intensities, all given as 1: they differ by some"
+        "the images contradict the lights' intensities, all given as 1: they differ by about"
         f" {_rms(step.gains):.0%} from light to light; give them, or {remedy}"
     )
 

@@ -64,7 +64,7 @@ def machine_memory(text: str | None, renderer: str, free_device: int | None = No
     host, host_from = int(_USABLE * free_memory()), f"{100 * _USABLE:.0f} % of the free memory"
     device, device_from = int(_USABLE * (free_device or 0)), f"{100 * _USABLE:.0f} % of the device's free memory"
     if device < ASSUMED_DEVICE:
-        report = "does not tell" if free_device is None else f"tells of {amount(free_device)} that are free"
+        report = "reports none" if free_device is None else f"reports {amount(free_device)} free"
         device, device_from = ASSUMED_DEVICE, f"assumed: the driver {report}; set it with --memory device=…"
     if is_software(renderer):
         host //= 2

@@ -19,7 +19,7 @@ def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple
         value = np.broadcast_to(value, (*shape, len(value)))
     if value.shape != (*shape, parameter.components):
         raise InputError(
-            f"fixed {name}: its shape is {value.shape}, the domain wants {(*shape, parameter.components)};"
+            f"fixed {name}: its shape is {value.shape}, the domain needs {(*shape, parameter.components)};"
             " resample it to the domain"
         )
     if not np.isfinite(value).all():

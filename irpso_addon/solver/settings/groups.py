@@ -20,11 +20,8 @@ _UPDATE = {
     "all": ("Whole Swarm", "An iteration moves all particles"),
 }
 _LINEAR = {
-    "search": ("Search", "Albedo and weights are searched like everything else"),
-    "solve": (
-        "Solve",
-        "Albedo and weights are solved in closed form for every particle; needs Update of the whole swarm",
-    ),
+    "search": ("Search", "The particles search albedo and weights like all other parameters"),
+    "solve": ("Solve", "Albedo and weights are solved in closed form for every particle; Update must be Whole Swarm"),
 }
 _WALLS = {
     "clamp": ("Clamp", "A particle that would leave the range is put on its edge"),
@@ -32,9 +29,9 @@ _WALLS = {
     "reflect": ("Reflect", "A particle bounces off the edge of the range"),
 }
 _SEEDS = {
-    "random": ("Random", "The first particles stand anywhere"),
-    "lambert": ("Lambert", "Some of the first particles stand around a Lambertian fit of the photographs"),
-    "given": ("Given", "Some of the first particles stand around a first guess, which only scripts can give"),
+    "random": ("Random", "The first particles are spread at random over the whole range"),
+    "lambert": ("Lambert", "A part of the first particles (Seeded) starts near a Lambertian fit of the photographs"),
+    "given": ("Given", "A part of the first particles (Seeded) starts near a first guess, which only scripts can give"),
 }
 _NORMALS = {
     "hemisphere": ("Hemisphere", "A normal is two numbers on the hemisphere"),
@@ -42,7 +39,7 @@ _NORMALS = {
 }
 _LOSSES = {
     "l1": ("Absolute", "Mean absolute difference, as in the paper"),
-    "l2": ("Squared", "Mean squared difference: shadows and highlights pull hard on it"),
+    "l2": ("Squared", "Mean squared difference: shadows and highlights have much influence"),
     "robust": ("Robust", "log(1 + (e/delta)²): differences well above Delta hardly count; best on photographs"),
 }
 
@@ -54,45 +51,64 @@ class Swarm:
     inertia: Shi & Eberhart 1998. constriction: Clerc & Kennedy 2002.
     """
 
-    update: Update = setting("Update", "What moves in an iteration", choices=_UPDATE)
+    update: Update = setting("Update", "Which particles of a swarm move in an iteration", choices=_UPDATE)
     linear: LinearKind = setting("Albedo", "How albedo and other linear weights are found", choices=_LINEAR)
-    particles: int = setting("Particles", "Fewest particles of each texel's swarm", least=1, soft_max=64)
-    particles_per_dimension: float = setting(
-        "Per Dimension", "Particles for each number that is searched, if that makes more", soft_max=8
+    particles: int = setting(
+        "Particles",
+        "Least number of particles in each texel's swarm. More gives a surer result and takes longer",
+        least=1,
+        soft_max=64,
     )
-    inertia: float = setting("Inertia", "The part of its velocity that a particle keeps; 1 as in the paper", soft_max=1)
-    constriction: float = setting("Constriction", "Factor of the whole velocity; 1 as in the paper", soft_max=1)
+    particles_per_dimension: float = setting(
+        "Per Dimension", "Particles for each searched number, where this gives more than Particles", soft_max=8
+    )
+    inertia: float = setting(
+        "Inertia",
+        "The part of its velocity that a particle keeps in the next iteration; 1 in the paper. Less settles sooner",
+        soft_max=1,
+    )
+    constriction: float = setting(
+        "Constriction",
+        "Factor on a particle's new velocity; 1, as in the paper, changes nothing. Less settles sooner",
+        soft_max=1,
+    )
     c1: float = setting("Own Best", "c1 of Eq. 2: pull towards the particle's own best", soft_max=3)
     c2: float = setting("Swarm's Best", "c2 of Eq. 2: pull towards the best of the swarm", soft_max=3)
     c3: float = setting(
         "Neighbors", "c3 of Eq. 2: pull towards the mean of the neighboring texels' bests", soft_max=0.5
     )
     c3_until: float = setting(
-        "Fade Over", "The part of the iterations over which c3 falls to 0; 0 keeps it", most=1, subtype=_FACTOR
+        "Fade Over",
+        "The part of the iterations in which c3 (Neighbors) falls to 0; 0 keeps c3 constant",
+        most=1,
+        subtype=_FACTOR,
     )
     neighbourhood: int = setting(
         "Window", "H of Eq. 4: side of the window of neighbors, in texels; odd", least=1, odd=True, soft_max=9,
         subtype="PIXEL",
     )  # fmt: skip
     neighbour_every: int = setting(
-        "Try Every", "Iterations between those in which a particle tries the best of a neighboring texel; 0 never",
-        soft_max=50,
+        "Try Every", "Interval, in iterations, at which a particle tries the best result of a neighboring texel;"
+        " 0 is never", soft_max=50,
     )  # fmt: skip
     v_max: float = setting("Speed Limit", "Largest step, as a part of a parameter's range", above=True, soft_max=1)
     walls: Walls = setting("Walls", "What happens to a particle that would leave the range", choices=_WALLS)
     start_speed: float = setting("Start Speed", "Largest first step, as a part of a parameter's range", soft_max=1)
-    seed: Seed = setting("Start", "Where the first particles stand", choices=_SEEDS)
+    seed: Seed = setting("Start", "Where the first particles start", choices=_SEEDS)
     seeded: float = setting(
         "Seeded",
-        "The part of the swarm that stands around the start; the rest stands anywhere",
+        "The part of the swarm that starts near the Lambertian fit or the first guess; the rest starts at random",
         most=1,
         subtype=_FACTOR,
     )
     seed_spread: float = setting(
-        "Spread", "How far around the start they stand, as a part of a parameter's range", soft_max=0.5
+        "Spread",
+        "Largest distance of these particles from the fit or guess, as a part of a parameter's range",
+        soft_max=0.5,
     )
     linear_reach: float = setting(
-        "Albedo Reach", "How many times a texel's brightness its albedo may be; 0 for the whole range", soft_max=32,
+        "Albedo Reach", "Largest albedo that is searched, as a multiple of the texel's brightness; 0 searches the"
+        " whole range", soft_max=32,
         precision=1,
     )  # fmt: skip
     normal: NormalSearch = setting("Normals", "How a normal is searched", choices=_NORMALS)
@@ -112,20 +128,22 @@ class Fitness:
         above=True, soft_max=0.5,
     )  # fmt: skip
     percentile: float = setting(
-        "Scale At", "The percentile of its radiances that is a texel's scale", above=True, most=100,
-        subtype="PERCENTAGE", precision=1,
+        "Scale At", "A texel's scale is this percentile of its radiances. Delta and Shadow are parts of the scale",
+        above=True, most=100, subtype="PERCENTAGE", precision=1,
     )  # fmt: skip
     shadow: float = setting(
         "Shadow", "Samples under this part of a texel's scale count as shadow (robust loss only)", soft_max=1
     )
     priors: bool = setting(
-        "Model's Priors", "What the model states of its parameters counts where photographs say little"
+        "Model's Priors", "Use the model's priors for parameters that the photographs hardly determine"
     )
     bounds: bool = setting(
-        "Clipped Samples", "Clipped samples count where the render is darker; else they count nothing"
+        "Clipped Samples",
+        "Use clipped samples as lower bounds: they count where the render is darker. Off: ignore them",
     )
     highlight_power: float = setting(
-        "Highlights", "Delta grows with this power of a sample's brightness above the texel's scale (robust loss only)",
+        "Highlights", "Above the texel's scale, Delta grows with this power of a sample's brightness. 0 keeps"
+        " Delta constant (robust loss only)",
         most=1, soft_max=1, precision=2,
     )  # fmt: skip
 
@@ -138,24 +156,28 @@ class Prefit:
         "Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 0, soft_max=100
     )
     refinement_iterations: int = setting(
-        "Refinement", "Levenberg–Marquardt steps after these iterations", 5, soft_max=30
+        "Refinement", "Levenberg–Marquardt steps of the prefit, after its swarms", 5, soft_max=30
     )
     shadow: float = setting("Shadow", "Samples under this part of a texel's scale count as shadow", 0.3, soft_max=1)
     indirect_shadow: float = setting(
-        "Shadow Where Indirect", "Shadow, for texels whose light is mostly indirect: their normals are prefit once"
-        " more, to the brightest samples. 0 is off", 0.0, soft_max=1,
+        "Shadow Where Indirect", "Where a texel has much indirect light, samples under this part of its scale"
+        " count as shadow, and its normal is fitted again to the brighter samples. 0 is off", 0.0, soft_max=1,
     )  # fmt: skip
     indirect_share: float = setting(
-        "Least Indirect Share", "Light of other surfaces, told by its double colour or by a texel's own shadows, is"
-        " taken off texels of whose light it is at least this part. 0 is off; needs Shadow Where Indirect", 0.0, most=1,
+        "Least Indirect Share", "Subtract the light of other surfaces from texels where it is at least this part"
+        " of their light. It is found by its color or in a texel's own shadows. 0 is off; needs Shadow Where"
+        " Indirect", 0.0, most=1,
     )  # fmt: skip
     sheen_gain: float = setting(
-        "Sheen Gain", "Where the prefit fits badly, a second prefit has sheen, bright at grazing angles like velvet."
-        " Its normals are taken where it fits better by this part. 0 is off", 0.0, soft_max=0.5,
+        "Sheen Gain", "Where the prefit fits badly, try a second one with sheen, which is bright at grazing angles"
+        " like velvet. A texel takes its normal if the misfit falls by this part or more. 0 is off", 0.0, soft_max=0.5,
     )  # fmt: skip
-    observations: int = setting("Fewest Photographs", "With fewer photographs the prefit is left out", 10, soft_max=100)
+    observations: int = setting(
+        "Fewest Photographs", "With fewer photographs than this there is no prefit", 10, soft_max=100
+    )
     acceptance_delta: float = setting(
-        "Acceptance Delta", "Delta with which the prefit's normals and the model's are compared", 0.0125, above=True,
+        "Acceptance Delta", "Delta of the loss that compares the prefit's normals with the model's, as a part of"
+        " the texel's scale", 0.0125, above=True,
         soft_max=0.5, precision=4,
     )  # fmt: skip
     acceptance_ratio: float = setting(
@@ -173,19 +195,24 @@ class Refinement:
     """
 
     iterations: int = setting(
-        "Iterations", "Levenberg–Marquardt steps from the best that was found; 0 for no refinement", 0, soft_max=100
+        "Iterations",
+        "Levenberg–Marquardt steps from the best result of the search; 0 for no refinement",
+        0,
+        soft_max=100,
     )
-    starts: bool = setting("Model's Starts", "Also begin from the values that the model names", True)
+    starts: bool = setting(
+        "Model's Starts", "Also refine from the starts in the model's file, and keep the best result", True
+    )
     start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, least=1, soft_max=30)
-    rounds: int = setting("Rounds", "How often every texel tries what its neighbors have found", 1, soft_max=8)
+    rounds: int = setting("Rounds", "How many times every texel tries the materials of its neighbors", 1, soft_max=8)
     round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)
     candidate_ratio: float = setting(
-        "Candidate Ratio", "A neighbor's material is refined where its fitness is below this many times its own;"
-        " more tries more materials and takes longer", 1.0, soft_max=10,
+        "Candidate Ratio", "A texel refines a neighbor's material if the fitness is below this many times that of"
+        " its own material. More tries more materials and takes longer", 1.0, soft_max=10,
     )  # fmt: skip
     votes: float = setting(
-        "Votes", "Weight of agreeing neighbors against a texel's own samples; it matters where the samples are"
-        " ambiguous. More leaves fewer lone texels; 0 is off", 0.0, soft_max=4,
+        "Votes", "Weight of agreeing neighbors against a texel's own samples, where these are ambiguous. More"
+        " leaves fewer texels that differ from their neighbors; 0 is off", 0.0, soft_max=4,
     )  # fmt: skip
     damping: float = setting(
         "Damping",
@@ -200,14 +227,17 @@ class Refinement:
         soft_max=0.01, precision=6,
     )  # fmt: skip
     xtol: float = setting(
-        "Step Tolerance", "A texel is done once a step moves nothing by more than this part of its range", 1e-5,
+        "Step Tolerance", "A texel is done once a step changes no parameter by more than this part of its range", 1e-5,
         soft_max=0.01, precision=6,
     )  # fmt: skip
     central: bool = setting(
-        "Central Differences", "Differences to both sides instead of one: slower, more exact", False
+        "Central Differences",
+        "Compute derivatives from differences to both sides instead of one: slower, more exact",
+        False,
     )
     widening: float = setting(
-        "Widening", "How many times as wide Delta is at first, from the model's starts; it falls to its own value", 1.0,
+        "Widening", "Factor on Delta at the first step from the model's starts; it falls to 1 at the last step."
+        " More finds highlights that are farther away", 1.0,
         least=1, soft_max=100,
     )  # fmt: skip
 
@@ -221,12 +251,13 @@ class Materials:
     """
 
     rounds: int = setting(
-        "Rounds", "How often every texel tries the materials that the surface shares; 0 for none of this", 0, soft_max=8
+        "Rounds", "How many times every texel tries the materials that the surface shares; 0 is off", 0, soft_max=8
     )
     iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
-    count: int = setting("Materials", "Most materials of the surface", 16, least=1, soft_max=64)
+    count: int = setting("Materials", "Largest number of shared materials", 16, least=1, soft_max=64)
     weight: float = setting(
-        "Weight", "Neighbors' votes that a material of the whole surface counts for", 1000.0,
+        "Weight", "Votes of neighbors that a shared material is worth if the whole surface has it. More gives it"
+        " to more texels", 1000.0,
         soft_max=10000, precision=0,
     )  # fmt: skip
 
@@ -235,46 +266,56 @@ class Materials:
 class Prior:
     """The spatial prior: similar neighbours constrain the numbers that a texel's own samples leave undetermined."""
 
-    rounds: int = setting("Rounds", "How often similar neighbors are asked; 0 for no prior", 0, soft_max=8)
-    scales: int = setting("Scales", "A round reaches 2 to the power of this, in texels", 4, least=1, most=6)
+    rounds: int = setting(
+        "Rounds",
+        "How many times similar neighbors are averaged and texels are fitted again; 0 for no prior",
+        0,
+        soft_max=8,
+    )
+    scales: int = setting(
+        "Scales", "Distance of the farthest neighbors in a round: 2 to the power of this, in texels", 4, least=1, most=6
+    )
     iterations: int = setting("Iterations", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
     likeness: float = setting(
         "Likeness",
-        "Neighbors count as similar up to this difference, as a part of a parameter's range",
+        "Neighbors count as similar up to this difference, as a part of a parameter's range. More averages over"
+        " more of them",
         0.1,
         above=True,
         soft_max=1,
     )
     likeness_color: float = setting(
         "Color Likeness",
-        "Neighbors count as similar up to this difference of their colors",
+        "Neighbors count as similar up to this difference of their colors, as a part of the brighter one. More"
+        " averages over more of them",
         0.1,
         above=True,
         soft_max=1,
     )
     spread: float = setting(
         "Spread",
-        "Least difference that similar texels are taken to have, as a part of the range",
+        "Least standard deviation that similar texels are assumed to have, as a part of a parameter's range. More"
+        " leaves them more different",
         0.02,
         above=True,
         soft_max=0.5,
     )
     noise_freedom: float = setting(
-        "Noise Weight", "Samples of a texel's own that the neighbors' noise counts for", 10.0, above=True,
-        soft_max=100, precision=1,
+        "Noise Weight", "Weight of the neighbors' mean noise in a texel's own noise, as a number of samples",
+        10.0, above=True, soft_max=100, precision=1,
     )  # fmt: skip
     share: float = setting(
         "Least Share",
-        "Texels on which the prior would have less influence than this stay as they are",
+        "A texel stays as it is if the prior would have less influence on it than this part",
         0.02,
         above=True,
         soft_max=1,
     )
     tolerance: float = setting(
-        "Tolerance", "By how many standard deviations of the noise the fit may become worse", 3.0, above=True,
+        "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0, above=True,
         soft_max=10, precision=1,
     )  # fmt: skip
-    turn: bool = setting("Turn Normals", "Also move normals", True)
+    turn: bool = setting("Turn Normals", "Also apply the prior to normals", True)
 
 
 @dataclass(frozen=True)
@@ -282,15 +323,15 @@ class Surface:
     """Integrability: normals are bent toward one surface. shaders/surface/relax.glsl states the problem."""
 
     rounds: int = setting(
-        "Rounds", "Rounds of seven sweeps that make the slopes of neighboring texels agree, as far as their own samples"
-        " leave room; 0 for none of this", 0, soft_max=8,
+        "Rounds", "Rounds of seven sweeps that turn normals until the slopes of neighboring texels agree, within"
+        " what their own samples allow; 0 is off", 0, soft_max=8,
     )  # fmt: skip
     weight: float = setting(
-        "Weight", "What it costs, as −log of a likelihood, if the slopes around four texels fail to close by one"
-        " standard deviation of their noise. More bends normals further", 1.0, above=True, soft_max=4, precision=2,
+        "Weight", "Cost, as −log of a likelihood, if the slopes around four texels sum to one standard deviation"
+        " of their noise instead of 0. More turns normals further", 1.0, above=True, soft_max=4, precision=2,
     )  # fmt: skip
     tolerance: float = setting(
-        "Tolerance", "By how many standard deviations of the noise a texel's fit may become worse", 3.0, above=True,
+        "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0, above=True,
         soft_max=10, precision=1,
     )  # fmt: skip
 
@@ -303,16 +344,24 @@ class Interreflection:
     """
 
     rounds: int = setting(
-        "Rounds", "How often the light that the subject throws on itself is found, and the maps are found again without"
-        " it; 0 for never", 0, soft_max=4,
+        "Rounds", "How many times the light that the subject throws on itself is computed and subtracted, and the"
+        " maps are recovered again. More takes longer; 0 is off", 0, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
-        "Resolution", "Most elements along the longer side of the maps, which light one another", 64, least=8,
+        "Resolution", "Largest number of surface elements along the longer side of the maps; light is exchanged"
+        " between them. More shows smaller hollows and takes longer", 64, least=8,
         most=1024, soft_max=256,
     )  # fmt: skip
-    rays: int = setting("Rays", "Directions that an element receives light from", 256, least=8, most=1024, soft_max=512)
+    rays: int = setting(
+        "Rays",
+        "Number of directions from which an element receives light. More has less noise and takes longer",
+        256,
+        least=8,
+        most=1024,
+        soft_max=512,
+    )
     bounces: int = setting(
-        "Bounces", "Most bounces of the light from surface to surface", 3, least=1, most=16, soft_max=8
+        "Bounces", "Largest number of bounces of the light between surfaces", 3, least=1, most=16, soft_max=8
     )
 
 

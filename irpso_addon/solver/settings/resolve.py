@@ -279,7 +279,7 @@ def resolve(
         resolved += _resolve_prior(schedule, parameters)
         resolved += _resolve_surface(schedule, parameters)
     if not resolved:
-        raise InputError("search: nothing is left to find; every parameter searched is fixed")
+        raise InputError("search: every searched parameter is fixed; leave one of them free")
     return tuple(resolved)
 
 

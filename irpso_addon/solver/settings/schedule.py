@@ -37,17 +37,26 @@ class Schedule:
     swarm: Swarm
     fitness: Fitness
     stages: tuple[Stage, ...]
-    cycles: int = setting("Cycles", "How often the stages are gone through", 1, least=1, soft_max=10)
+    cycles: int = setting(
+        "Cycles",
+        "How many times the search runs through all stages. Each further time starts"
+        " from the maps so far and takes as long again",
+        1,
+        least=1,
+        soft_max=10,
+    )
     threshold: float = setting(
-        "Stop at Error", "A swarm stops once its fitness is below this; 0 never stops early", 0.0, soft_max=0.1,
+        "Stop at Error", "Fitness below which a texel's swarm stops. More is faster and less exact; 0 never stops"
+        " early", 0.0, soft_max=0.1,
         precision=5,
     )  # fmt: skip
     levels: int = setting(
-        "Levels", "How many sizes are solved, each half the next, the smaller ones as first guess;"
-        " 1 solves the full size alone", 1, least=1, most=5,
+        "Levels", "Number of map sizes that are solved, from small to full. Each is half the next one and gives"
+        " its first guess; 1 solves the full size alone", 1, least=1, most=5,
     )  # fmt: skip
     level_iterations: float = setting(
-        "Finer Levels", "The part of the iterations that all levels but the coarsest make", 0.4, above=True, most=1,
+        "Finer Levels", "Iterations at all levels but the smallest, as a part of those at the smallest. Less is"
+        " faster and less exact", 0.4, above=True, most=1,
         subtype="FACTOR",
     )  # fmt: skip
     prefit: Prefit = Prefit()

@@ -156,7 +156,9 @@ def _reading(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise CheckpointError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
+        raise CheckpointError(
+            f"{path}: the checkpoint cannot be read ({error.strerror or error}); check its permissions"
+        ) from error
     except _DAMAGED as error:
         raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
 

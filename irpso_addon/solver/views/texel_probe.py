@@ -61,7 +61,7 @@ class TexelProbe:
 
     def __init__(self, recovery: RecoveryEngine):
         if recovery.capabilities.view != "whole":
-            raise InputError("the recovery runs in tiles, of which no texel can be watched; lower the resolution")
+            raise InputError("the recovery runs in tiles, whose texels cannot be probed; lower the resolution")
         self._recovery = recovery
         domain = recovery.domain
         self._defines = kernel_defines(domain)

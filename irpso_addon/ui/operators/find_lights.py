@@ -45,13 +45,13 @@ _FOUND_BY = (
     ("NONE", "Relief", "No ball: distant lights, by the shading and material of a subject with relief"),
 )
 _DISTANCES = (
-    ("auto", "Automatic", "Positions where the photographs tell them, else directions"),
+    ("auto", "Automatic", "Positions where the photographs determine them, else directions"),
     ("distant", "Distant", "Directions"),
     ("near", "Near", "Positions"),
 )
 _CARDS = (
     ("FRAME", "As Framed", "The part that Frame, under Subject, shows; of another folder the whole photographs"),
-    ("FIND", "Find Corners", "Its corners are searched: by printed markers, or as the one rectangle that shows"),
+    ("FIND", "Find Corners", "Find the card's corners: by printed markers, or as the only rectangle in the picture"),
 )
 _OF_PHOTOGRAPHS = ("picture_scale", "chart_photograph", "chart_corners")  # settings that other lights leave as they are
 _OF_CARD = ("framing", "crop", "corners", "card_distance", "card_width")
@@ -159,31 +159,32 @@ class FindLights(SlicedOperator, bpy.types.Operator):
     camera: StringProperty(name="Camera", description="The camera that saw the balls", search=_camera_names)
     lights: EnumProperty(name="Lights", description="Directions or positions", items=_DISTANCES, default="auto")
     radius: FloatProperty(
-        name="Ball Radius", description="Of all balls, in the unit of the lights' positions: say millimeters. 0:"
-        " unknown", min=0, soft_max=1000, precision=3,
+        name="Ball Radius", description="Radius of all balls, in the unit of the lights' positions, for example"
+        " millimeters. 0: unknown", min=0, soft_max=1000, precision=3,
     )  # fmt: skip
     distance: FloatProperty(
-        name="Lamp Distance", description="From the ball to all lamps, in the unit of Ball Radius: the length of a"
-        " string by which the lamp is held. It makes positions of one ball's directions. 0: unknown",
+        name="Lamp Distance", description="Distance from the ball to all lamps, in the unit of Ball Radius: the"
+        " length of the string by which the lamp is held. With it one ball gives positions, not only"
+        " directions. 0: unknown",
         min=0, soft_max=10_000, precision=3,
     )  # fmt: skip
     albedo: FloatVectorProperty(
-        name="Albedo", description="Red, green and blue of a matte ball: makes strengths absolute. 0: they are relative"
-        " to the first photograph's", size=3, min=0, max=1, precision=3,
+        name="Albedo", description="Red, green and blue of a matte ball, 0 to 1. They make light strengths"
+        " absolute. 0: strengths are relative to the first photograph's", size=3, min=0, max=1, precision=3,
     )  # fmt: skip
     card: EnumProperty(name="Card", description="Where the flat card is", items=_CARDS, default="FRAME")
     card_width: FloatProperty(
-        name="Card Width", description="Of what is shown of the card, in the unit of the lights' positions. 0: that of"
-        " the capture or of printed markers; else positions are in widths of the picture",
+        name="Card Width", description="Width of the shown part of the card, in the unit of the lights' positions."
+        " 0: that of the capture or of printed markers; without these, positions are in widths of the picture",
         min=0, soft_max=10_000, precision=3,
     )  # fmt: skip
     inside_out: BoolProperty(
-        name="Inside Out", description="Take the other of two answers, if the relief looks inside out. Only a mask with"
-        " the subject's outline tells them apart",
+        name="Inside Out", description="Use the other of two possible reliefs, if the recovered one looks inside"
+        " out. Only a mask with the subject's outline can decide between them",
     )  # fmt: skip
     fov: FloatProperty(
-        name="Field of View", description="The camera's, over the image's width. 0: that of the capture's camera, or of"
-        " the photographs' EXIF",
+        name="Field of View", description="The camera's full angle over the image's width. 0: that of the"
+        " capture's camera, or of the photographs' EXIF",
         subtype="ANGLE", min=0, max=math.radians(170),
     )  # fmt: skip
 

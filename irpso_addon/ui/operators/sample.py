@@ -55,7 +55,8 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
     doing = n_("Opening the sample")
 
     folder: StringProperty(
-        name="Folder", description="Where the sample lies. It is rendered into this folder unless it is there already",
+        name="Folder", description="Folder of the sample. The sample is rendered into it, unless the folder holds"
+        " it already",
         subtype="DIR_PATH", **RELATIVE_PATH,
     )  # fmt: skip
 
@@ -96,7 +97,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
     def _found(self) -> Generator[float, None, tuple[Path, tuple[int, int]]]:
         """Yield the fraction done; return the table's path and the photographs' size. Raises InputError."""
         if not self.folder:
-            raise InputError("Folder: none is chosen; choose where the sample shall lie")
+            raise InputError("Folder: no folder is chosen; choose one for the sample")
         folder = absolute(self.folder, "Folder")
         photographs = folder / FOLDER
         if not (folder / PAGE).is_file() or not photographs.is_dir():

@@ -303,7 +303,7 @@ class ShowObservation(bpy.types.Operator):
     bl_label = "Light as in Photograph"
     bl_options = {"REGISTER", "UNDO"}
 
-    number: IntProperty(name="Photograph", description="Its number, counted from 1", min=1, default=1)
+    number: IntProperty(name="Photograph", description="Number of the photograph, from 1", min=1, default=1)
 
     @classmethod
     def poll(cls, context) -> bool:

@@ -61,7 +61,7 @@ def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
     """Set a scene's settings to those of ``recipe_of``. Raises InputError if one that it names is missing."""
     objects, images = bpy.data.objects, bpy.data.images
     if (name := recipe["object"]) is not None and name not in objects:
-        raise InputError(f"this file has no object '{name}', of which the recovery was; open the file that has it")
+        raise InputError(f"this file has no object '{name}', which was recovered; open the file that has it")
     occluders = recipe.get("occluders")  # absent in recipes of earlier versions
     if occluders is not None and occluders not in bpy.data.collections:
         raise InputError(f"this file has no collection '{occluders}' of occluders; open the file that has it")

@@ -203,7 +203,12 @@ class ViewSettings(bpy.types.PropertyGroup):
         name="Red At", description="The standard deviation that is drawn red, in the map's own unit. 0: a tenth of its"
         " range", min=0, soft_max=1, default=0, precision=3,
     )  # fmt: skip
-    exposure: FloatProperty(name="Exposure", description="Of render and photograph, in stops", soft_min=-5, soft_max=5)
+    exposure: FloatProperty(
+        name="Exposure",
+        description="Exposure of render and photograph, in stops. More is brighter",
+        soft_min=-5,
+        soft_max=5,
+    )
     mark_unused: BoolProperty(
         name="Mark Unused Pixels", description="Draw diagonal stripes over the photograph's pixels with no weight:"
         " clipped or in shadow", default=True,
@@ -213,7 +218,12 @@ class ViewSettings(bpy.types.PropertyGroup):
         " its standard deviation exceeds a quarter of its range. Not shown while the recovery runs", default=True,
     )  # fmt: skip
     opacity: FloatProperty(
-        name="Opacity", description="Of what is drawn, over the viewport", subtype="FACTOR", min=0, max=1, default=1
+        name="Opacity",
+        description="Opacity of the drawn picture over the viewport. 0 shows the viewport alone",
+        subtype="FACTOR",
+        min=0,
+        max=1,
+        default=1,
     )
     show_lights: BoolProperty(name="Lights", description="Draw the dome of lights around the subject", default=True)
     show_cameras: BoolProperty(name="Cameras", description="Draw the capture's cameras", default=True)
@@ -291,8 +301,9 @@ class Settings(bpy.types.PropertyGroup):
         " recovered. The mesh itself, lights and cameras in it do not count", type=bpy.types.Collection,
     )  # fmt: skip
     card_distance: FloatProperty(
-        name="Card Distance", description="From the camera to the card, along the camera's axis, in the unit of the"
-        " light positions. 0: card_distance of the capture.toml", min=0, soft_max=10_000, default=0, precision=4,
+        name="Card Distance", description="Distance from the camera to the card, along the camera's axis, in the"
+        " unit of the light positions. 0: card_distance of the capture.toml", min=0, soft_max=10_000, default=0,
+        precision=4,
     )  # fmt: skip
     framing: EnumProperty(name="Frame", description="The part of the photographs that is recovered", items=_FRAMINGS)
     crop: IntVectorProperty(
@@ -320,7 +331,7 @@ class Settings(bpy.types.PropertyGroup):
         " distance from the camera. 0: unknown", min=0, soft_max=10_000, default=0, precision=4,
     )  # fmt: skip
     card_length: FloatProperty(
-        name="Card Distance", description="From the camera to the card, along the camera's axis", min=0,
+        name="Card Distance", description="Distance from the camera to the card, along the camera's axis", min=0,
         subtype="DISTANCE", get=lambda self: self.card_distance,
         set=lambda self, value: setattr(self, "card_distance", value),
     )  # fmt: skip

@@ -160,8 +160,9 @@ def _declare() -> None:
         "own_text": StringProperty(description="The text of its file"),
         "interreflection": BoolProperty(
             name="Interreflection", get=_has_rounds, set=_switch_rounds,
-            description="Find the light that the subject throws on itself, as in a bowl or a fold, take it off the"
-            " photographs, and recover again. It takes three to six times the time. Refused with Levels above 1",
+            description="Find the light that the subject throws on itself, as in a bowl or a fold, subtract it"
+            " from the photographs, and recover again. This takes three to six times as long. Not possible"
+            " with Levels above 1",
         ),
         **declared,
     }  # fmt: skip

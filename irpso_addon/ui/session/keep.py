@@ -141,7 +141,7 @@ def _show(context, card, new: bool) -> None:
 class IRPSO_OT_standard_view(bpy.types.Operator):
     """Show colors as they are: the Standard view transform, without the film look that AgX and Filmic add.
 
-    Only so a render can be compared with the photographs
+    A render can be compared with the photographs only in this view
     """
 
     bl_idname = "irpso.standard_view"

@@ -184,7 +184,7 @@ def test_a_video_of_another_size_than_the_photographs_is_refused(tmp_path):
     filmed(folder / "photograph.mkv", LIGHTS, (64, 100))  # a live photograph: the photograph's own video
     (folder / "a.mkv").unlink()
     code, _, err = calibrate(folder, tmp_path / "capture", "--count", "8")
-    assert code == 2 and "--count: is of videos, and" in err
+    assert code == 2 and "--count: applies to videos, and" in err
 
 
 def test_videos_of_several_sizes_are_refused(tmp_path):

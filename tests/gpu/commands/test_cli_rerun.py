@@ -98,7 +98,7 @@ def test_a_preview_has_a_quarter_of_the_size_and_changes_nothing(recovered, tmp_
     _, out, _ = recovered("lambert")
     options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 40]
     code, _, err = run_cli(*options, "--preview", "-o", tmp_path / "with")
-    assert code == 0 and re.search(r"preview of 1/4: .*preview; by its pace the whole takes", err)
+    assert code == 0 and re.search(r"preview of 1/4: .*preview; at this speed the whole takes", err)
     assert run_cli(*options, "--quiet", "-o", tmp_path / "without")[0] == 0
     assert not (tmp_path / "without" / "preview").exists()
     large, same = (read_map(tmp_path / name / "normal.exr") for name in ("with", "without"))
@@ -122,10 +122,10 @@ def test_a_preview_that_cannot_be_is_refused(recovered, tmp_path, monkeypatch):
     _, out, _ = recovered("lambert")
     options = ["recover", out.parent / "lambert", "--model", "lambert", "--preview", "-o", tmp_path / "out"]
     code, _, err = run_cli(*options, "--fixed", f"base_color={out / 'base_color.exr'}")
-    assert code == 2 and "--preview: a map given with --fixed has the texels of the whole" in err
+    assert code == 2 and "--preview: a map of --fixed has the full size" in err
     monkeypatch.setattr("irpso_addon.commands.recover.joined", object)  # as under mpirun
     code, _, err = run_cli(*options)
-    assert code == 2 and "--preview: over ranks there is none" in err
+    assert code == 2 and "--preview: a run over ranks writes no preview" in err
     assert not (tmp_path / "out").exists()
 
 

@@ -86,8 +86,8 @@ def test_texels_in_a_hollow_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--kind", "mirror"], "--kind: is of balls"),
-        (["--radius", "2"], "--radius: is of balls"),
+        (["--kind", "mirror"], "--kind: applies to balls"),
+        (["--radius", "2"], "--radius: applies to balls"),
         (["--lights", "near"], "--lights near: places of lamps need balls"),
         (["--ball", "3,4,5"], "omit the other --ball"),
     ],
@@ -103,7 +103,7 @@ def test_options_of_balls_are_refused(solid, tmp_path, options, said):
 def test_inside_out_is_of_shading_alone(solid, tmp_path):
     code, _, err = run_cli("calibrate", solid[0], "--inside-out", "-o", tmp_path / "out")
     assert (code, err.count("\n")) == (2, 1)
-    assert "--inside-out: goes with --ball none" in err
+    assert "--inside-out: needs --ball none" in err
 
 
 def test_a_flat_subject_is_refused(tmp_path):

@@ -71,8 +71,8 @@ def test_near_lights_of_a_flat_card_are_found(tmp_path):
 def test_options_of_meshes_need_a_mesh(tmp_path):
     for options, said in (
         (("--ball", "none", "--object", "Sphere"), "--object: is for meshes"),
-        (("--blend", "x.blend"), "--blend: goes with --ball none"),
-        (("--flat",), "--flat: goes with --ball none"),
+        (("--blend", "x.blend"), "--blend: needs --ball none"),
+        (("--flat",), "--flat: needs --ball none"),
         (("--ball", "none", "--flat", "--blend", "x.blend"), "--flat and --blend"),
         (("--ball", "none", "--flat", "--lights", "distant"), "--lights distant: matt shading of a flat card"),
         (("--ball", "none", "--blend", "x.blend", "--inside-out"), "--inside-out: a mesh"),

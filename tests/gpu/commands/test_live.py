@@ -306,5 +306,5 @@ def test_a_tiled_run_measures_its_error_in_slices_and_refuses_reconfiguration(mo
         assert calls > 3 * 2 * 12  # it stops between bands, not only between iterations
         assert bits_of(tiled.maps()) == wanted
         assert tiled.mean_error() == pytest.approx(error, rel=1e-5)
-        with pytest.raises(InputError, match="divided"):
+        with pytest.raises(InputError, match="in tiles"):
             tiled.reconfigure(SHORT)

@@ -244,8 +244,8 @@ def test_errors_that_blender_only_prints_stay_visible(capfd):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--format", "textures", "--rays", 4), "--rays: is of a mesh's occlusion"),
-        (("--format", "ptm", "--occlusion"), "--format ptm has none"),
+        (("--format", "textures", "--rays", 4), "--rays: applies to a mesh's occlusion"),
+        (("--format", "ptm", "--occlusion"), "--format ptm has no occlusion"),
         (("--format", "textures", "--occlusion", "--rays", 0), "--rays 0"),
         (("--format", "textures", "--occlusion"), "recover with --height"),
     ],

@@ -50,7 +50,7 @@ def test_a_near_lit_card_needs_its_distance(captures, tmp_path):
         (["--distance", "-420"], "--distance -420: give a number above 0"),
         (["--distance", "nan"], "--distance nan: give a number above 0"),
         (["--distance", "far"], "--distance: invalid float value: 'far'"),
-        (["--distance", "1", "--blend", "x.blend"], "--distance is of a flat card from its camera; a mesh"),
+        (["--distance", "1", "--blend", "x.blend"], "--distance applies to a flat card; leave it out with a mesh"),
     ],
 )
 @pytest.mark.bpy_only

@@ -154,7 +154,7 @@ def test_a_known_value_may_be_one_for_all_texels(recover):
         ({"normal": np.zeros(2)}, "resample"),
         ({"base_color": np.full((13, 17, 3), np.nan)}, "not finite"),
         ({"roughness": np.zeros(1)}, "no parameter 'roughness'"),
-        ({"normal": np.zeros(3), "base_color": np.zeros(3)}, "nothing is left to find"),
+        ({"normal": np.zeros(3), "base_color": np.zeros(3)}, "every searched parameter is fixed"),
     ],
 )
 def test_known_maps_that_do_not_fit_are_refused(recover, fixed, word):

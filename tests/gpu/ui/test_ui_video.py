@@ -47,7 +47,7 @@ def test_a_folder_of_photographs_is_none_of_videos(folder):
 
 @pytest.mark.parametrize(("given", "message"), [
     ("", "Video: no file is chosen"), ("empty", "empty: holds no video; choose a video"),
-    ("one light.mkv", "shows 1 light, so nothing can be told"),
+    ("one light.mkv", "shows 1 light, too few for a recovery"),
 ])  # fmt: skip
 def test_what_is_no_video_of_several_lights_is_refused_and_nothing_is_written(folder, frames, given, message):
     (folder / "empty").mkdir()

@@ -94,7 +94,7 @@ def test_the_grey_row_of_a_chart_gives_the_curve(seed, tmp_path):
     write_png(tmp_path / "chart.png", np.rint(255 * tone(shown)).astype(int), 8)
     run = "response", tmp_path / "chart.png", "-o", tmp_path / "c.toml", "--grey-card", "auto", "--quiet"
     code, _, err = run_cli(*run)
-    assert code == 0 and "chart.png: the curve holds if the chart is matt" in err
+    assert code == 0 and "chart.png: the curve is right only if the chart is matt" in err
     curve = read_response(tmp_path / "c.toml")
     light = np.geomspace(0.05, 0.6, 40)
     found = curve(np.repeat(tone(light)[:, None], 3, axis=1))

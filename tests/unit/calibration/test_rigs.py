@@ -202,8 +202,8 @@ ORDERS = [
     (("lamp_5", "lamp_4", "lamp_3", "lamp_2", "lamp_1"), "auto", [4, 3, 2, 1, 0]),
     (("tile 03", "tile 01"), "numbers", [2, 0]),
     (("tile 03", "tile"), "numbers", "tile has no number in its name"),
-    (("tile 03", "b3"), "numbers", "b3 and tile 03 have the same one of --match numbers"),
-    (("lamp_1", "lamp_7"), "names", "lamp_7 is none of the rig's lamps"),
+    (("tile 03", "b3"), "numbers", "b3 and tile 03 are the same by --match numbers"),
+    (("lamp_1", "lamp_7"), "names", "lamp_7 matches no lamp of the rig"),
 ]
 
 

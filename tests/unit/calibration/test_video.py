@@ -78,7 +78,7 @@ def test_faded_frames_are_left_out():
 
 def test_a_video_of_one_light_is_refused_even_if_its_exposure_changes():
     frames = filmed([direction(0.4, 0.8)] * 30, lambda frame, k: frame * (0.5 + k / 60))
-    with pytest.raises(InputError, match="lamp.mp4: shows 1 light, so nothing can be told"):
+    with pytest.raises(InputError, match="lamp.mp4: shows 1 light, too few for a recovery"):
         chosen_frames(looks_of(frames), 10, "lamp.mp4")
 
 

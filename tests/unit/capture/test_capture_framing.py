@@ -245,7 +245,7 @@ def test_only_one_camera_is_cropped_and_a_mask_must_keep_something():
         framed(replace(one, cameras=one.cameras * 2, masks=one.masks * 2), Framing(crop=(0, 0, 8, 8)))
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[:4] = True
-    with pytest.raises(CaptureError, match="keeps nothing"):
+    with pytest.raises(CaptureError, match="leaves no pixel of this part"):
         framed(capture_of(noise(), mask=mask), Framing(crop=(0, 0, 8, 8)))
     with pytest.raises(CaptureError, match="world_width"):
         framed(capture_of(noise(), Camera.orthographic(WIDTH, HEIGHT, 2.0)), Framing(card_width=2.0))

@@ -67,4 +67,4 @@ def test_inspect_says_that_the_room_was_not_dark(part, expected, tmp_path):
     np.savetxt(tmp_path / "light_directions.txt", LIGHTS["wide"])
     found = [finding for finding in inspect_capture(tmp_path, decode_png).findings if finding.code == "room_light"]
     assert len(found) == expected
-    assert all("follows no lamp" in finding.message and "--dark" in finding.message for finding in found)
+    assert all("comes from no lamp" in finding.message and "--dark" in finding.message for finding in found)

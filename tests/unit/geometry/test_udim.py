@@ -126,7 +126,7 @@ def test_slots_are_named_by_name_number_or_both():
     for text in ("4", "-1", ""):
         with pytest.raises(InputError, match="there is no slot"):
             slots_of_text(text, NAMES)
-    with pytest.raises(InputError, match="has no material slots: leave it away"):
+    with pytest.raises(InputError, match="has no material slots: leave --slots out"):
         slots_of_text("0", ())
 
 

@@ -159,7 +159,7 @@ def test_a_file_that_no_result_wrote_is_never_replaced(name, maps, tmp_path):
     (tmp_path / name).write_bytes(b"a photograph")
     with pytest.raises(InputError, match=f"{name}: would be replaced"):
         check_replaces_nothing(tmp_path, MODEL)
-    with pytest.raises(InputError, match=f"{name} is not of a former result"):
+    with pytest.raises(InputError, match=f"{name} was not written by a recovery"):
         write_maps(maps, tmp_path, {})
     assert os.listdir(tmp_path) == [name] and (tmp_path / name).read_bytes() == b"a photograph"
 

@@ -90,7 +90,7 @@ def test_two_modes_are_unknown_in_the_report_and_warned_of_where_they_are_many()
     assert report["two_modes"] == {"roughness": 0.5, "metallic": 0.0}
     assert report["unknown"] == {"normal": 0.0, "roughness": 0.5, "metallic": 0.0, "specular": 0.0}
     (line,) = mode_warnings(marked, True)
-    assert line.startswith("roughness of 50% of the texels could as well be far from the map's value")
+    assert line.startswith("roughness of 50% of the texels has two possible values")
     assert "the prior decided" in line and "the prior decided" not in mode_warnings(marked, False)[0]
     few = with_modes(maps_of(of_few(0.0), 1))
     assert 0 < few.two_modes["roughness"].mean() < 0.05 and mode_warnings(few, True) == []

@@ -240,7 +240,7 @@ def test_unset_budgets_come_from_the_machine(monkeypatch):
     told = machine_memory(None, "NVIDIA H200", 100 * G)
     assert told.device == 80 * G and "the device's free memory" in told.device_from
     little = machine_memory(None, "inside a processor", G // 2)
-    assert little.device == 4 * G and "tells of 512 MiB" in little.device_from
+    assert little.device == 4 * G and "reports 512 MiB free" in little.device_from
     software = machine_memory(None, "llvmpipe (LLVM 15)")  # its textures are the host's memory too
     assert (software.host, software.device) == (4 * G, 4 * G)
     assert machine_memory("3G", "llvmpipe") == Memory(3 * G, 3 * G)

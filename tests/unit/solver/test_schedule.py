@@ -192,9 +192,9 @@ def test_an_unknown_name_is_refused_with_the_names_there_are():
 
 
 def test_nothing_left_to_search_is_refused():
-    with pytest.raises(InputError, match="nothing is left to find"):
+    with pytest.raises(InputError, match="every searched parameter is fixed"):
         resolve(load_schedule("swarm"), load_model("lambert"), {"base_color", "normal"})
-    with pytest.raises(InputError, match="nothing is left to find"):
+    with pytest.raises(InputError, match="every searched parameter is fixed"):
         resolve(load_schedule("swarm").replaced(search=["specular"]), load_model("lambert"), set())
 
 
