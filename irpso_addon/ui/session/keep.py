@@ -1,4 +1,4 @@
-"""Keeps the maps as the subject's material in one undo step; and prepares results for exports."""
+"""Operator Keep, which makes the maps the subject's material in one undo step; and the results for exports."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _STANDARD = "Standard"
 
 
 def found_in(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
-    """Return the current maps. wanted: derived maps. Raises InputError if one is impossible."""
+    """Return the current maps. wanted: derived maps to add. Raises InputError if one cannot be made."""
     return found_of(running.work, running.maps(confidence), wanted)
 
 
 def report_of(running: session.Session, found: Found) -> dict[str, Any]:
-    """Return the report of the current maps, as the command line writes it."""
+    """Return the report of the current maps, in the form that the command line writes."""
     job, model = running.job, running.job.model
     settings = {
         "capture": str(job.capture.source or job.capture.name),
@@ -104,7 +104,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
 
 
 def _keep(context, running: session.Session) -> str:
-    """Keep, and return a message. Raises InputError."""
+    """Make images, material and card object; return the operator's message. Raises InputError."""
     job = running.job
     former = result.subject_of(job)
     found = found_in(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))

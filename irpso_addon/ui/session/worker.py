@@ -1,4 +1,4 @@
-"""A thread for numpy work, while the window stays responsive."""
+"""Runs numpy work in a thread, so that the window stays responsive."""
 
 from __future__ import annotations
 
