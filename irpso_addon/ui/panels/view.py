@@ -29,7 +29,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
     if view.shown == "PARAMETER":
         column.prop(view, "mark_unknown")
     if view.shown in _IN_FALSE_COLORS:
-        column.prop(view, _red_of(view, running))
+        column.prop(view, _red_property(view, running))
     if view.shown in _OF_A_LIGHT:
         observations = running.job.capture.observations
         column.prop(view, "observation")
@@ -46,14 +46,14 @@ def draw_shown(layout, context, running: session.Session) -> None:
         column.prop(view, "split", slider=True)
     if view.shown == "INDIRECT" and running.recovery.indirect_share is None:
         on = running.job.schedule.interreflection.rounds > 0
-        known = iface("Known when the first round begins")
-        text = known if on else iface("Not looked for: recover with Interreflection on")
+        pending = iface("Known when the first round begins")
+        text = pending if on else iface("Not looked for: recover with Interreflection on")
         drawing.wrapped(column, context, text, "INFO")
     if reason := why_hidden(context):
         drawing.wrapped(layout, context, reason, "HIDE_ON")
 
 
-def _red_of(view, running: session.Session) -> str:
+def _red_property(view, running: session.Session) -> str:
     """Return the name of the property for the value drawn red, in the legend's unit."""
     if view.shown == "ERROR":
         return "red_error"
@@ -96,7 +96,7 @@ class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is a recovery, whose capture is drawn."""
+        """Whether there is a recovery, and so a capture to draw."""
         return session.current() is not None
 
     def draw(self, context) -> None:

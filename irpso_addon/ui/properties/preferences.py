@@ -21,7 +21,7 @@ from ..common.polls import usable
 from ..common.words import rpt
 
 DISPLAY_RATE = 10  # pictures per second
-_SPARING_SECONDS = 10.0  # between pictures under software Vulkan, which limits the number of draws (gpu/context.py)
+_SOFTWARE_SECONDS = 10.0  # between pictures under software Vulkan, whose number of draws is limited (gpu/context.py)
 _ENTRIES = (
     ("auto", "Automatic", "Compute shaders if a test finds them at least 1.5 times as fast, else fragment passes"),
     ("fragment", "Fragment", "Always draw, like the paper: fastest on most desktop and laptop GPUs"),
@@ -60,11 +60,11 @@ def current(context) -> Wanted:
 
 def picture_seconds(context) -> float:
     """Return the seconds between two pictures of a running recovery."""
-    return max(1 / current(context).display_rate, _SPARING_SECONDS if gpu_context.on_software_vulkan() else 0.0)
+    return max(1 / current(context).display_rate, _SOFTWARE_SECONDS if gpu_context.on_software_vulkan() else 0.0)
 
 
 def memory_fault(text: str) -> str:
-    """Return the fault of a memory budget, "" if it is valid."""
+    """Return what is wrong with a memory budget's text, "" if it is valid."""
     try:
         if text.strip():
             parse_memory(text)
@@ -170,7 +170,7 @@ CLASSES = (Preferences, Doctor, CopyReport)
 
 
 def unregister() -> None:
-    """Forget the report."""
+    """Delete the report."""
     _report.clear()
 
 

@@ -1,4 +1,4 @@
-"""A scene's settings as plain data that outlives the file; and the settings restored from it."""
+"""Converts a scene's settings to plain data, which outlives the .blend file, and back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .scene_settings import CUSTOM
 
 _KINDS = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of property with a plain value
 _LEFT_OUT = {"name", "checked_path", "summary", "slots", "slot_list"}
-_SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it fills the others
+_SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it overwrites the others
 _PARAMETER = ("recover", "value")
 
 
@@ -53,20 +53,20 @@ def _data(value: Any) -> Any:
 
 
 def schedule_recipe(schedule: Any) -> dict[str, Any]:
-    """Return the settings of the search."""
+    """Return the settings of the search as plain data."""
     return {name: getattr(schedule, name) for name in _SCHEDULE}
 
 
 def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
-    """Set a scene's settings to those of ``recipe_of``. Raises InputError if one that it names is missing."""
+    """Set a scene's settings from a recipe. Raises InputError if an object, collection or image of it is missing."""
     objects, images = bpy.data.objects, bpy.data.images
     if (name := recipe["object"]) is not None and name not in objects:
         raise InputError(f"this file has no object '{name}', of which the recovery was; open the file that has it")
     occluders = recipe.get("occluders")  # absent in recipes of earlier versions
     if occluders is not None and occluders not in bpy.data.collections:
         raise InputError(f"this file has no collection '{occluders}' of occluders; open the file that has it")
-    given = recipe["parameters"]
-    for name, values in given.items():
+    parameters = recipe["parameters"]
+    for name, values in parameters.items():
         if values["image"] is not None and values["image"] not in images:
             raise InputError(f"this file has no image '{values['image']}', given for {name}; open the file that has it")
     for name in _plain(settings):
@@ -76,7 +76,7 @@ def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
     settings.occluders = None if occluders is None else bpy.data.collections[occluders]
     settings.slots, settings.slot_list = ("ALL", "") if recipe["slots"] is None else ("NAMED", recipe["slots"])
     for item in settings.parameters:
-        for name, value in given.get(item.name, {}).items():
+        for name, value in parameters.get(item.name, {}).items():
             setattr(item, name, value if name != "image" or value is None else images[value])
     for name, value in recipe["schedule"].items():
         setattr(settings.schedule, name, value)

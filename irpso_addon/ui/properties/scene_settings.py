@@ -124,7 +124,7 @@ def _parameter_items(self, context):
     return _PARAMETER_ITEMS or [("NONE", "None", "")]
 
 
-_PARAMETER_ITEMS: list[tuple[str, str, str]] = []  # keeps the texts alive: Blender does not
+_PARAMETER_ITEMS: list[tuple[str, str, str]] = []  # a reference to the texts, because Blender holds none
 
 
 _AXIS_TEXT = "The parameter along this axis of the swarm's box. Empty: a color, or the first searched parameters"
