@@ -74,7 +74,7 @@ def memory_fault(text: str) -> str:
 
 
 def report() -> str:
-    """Return the last report on this machine as text, "" if there is none."""
+    """Return the last report on this machine as lines of text, "" if there is none."""
     return "\n".join(fact_lines(_report)) if _report else ""
 
 
@@ -135,10 +135,10 @@ class Doctor(bpy.types.Operator):
     bl_label = "Examine This Machine"
 
     def execute(self, context):
-        """Examine the machine and keep the report until the next one."""
+        """Examine the machine; the report stays until the next one."""
         _report.clear()
         try:
-            _report.update(machine_facts(_probed()))
+            _report.update(machine_facts(_probe_result()))
         except GpuUnavailableError as error:
             _report.update({f"version of {name}": value for name, value in versions().items()})
             _report["GPU"] = f"none usable: {error}"
@@ -174,10 +174,10 @@ def unregister() -> None:
     _report.clear()
 
 
-def _probed() -> dict:
+def _probe_result() -> dict:
     """Return the result of a GPU probe, in the window's own context if there is a window.
 
-    In background a child process makes the probe: without a usable EGL the driver kills the process that tries.
+    In background a child process runs it: without a usable EGL the driver kills the process that creates a context.
     """
     if bpy.app.background:
         return probe.probe()

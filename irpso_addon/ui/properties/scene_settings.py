@@ -26,7 +26,7 @@ from ..common.file_paths import absolute
 from .schedule_settings import ScheduleSettings
 
 CUSTOM = "CUSTOM"  # the user's own model
-REACTIONS: dict[str, Callable[[bpy.types.PropertyGroup], None]] = {}  # setting → an operator's reaction to its change
+REACTIONS: dict[str, Callable[[bpy.types.PropertyGroup], None]] = {}  # setting → the operators' function on its change
 _LARGEST_SIDE = 16384
 _COLOUR_SPACES = (
     ("auto", "Automatic", "8-bit images are sRGB unless file or pixels show that they are linear; others are linear"),

@@ -21,8 +21,8 @@ from ..common.file_paths import absolute
 FIRST = "standard"  # the preset of a new scene
 _ROUNDS_PRESET = "thorough"  # the preset with the number of rounds that the switch Interreflection sets
 _OPEN_OFFSET = 1e-6  # added to an open lower limit, because Blender's limits are closed
-_DIGITS = 6  # most decimals that Blender shows
-# Scenes and presets that were saved before format 2 of presets (docs/presets.md): part of a name → what it is now.
+_DIGITS = 6  # largest number of decimals that Blender shows
+# Beginnings of names in scenes and presets saved before format 2 of presets (docs/presets.md) → the present ones.
 _RENAMED = {
     "survey_polish_": "prefit_refinement_", "survey_judge_": "prefit_acceptance_",
     "survey_trust": "prefit_acceptance_ratio", "survey_": "prefit_",

@@ -219,7 +219,7 @@ def _tile_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
         raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
     encoded = use_of(image) == "srgb"  # float pixels are decoded already, by Blender
     if image.is_float and not image.colorspace_settings.is_data and values.shape[-1] == 3:
-        values = to_rec_709(values)  # Blender has converted them to scene-linear colours
+        values = to_rec_709(values)  # Blender has converted them to the .blend file's working space
     if encoded and image.is_float and parameter.color_space != "sRGB":
         values = srgb_from_linear(values)
     if parameter.is_normal:

@@ -72,7 +72,7 @@ def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
 
 
 def has_found(cls) -> bool:
-    """Whether there are maps to keep; else the button shows the remedy."""
+    """Return whether there are maps to keep; if not, the button's tooltip names the remedy."""
     running = session.current()
     return usable(cls, running is not None and running.recovery is not None, NOTHING)
 
@@ -86,11 +86,11 @@ class IRPSO_OT_keep(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is something to keep."""
+        """Whether there are maps to keep."""
         return has_found(cls)
 
     def execute(self, context):
-        """Pause, and make images, material and, for a card, its object."""
+        """Pause the recovery, and make images, material and, for a card, its object."""
         running = session.current()
         running.pause()
         try:
@@ -109,8 +109,8 @@ def _keep(context, running: session.Session) -> str:
     former = result.subject_of(job)
     found = found_in(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
     folder = preferences.current(context).folder()
-    made, subject = result.make_material(job, former, found, found.height, folder)
-    made[material.ORIGIN], made[material.STAMP] = job.origin, running.stamp
+    made_material, subject = result.make_material(job, former, found, found.height, folder)
+    made_material[material.ORIGIN], made_material[material.STAMP] = job.origin, running.stamp
     if job.mesh is None:
         if former is None:
             put_card(subject, job.place)
@@ -118,8 +118,8 @@ def _keep(context, running: session.Session) -> str:
     count = len(map_tables(job.model))
     where = rpt("in {folder}", folder=folder) if folder else rpt("packed into the file")
     return rpt(
-        "Material '{name}' on '{object}', with {count} maps {where}", name=made.name, object=subject.name, count=count,
-        where=where,
+        "Material '{name}' on '{object}', with {count} maps {where}", name=made_material.name, object=subject.name,
+        count=count, where=where,
     )  # fmt: skip
 
 
@@ -154,14 +154,14 @@ class IRPSO_OT_standard_view(bpy.types.Operator):
         return usable(cls, not is_standard_view(context.scene), "The scene has the Standard view transform already")
 
     def execute(self, context):
-        """Set view transform and look, and nothing else."""
+        """Set view transform and look."""
         context.scene.view_settings.view_transform = _STANDARD
         context.scene.view_settings.look = "None"
         return {"FINISHED"}
 
 
 def is_standard_view(scene) -> bool:
-    """Return whether the scene is shown without a film look."""
+    """Return whether the scene has the Standard view transform without a look."""
     return scene.view_settings.view_transform == _STANDARD and scene.view_settings.look == "None"
 
 

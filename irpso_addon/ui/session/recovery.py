@@ -1,4 +1,4 @@
-"""State machine of the window's recovery: a timer steps it in time slices until its maps are kept or dropped."""
+"""State machine of the window's recovery, stepped in time slices until its maps are kept or dropped."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Session:
     def kept(self) -> bool:
         """Whether a material of the open file holds the current maps; false after an undo or more iterations."""
         stamp = self.stamp
-        return bool(stamp) and any(made.get(STAMP) == stamp for made in bpy.data.materials)
+        return bool(stamp) and any(material.get(STAMP) == stamp for material in bpy.data.materials)
 
     @property
     def stopped(self) -> bool:
