@@ -45,8 +45,8 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.scale_y = 1.0 if settings.capture_path else 1.5
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             row = layout.row(align=True)
-            finder = "irpso.find_lights" if settings.capture_path else "irpso.choose_photographs"
-            row.operator(finder, text="Find Lights…", icon="LIGHT_SUN")
+            finds = "irpso.find_lights" if settings.capture_path else "irpso.choose_photographs"
+            row.operator(finds, text="Find Lights…", icon="LIGHT_SUN")
             row.operator("irpso.mark_balls", text="", icon="MESH_CIRCLE")
             row.menu("IRPSO_MT_photographs", text="", icon="DOWNARROW_HLT")
             if not settings.capture_path:
@@ -110,14 +110,14 @@ def _summary(context) -> list[str]:
 
 def _draw_check(layout, context, settings) -> None:
     """Draw the capture's first facts, its findings and the button of the check."""
-    status, lines = checking(context.scene), _summary(context)
+    doing, lines = checking(context.scene), _summary(context)
     if lines:
         column = layout.column(align=True)
         column.scale_y = 0.8
         for line in filter(_is_first, lines):
             _draw_fact(column, context, line)
-    if status:
-        layout.label(text=iface(status), icon="SORTTIME", translate=False)
+    if doing:
+        layout.label(text=iface(doing), icon="SORTTIME", translate=False)
         return
     first, others = _first_findings(settings)
     _draw_findings(layout, context, first)

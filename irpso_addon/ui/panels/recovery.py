@@ -58,8 +58,8 @@ def _draw_start(layout, context, text: str) -> None:
     row.operator("irpso.recover", text=text, icon="PLAY")
     if not chosen:
         return
-    if problem := missing(context):
-        drawing.wrapped(layout, context, problem, "INFO")
+    if wanting := missing(context):
+        drawing.wrapped(layout, context, wanting, "INFO")
     elif time := search_time(context):
         drawing.fact(layout, context, "Search Time", time)
     column = layout.column()
@@ -123,8 +123,8 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):
             _draw_warning(layout, context, text)
-    if (finding := running.recovery.findings.get("interreflection")) is not None:
-        _draw_interreflection(column, context, finding)
+    if (found := running.recovery.findings.get("interreflection")) is not None:
+        _draw_interreflection(column, context, found)
     for text in (*running.doubts, *capture_warnings(running.job.capture, reads=False)):
         _draw_warning(layout, context, text)
     if stopped:
@@ -150,14 +150,14 @@ def _draw_warning(layout, context, text: str) -> None:
     drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
 
 
-def _draw_interreflection(layout, context, finding: dict[str, Any]) -> None:
+def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
     """Draw the measurements of the interreflection rounds."""
-    if not finding["rounds"]:
+    if not found["rounds"]:
         return
-    drawing.fact(layout, context, "Indirect Light", iface("{share} of all", share=drawing.percent(finding["share"])))
-    drawing.fact(layout, context, "Rounds", str(finding["rounds"]))
-    drawing.fact(layout, context, "Strength", f"{finding['strength'][-1]:.2f}")
-    if count := finding["unknown_texels"]:
+    drawing.fact(layout, context, "Indirect Light", iface("{share} of all", share=drawing.percent(found["share"])))
+    drawing.fact(layout, context, "Rounds", str(found["rounds"]))
+    drawing.fact(layout, context, "Strength", f"{found['strength'][-1]:.2f}")
+    if count := found["unknown_texels"]:
         drawing.fact(
             layout, context, "Left Unknown", iface("1 texel") if count == 1 else iface("{count} texels", count=count)
         )

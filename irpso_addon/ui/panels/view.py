@@ -29,7 +29,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
     if view.shown == "PARAMETER":
         column.prop(view, "mark_unknown")
     if view.shown in _IN_FALSE_COLORS:
-        column.prop(view, _red_property(view, running))
+        column.prop(view, _red_of(view, running))
     if view.shown in _OF_A_LIGHT:
         observations = running.job.capture.observations
         column.prop(view, "observation")
@@ -53,7 +53,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
         drawing.wrapped(layout, context, reason, "HIDE_ON")
 
 
-def _red_property(view, running: session.Session) -> str:
+def _red_of(view, running: session.Session) -> str:
     """Return the name of the property for the value drawn red, in the legend's unit."""
     if view.shown == "ERROR":
         return "red_error"
