@@ -35,10 +35,7 @@ _messages: list[str] = []  # the panel's messages, until the user dismisses them
 
 
 def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return the message of an IrpsoError or a MemoryError in one line, with Blender's names of settings.
-
-    names: option → name in a dialog; replaced before the usual ones.
-    """
+    """Return the error's message in one line, with Blender's names for options. names: a dialog's, which come first."""
     text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
     for option, setting in (*names.items(), *_SETTINGS.items()):
         text = text.replace(option, setting)
