@@ -7,8 +7,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-# Registered in this order: a module comes after the classes that its own refer to. Each may define CLASSES, register()
-# and unregister().
+# In the order of registration: a module stands after those whose classes its own refer to. Each may define CLASSES,
+# register() and unregister().
 MODULES = (
     "translations.register",
     "common.failures",
@@ -44,7 +44,7 @@ MODULES = (
 )
 
 
-_commands: list[Any] = []  # handles of Blender's command line; empty while unregistered
+_commands: list[Any] = []  # handles of commands in Blender's command line; empty while unregistered
 
 
 def register(command: Callable[[list[str]], int]) -> None:
@@ -60,10 +60,10 @@ def register(command: Callable[[list[str]], int]) -> None:
             module = import_module(f".{name}", __package__)
             try:
                 for cls in getattr(module, "CLASSES", ()):
-                    if issubclass(cls, bpy.types.Operator):  # a tooltip in one line, as translations have it
+                    if issubclass(cls, bpy.types.Operator):  # one line, like the keys of the translations
                         cls.bl_description = " ".join(cls.__doc__.split())
                     bpy.utils.register_class(cls)
-                getattr(module, "register", _nothing)()
+                getattr(module, "register", _no_op)()
             except Exception:
                 _unregister_classes(module)  # not its unregister(): its register() did not finish
                 raise
@@ -85,7 +85,7 @@ def unregister() -> None:
 
 def _unregister(modules: list[ModuleType]) -> None:
     for module in reversed(modules):
-        getattr(module, "unregister", _nothing)()
+        getattr(module, "unregister", _no_op)()
         _unregister_classes(module)
 
 
@@ -97,5 +97,5 @@ def _unregister_classes(module: ModuleType) -> None:
             bpy.utils.unregister_class(cls)
 
 
-def _nothing() -> None:
-    """Replace a register() or unregister() that a module does not define."""
+def _no_op() -> None:
+    """Stand in for a register() or unregister() that a module does not define."""

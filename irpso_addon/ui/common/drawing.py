@@ -1,4 +1,4 @@
-"""Drawing helpers of the panels: wrapped text, lines of facts, numbers as text."""
+"""Drawing helpers of the panels: wrapped text, rows of name and value, numbers as text."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import unicodedata
 
 import bpy
 
-_CHARACTER = 6.6  # mean width of a character in Blender's font, in pixels at scale 1
-_MARGINS = 58  # pixels of a panel's width without text: edges, tab, icon
-_GAPS = 45  # the same, without an icon
-_LEAST = 16  # characters per line
-_PIECES = re.compile(r"[!-~À-ɏ]+|[「『（【“]?.")  # Latin words, and single characters
+_CHARACTER_WIDTH = 6.6  # pixels at scale 1: mean width in Blender's font
+_MARGINS = 58  # pixels of a panel's width that hold no text: edges, tab, icon
+_MARGINS_NO_ICON = 45  # the same in a row without an icon
+_LEAST_CHARACTERS = 16  # characters per line
+_PIECES = re.compile(r"[!-~À-ɏ]+|[「『（【“]?.")  # Latin words and single characters
 _CLOSING = "、。，．：；！？）」』】"
-_NAME = 0.4  # part of the line for a fact's name
+_NAME_FRACTION = 0.4  # fraction of a row's width for the name
 
 
 def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
@@ -27,10 +27,10 @@ def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
 
 
 def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
-    """Draw a name, which Blender translates, and its value, wrapped. lines: the least number of lines."""
-    wrapped_lines = lines_of(value, int(_characters(context, _GAPS) * (1 - _NAME)))
+    """Draw a name, which Blender translates, and its wrapped value. lines: the least number of lines to fill."""
+    wrapped_lines = lines_of(value, int(_characters(context, _MARGINS_NO_ICON) * (1 - _NAME_FRACTION)))
     for line in wrapped_lines + [""] * (lines - len(wrapped_lines)):
-        row = layout.split(factor=_NAME)
+        row = layout.split(factor=_NAME_FRACTION)
         left = row.row()
         left.alignment = "RIGHT"
         left.label(text=name)
@@ -39,9 +39,9 @@ def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
 
 
 def lines_of(text: str, width: int) -> list[str]:
-    """Wrap a text at spaces, and Chinese and Japanese between characters, which count as two.
+    """Wrap a text to lines of ``width`` Latin characters: at spaces, or between Chinese and Japanese characters.
 
-    A line begins with no closing punctuation.
+    Each of these counts as two. No line begins with closing punctuation.
     """
     if not any(map(_is_wide, text)):
         return textwrap.wrap(text, width)
@@ -61,7 +61,7 @@ def _is_wide(character: str) -> bool:
 
 
 def redraw_sidebars() -> None:
-    """Redraw the sidebars, which is fast, without the views behind them."""
+    """Redraw the sidebars only: redrawing the views behind them takes longer."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             for region in area.regions if area.type in ("VIEW_3D", "IMAGE_EDITOR") else ():
@@ -70,10 +70,10 @@ def redraw_sidebars() -> None:
 
 
 def _characters(context, margins: int = _MARGINS) -> int:
-    """Return the number of characters in a line of the panel."""
+    """Return the number of Latin characters in a line of the panel."""
     width = context.region.width if context.region is not None else 0
     scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
-    return max(_LEAST, int((width / scale - margins) / _CHARACTER))
+    return max(_LEAST_CHARACTERS, int((width / scale - margins) / _CHARACTER_WIDTH))
 
 
 def clock(seconds: float) -> str:
@@ -89,6 +89,6 @@ def rate(evaluations: float) -> str:
 
 
 def percent(error: float) -> str:
-    """Return an error (a part of white) in percent, with three digits; below 0.001 % as "< 0.001 %"."""
+    """Return an error (fraction of white) in percent, with three digits; below 0.001 % as "< 0.001 %"."""
     value = 100 * error
     return f"{value:.3g} %" if value >= 0.001 else "< 0.001 %"

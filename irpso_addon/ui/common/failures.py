@@ -1,4 +1,4 @@
-"""Shows in the panel the exceptions of timers, threads, draw handlers and modal operators, which cannot report them."""
+"""Messages in the panel about exceptions in timers, threads, draw handlers and modal operators."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...core.errors import IrpsoError
 from . import drawing
 from .words import iface
 
-# The engine's name in error messages → the name in Blender.
+# Options in error messages → what the user sets or does in Blender.
 _SETTINGS = {
     "--distance": "Card Distance",
     "--memory": "Memory Budget",
@@ -35,10 +35,7 @@ _messages: list[str] = []  # the panel's messages, until the user dismisses them
 
 
 def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return the message of an IrpsoError or a MemoryError in one line, with Blender's names of settings.
-
-    names: those of a dialog, before the usual ones.
-    """
+    """Return the error's message in one line, with Blender's names for options. names: a dialog's, which come first."""
     text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
     for option, setting in (*names.items(), *_SETTINGS.items()):
         text = text.replace(option, setting)
@@ -48,7 +45,7 @@ def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> 
 def refused(
     operator: bpy.types.Operator, error: Exception, names: Mapping[str, str] = MappingProxyType({})
 ) -> set[str]:
-    """Report an IrpsoError or a MemoryError as the operator's; return how the operator ends. names: as ``words``."""
+    """Report an IrpsoError or a MemoryError of an operator; return {"CANCELLED"}. names: see ``words``."""
     operator.report({"ERROR"}, words(error, names))
     return {"CANCELLED"}
 
@@ -67,12 +64,12 @@ def reported(doing: str) -> Iterator[None]:
 
 
 def report(doing: str, error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Show an exception in the panel, once even if it is raised often, and return its text. names: as ``words``."""
+    """Show an exception in the panel, once even if it repeats, and return its text. names: see ``words``."""
     if isinstance(error, IrpsoError | MemoryError):
         text, expected = words(error, names), True
     else:
-        what = " ".join(str(error).split()) or type(error).__name__
-        text, expected = iface("{doing} has ended: {what}", doing=iface(doing), what=what), False
+        message = " ".join(str(error).split()) or type(error).__name__
+        text, expected = iface("{doing} has ended: {what}", doing=iface(doing), what=message), False
     if text not in _messages:
         _messages.append(text)
         if not expected:
@@ -108,7 +105,7 @@ class DismissFailures(bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     def execute(self, context):
-        """Dismiss."""
+        """Remove all messages."""
         clear()
         return {"FINISHED"}
 

@@ -1,4 +1,4 @@
-"""Features that only some versions of Blender have, found by asking Blender, not by its version."""
+"""Tests for features of Blender that some versions lack. They ask for the feature, not for the version."""
 
 import bpy
 

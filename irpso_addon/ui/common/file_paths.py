@@ -10,10 +10,9 @@ from ...core.errors import InputError
 
 
 def absolute(path: str, setting: str) -> Path:
-    """Return a setting's file or folder. Raises InputError for a // path while the .blend file is not saved.
+    """Return a setting's path as an absolute one. Raises InputError for a // path while the .blend file is not saved.
 
-    Blender itself would then resolve // to the folder in which it was started, often the root of the disk. setting: its
-    name, for the message.
+    Blender would resolve it to the folder of its start, often the disk's root. setting: its name, for the message.
     """
     if path.startswith("//") and not bpy.data.filepath:
         raise InputError(
@@ -24,6 +23,6 @@ def absolute(path: str, setting: str) -> Path:
 
 
 def first_free(folder: Path, stem: str, suffix: str = "") -> Path:
-    """Return the first path of STEM, STEM_1, STEM_2, … with a suffix in a folder that does not exist."""
+    """Return the first of the paths STEM, STEM_1, STEM_2, … with ``suffix`` in a folder that does not exist yet."""
     names = (f"{stem}{suffix}", *(f"{stem}_{number}{suffix}" for number in range(1, 10_000)))
     return next(folder / name for name in names if not (folder / name).exists())

@@ -1,4 +1,4 @@
-"""Operators whose work is done in time slices, while the window stays responsive."""
+"""Modal operators that work in time slices, so that the window stays responsive."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ...core.optional import present
 from . import failures
 from .words import iface
 
-_SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # of work between redraws, and from one redraw to the next work at least
+_SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # duration of a slice of work; interval of the timer events that start one
 
 
 class SlicedOperator:
     """Base of a ``bpy.types.Operator`` whose ``execute`` calls ``begin``.
 
-    doing: the work, for the status bar and for failures. names: option in messages → its name in the dialog. A subclass
-    defines ``finished``.
+    doing: name of the work, for the status bar and messages. names: option in messages → its name in the dialog. A
+    subclass defines ``finished``.
     """
 
     doing = ""
@@ -31,9 +31,9 @@ class SlicedOperator:
     _timer: Any = None
 
     def begin(self, context, steps: Generator[float, None, Any]) -> set[str]:
-        """Do all steps, which yield the finished fraction (0…1) and return what ``finished`` gets.
+        """Run all steps, which yield the finished fraction (0…1) and return the argument of ``finished``.
 
-        In a window this goes on in time slices, with the progress in the status bar; Esc cancels.
+        In a window they run in time slices, with the progress in the status bar; Esc cancels.
         """
         self._steps = steps
         failures.clear()
@@ -45,7 +45,7 @@ class SlicedOperator:
         return self._slice(context, math.inf) or {"CANCELLED"}
 
     def finished(self, context, result: Any) -> set[str]:
-        """Use what the steps returned; return how the operator ends."""
+        """Use the steps' return value; return the operator's result, as ``execute`` does."""
         raise NotImplementedError
 
     def modal(self, context, event):
@@ -59,33 +59,34 @@ class SlicedOperator:
         return self._leave(context, {"CANCELLED"})
 
     def cancel(self, context):
-        """End when the window or the file is closed."""
+        """Stop because the window or the file is closed."""
         self._leave(context, {"CANCELLED"})
 
     def _slice(self, context, seconds: float) -> set[str] | None:
-        """Work for some time; return how the operator ends, None if it goes on."""
-        begun = time.perf_counter()
+        """Run steps for about ``seconds``; return the operator's result, None while steps are left."""
+        started = time.perf_counter()
         try:
             while True:
-                part = next(present(self._steps))
-                context.window_manager.progress_update(part)
-                if time.perf_counter() - begun >= seconds:
+                fraction = next(present(self._steps))
+                context.window_manager.progress_update(fraction)
+                if time.perf_counter() - started >= seconds:
                     break
         except StopIteration as end:
             self._leave(context, set())
             return self.finished(context, end.value)
         except InputError as error:
-            if self._timer is not None:  # the report's popup goes away with the mouse
+            if self._timer is not None:  # the report's popup closes when the mouse moves
                 failures.report(self.doing, error, self.names)
             self._leave(context, set())
             return failures.refused(self, error, self.names)
         if self._timer is not None:
             context.workspace.status_text_set(
-                iface("{doing}: {part:.0%}. Esc cancels", doing=iface(self.doing), part=part)
+                iface("{doing}: {part:.0%}. Esc cancels", doing=iface(self.doing), part=fraction)
             )
         return None
 
     def _leave(self, context, result: set[str]) -> set[str]:
+        """Close the steps, timer and progress; return ``result``."""
         if self._steps is not None:
             self._steps.close()
             self._steps = None

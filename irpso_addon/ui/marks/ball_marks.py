@@ -1,4 +1,4 @@
-"""An operator that corrects the balls of a calibration in a photograph, and finds the lights again."""
+"""Operator that corrects the balls of a calibration in a photograph, and finds the lights again."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ..common.words import n_
 from ..overlay.paint import HALO, Painter
 from .marking import Marking
 
-_COLOUR, _DROPPED = (1.0, 0.75, 0.2, 1.0), (1.0, 0.3, 0.25, 1.0)
-_ALL = 24  # photographs whose brightest values are shown: each has a highlight
+_COLOUR, _DROPPED_COLOUR = (1.0, 0.75, 0.2, 1.0), (1.0, 0.3, 0.25, 1.0)
+_MOST_SHOWN = 24  # photographs whose brightest values are shown: each has a highlight
 _CROSS = 5.0  # half the size of a dropped highlight's cross, in pixels at scale 1
-_LEAST_RADIUS = 5.0  # pixels of the photographs
-_MOST = 10  # balls
+_LEAST_RADIUS = 5.0  # in pixels of the photographs
+_MOST = 10  # most balls
 
 
 class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
@@ -57,8 +57,8 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
         except InputError as error:
             return failures.refused(self, error)
         self._circles += np.reshape(self.moves, (_MOST, 3))[: len(self._circles)]
-        self._lost = set(self.dropped.splitlines())
-        return self._found()
+        self._dropped = set(self.dropped.splitlines())
+        return self._find_lights()
 
     def invoke(self, context, event):
         """Show the photographs with the balls and wait for the mouse."""
@@ -68,84 +68,84 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
             self._read(context)
         except InputError as error:
             return failures.refused(self, error)
-        return self.begin(context, _ALL)
+        return self.begin(context, _MOST_SHOWN)
 
     def _read(self, context) -> None:
-        """Read the circles (N, 3) and highlights, in pixels from the upper left corner. Raises InputError."""
+        """Read the report's circles (N, 3) and highlights, in pixels from the upper left. Raises InputError."""
         self._path = absolute(context.scene.irpso.capture_path, "Capture")
         report = report_beside(self._path)
-        self._kind, self._asked = report["kind"], report["asked"]
+        self._kind, self._input = report["kind"], report["asked"]
         self._circles = np.array([ball["circle"] for ball in report["balls"]][:_MOST], float)
-        self._spots = [
+        self._highlights = [
             (light["name"], np.array(spot)) for light in report["lights"] for spot in light["highlights"] if spot
         ]
-        self._lost: set[str] = set()
+        self._dropped: set[str] = set()
 
-    def _found(self) -> set[str]:
+    def _find_lights(self) -> set[str]:
         numbers = " ".join(f"{number:.3f}" for number in self._circles.ravel())
         return bpy.ops.irpso.find_lights(
             photographs=str(self._path), kind=self._kind, found_by="CIRCLE", circles=numbers,
-            dropped="\n".join(sorted(self._lost)), lights=self._asked["lights"], radius=self._asked["radius"] or 0,
-            distance=self._asked["distance"] or 0, albedo=self._asked["albedo"] or (0, 0, 0),
+            dropped="\n".join(sorted(self._dropped)), lights=self._input["lights"], radius=self._input["radius"] or 0,
+            distance=self._input["distance"] or 0, albedo=self._input["albedo"] or (0, 0, 0),
         )  # fmt: skip
 
     def confirmed(self, context) -> bool:
         """Find the lights again."""
-        self._found()
+        self._find_lights()
         return True
 
     def handles(self) -> dict[Hashable, np.ndarray]:
-        """Return the middles, the right ends of the rims, and the highlights."""
-        found: dict[Hashable, np.ndarray] = {}
+        """Return the places of the circles' middles, the right ends of their rims, and the highlights."""
+        places: dict[Hashable, np.ndarray] = {}
         for number, (x, y, radius) in enumerate(self._circles):
-            found["middle", number] = self._part(x, y)
-            found["rim", number] = self._part(x + radius, y)
-        for number, (_, spot) in enumerate(self._spots):
-            found["spot", number] = self._part(*spot)
-        return found
+            places["middle", number] = self._place_of(x, y)
+            places["rim", number] = self._place_of(x + radius, y)
+        for number, (_, spot) in enumerate(self._highlights):
+            places["spot", number] = self._place_of(*spot)
+        return places
 
     def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
-        """Take hold of a middle or a rim; drop a highlight, or take it back."""
+        """Grab a middle or a rim; drop a highlight, or restore a dropped one."""
         if isinstance(handle, tuple) and handle[0] == "spot":
-            self._lost ^= {self._spots[handle[1]][0]}
+            self._dropped ^= {self._highlights[handle[1]][0]}
             return None
         return handle
 
     def moved(self, handle: Hashable, place: np.ndarray) -> None:
-        """Move a middle, or a rim."""
-        what, number = handle if isinstance(handle, tuple) else ("", 0)
+        """Move a circle's middle, or change its radius."""
+        kind, number = handle if isinstance(handle, tuple) else ("", 0)
         x, y = place * self._size * (1, -1) + (0, self._size[1])
-        if what == "middle":
+        if kind == "middle":
             self._circles[number, :2] = x, y
         else:
-            away = float(np.hypot(*(self._circles[number, :2] - (x, y))))
-            self._circles[number, 2] = max(away, _LEAST_RADIUS)
+            distance = float(np.hypot(*(self._circles[number, :2] - (x, y))))
+            self._circles[number, 2] = max(distance, _LEAST_RADIUS)
 
     def drawn(self, painter: Painter) -> None:
         """Draw the circles with their handles, and the highlights; dropped ones are crossed out."""
-        turns = np.linspace(0, 2 * np.pi, 97)
+        angles = np.linspace(0, 2 * np.pi, 97)
         for x, y, radius in self._circles:
-            rim = zip(x + radius * np.cos(turns), y + radius * np.sin(turns), strict=True)
-            curve = np.array([self.pixel(self._part(*point)) for point in rim])
-            ends = np.array([self.pixel(self._part(x, y)), self.pixel(self._part(x + radius, y))])
-            for colour, more in ((HALO, 2.5), (_COLOUR, 0.0)):
-                painter.curve(curve, colour, 1.5 + more)
-                painter.rings(ends, colour, 6.0, 1.5 + more)
-        for name, spot in self._spots:
-            place = self.pixel(self._part(*spot))
-            painter.rings(place[None], _DROPPED if name in self._lost else _COLOUR, 3.0)
-            if name in self._lost:
+            rim = zip(x + radius * np.cos(angles), y + radius * np.sin(angles), strict=True)
+            curve = np.array([self.pixel(self._place_of(*point)) for point in rim])
+            ends = np.array([self.pixel(self._place_of(x, y)), self.pixel(self._place_of(x + radius, y))])
+            for colour, extra in ((HALO, 2.5), (_COLOUR, 0.0)):
+                painter.curve(curve, colour, 1.5 + extra)
+                painter.rings(ends, colour, 6.0, 1.5 + extra)
+        for name, spot in self._highlights:
+            place = self.pixel(self._place_of(*spot))
+            painter.rings(place[None], _DROPPED_COLOUR if name in self._dropped else _COLOUR, 3.0)
+            if name in self._dropped:
                 arm = _CROSS * painter.scale
-                painter.line(place - arm, place + arm, _DROPPED)
-                painter.line(place - (arm, -arm), place + (arm, -arm), _DROPPED)
+                painter.line(place - arm, place + arm, _DROPPED_COLOUR)
+                painter.line(place - (arm, -arm), place + (arm, -arm), _DROPPED_COLOUR)
 
-    def _part(self, x: float, y: float) -> np.ndarray:
-        """Return a pixel, counted from the upper left corner, in parts of the picture."""
+    def _place_of(self, x: float, y: float) -> np.ndarray:
+        """Return the place of a pixel, which counts from the upper left corner."""
         return np.array([x, self._size[1] - y]) / self._size
 
 
 def report_beside(table: Path) -> dict[str, Any]:
-    """Return the report of the calibration that wrote a table. Raises InputError where there is none, or no ball."""
+    """Return the report of the calibration that wrote a table. Raises InputError if it is missing or names no ball."""
     paths = [table.with_name(f"{table.stem}_report.json")]
     if table.name == TABLE:
         paths.append(table.with_name("report.json"))

@@ -24,7 +24,7 @@ _COLOUR = (1.0, 0.75, 0.2, 1.0)
 
 
 class _CornerMarking(Marking):
-    """Mixin of an operator: four corners are clicked in a photograph."""
+    """Mixin of operators that take four corners clicked in a photograph."""
 
     bl_options = {"INTERNAL", "UNDO"}
 
@@ -39,8 +39,8 @@ class _CornerMarking(Marking):
         return has_files(cls, context)
 
     def execute(self, context):
-        """Take ``corners``, in any order."""
-        self._take(context.scene.irpso, np.reshape(self.corners, (4, 2)))
+        """Store ``corners``, which may have any order."""
+        self._store(context.scene.irpso, np.reshape(self.corners, (4, 2)))
         return {"FINISHED"}
 
     def invoke(self, context, event):
@@ -51,25 +51,25 @@ class _CornerMarking(Marking):
         return self.begin(context)
 
     def confirmed(self, context) -> bool:
-        """Take four corners."""
+        """Store the corners, if there are four."""
         if len(self._points) < 4:
             self.report({"INFO"}, rpt("{count} of 4 corners are marked; click the others", count=len(self._points)))
             return False
         height = self._size[1]
         corners = np.array(self._points) * self._size
-        self._take(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
+        self._store(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
         return True
 
-    def _take(self, settings, corners: np.ndarray) -> None:
+    def _store(self, settings, corners: np.ndarray) -> None:
         """Store corners (4, 2), in pixels from the upper left."""
         raise NotImplementedError
 
     def handles(self) -> dict[Hashable, np.ndarray]:
-        """Return the corners."""
+        """Return the places of the corners."""
         return dict(enumerate(self._points))
 
     def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
-        """Take hold of a corner, or set a new one."""
+        """Grab a corner, or add a new one."""
         if handle is None and len(self._points) < 4:
             self._points.append(place)
             return len(self._points) - 1
@@ -98,7 +98,7 @@ class _CornerMarking(Marking):
 
 
 def take_corners(settings, corners: np.ndarray) -> None:
-    """Store the corners (4, 2) of a card, in any order, in pixels from the upper left: as crop or as corners."""
+    """Store the corners (4, 2) of a card, in any order, in pixels from the upper left, and the crop around them."""
     ordered = around(corners * (1, -1)) * (1, -1)
     settings.corners = ordered.ravel().tolist()
     settings.crop = crop_around(corners)
@@ -107,9 +107,9 @@ def take_corners(settings, corners: np.ndarray) -> None:
 
 
 def around(points: np.ndarray) -> np.ndarray:
-    """Return points (4, 2), y up, clockwise around their middle, the upper left one first."""
-    away = points - points.mean(axis=0)
-    ordered = points[np.argsort(-np.arctan2(away[:, 1], away[:, 0]))]
+    """Return points (4, 2), y up, ordered clockwise around their mean, the upper left one first."""
+    offsets = points - points.mean(axis=0)
+    ordered = points[np.argsort(-np.arctan2(offsets[:, 1], offsets[:, 0]))]
     return np.roll(ordered, -int((ordered[:, 1] - ordered[:, 0]).argmax()), axis=0)
 
 
@@ -123,7 +123,7 @@ class IRPSO_OT_mark_card(_CornerMarking, bpy.types.Operator):
         "Click the four corners of the card; drag one to move it. Backspace removes the last. Enter ends, Esc cancels"
     )
 
-    def _take(self, settings, corners: np.ndarray) -> None:
+    def _store(self, settings, corners: np.ndarray) -> None:
         take_corners(settings, corners)
 
 
@@ -139,14 +139,14 @@ class IRPSO_OT_mark_chart(_CornerMarking, bpy.types.Operator):
     )
 
     def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
-        """Yield the chart's own photograph, where it has one."""
+        """Yield the chart's own photograph if it has one, else those of the capture."""
         if not settings.chart_photograph:
             yield from super().radiances(settings, most)
             return
         image = ImageRef(absolute(settings.chart_photograph, "Chart"), colour_space=settings.colour_space)
         yield ImageStore(decode).samples(image).rgba[..., :3]
 
-    def _take(self, settings, corners: np.ndarray) -> None:
+    def _store(self, settings, corners: np.ndarray) -> None:
         settings.chart_corners = (around(corners * (1, -1)) * (1, -1)).ravel().tolist()
 
 
@@ -165,10 +165,10 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
 
     def execute(self, context):
         """Read some photographs and store the corners."""
-        return self.begin(context, self._searched(context.scene.irpso))
+        return self.begin(context, self._search_steps(context.scene.irpso))
 
-    def _searched(self, settings) -> Generator[float, None, Found]:
-        """Yield the fraction done; return the corners. Raises InputError."""
+    def _search_steps(self, settings) -> Generator[float, None, Found]:
+        """Yield the fraction done (0…1); return the corners. Raises InputError."""
         return (yield from corner_steps(build_capture(spec_of(settings), decode)))
 
     def finished(self, context, found: Found) -> set[str]:

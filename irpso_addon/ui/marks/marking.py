@@ -1,4 +1,4 @@
-"""Marks in a photograph: an Image editor that shows it, handles that the mouse drags, and their drawing."""
+"""Base of operators that mark a photograph: an Image editor shows it, and the mouse drags handles on it."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ from ..overlay.paint import Painter
 from ..session.scene_capture import spec_of
 
 _PICTURE = "IRPSO Photograph"
-_MOST_PIXELS = 1600  # of the shown picture's longer side
+_MOST_PIXELS = 1600  # most pixels of the shown picture's longer side
 _PICTURES = 3  # photographs whose brightest values are shown
 _BRIGHT = 99.0  # percentile that is shown white
-_REACH = 20.0  # pixels at scale 1 within which a click takes hold of a handle
+_GRAB_RADIUS = 20.0  # pixels at scale 1 within which a click grabs a handle
 
 
 class Marking:
-    """The modal part of an operator that marks things in a photograph. Enter ends, Esc cancels.
+    """Mixin of a modal operator that places marks on a photograph. Enter ends, Esc cancels.
 
-    Places are in parts of the picture, from its lower left corner.
+    A place is (x, y) from the lower left corner, as fractions (0…1) of the picture's width and height.
     """
 
     help_text = ""
     _size: np.ndarray  # (2,) of the photographs, in pixels
 
     def confirmed(self, context) -> bool:
-        """Take the marks; return whether the operator ends."""
+        """Use the marks, on Enter; return whether the operator ends."""
         raise NotImplementedError
 
     def handles(self) -> dict[Hashable, np.ndarray]:
-        """Return the places (2,) that a click takes hold of."""
+        """Return handle → place (2,) of the points that a click can grab."""
         raise NotImplementedError
 
     def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
-        """Take hold of a handle, or click beside all; return the handle that moves with the mouse."""
+        """Handle a click on a handle, None beside all; return the handle to drag with the mouse, None for none."""
         raise NotImplementedError
 
     def moved(self, handle: Hashable, place: np.ndarray) -> None:
-        """Move a handle."""
+        """Move a handle to a place."""
         raise NotImplementedError
 
     def removed(self) -> None:
@@ -61,7 +61,7 @@ class Marking:
         raise NotImplementedError
 
     def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
-        """Yield the photographs, (H, W, 3), of which the brightest values are shown; at most ``most``."""
+        """Yield the linear photographs (H, W, 3) whose brightest values are shown; at most ``most``."""
         capture = build_capture(spec_of(settings), decode)
         count = len(capture.observations)
         for index in sorted({round(k * (count - 1) / max(most - 1, 1)) for k in range(most)}):
@@ -69,18 +69,18 @@ class Marking:
 
     def begin(self, context, readers: int = _PICTURES) -> set[str]:
         """Show the brightest values of some photographs and wait for the mouse."""
-        failures.clear()  # of a search, in whose place marks are set
+        failures.clear()  # those of the search that the marks replace
         try:
-            picture, self._size = _picture(self.radiances(context.scene.irpso, readers))
+            picture, self._size = _make_picture(self.radiances(context.scene.irpso, readers))
         except InputError as error:
             return failures.refused(self, error)
-        self._area = _shown_in_editor(context, picture)
+        self._area = _show_in_editor(context, picture)
         if self._area is None:
             self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")
             return {"CANCELLED"}
-        self._held: Hashable | None = None
+        self._grabbed: Hashable | None = None
         self._drawing = Drawing()
-        self._handle: Any = bpy.types.SpaceImageEditor.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
+        self._draw_handler: Any = bpy.types.SpaceImageEditor.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         context.window.cursor_modal_set("CROSSHAIR")
         context.workspace.status_text_set(iface(self.help_text))
         context.window_manager.modal_handler_add(self)
@@ -90,14 +90,14 @@ class Marking:
     def modal(self, context, event):
         """Place, move and remove marks. Blender handles all other events."""
         with failures.reported(n_("Marking")):
-            return self._handled(context, event)
+            return self._on_event(context, event)
         return self._leave(context, {"CANCELLED"})
 
     def cancel(self, context):
-        """End when the window or the file is closed."""
+        """Blender calls this when the window or the file is closed."""
         self._leave(context, {"CANCELLED"})
 
-    def _handled(self, context, event):
+    def _on_event(self, context, event):
         if self._area not in list(context.screen.areas):
             return self._leave(context, {"CANCELLED"})
         if event.value == "PRESS" and event.type in {"ESC", "RIGHTMOUSE"}:
@@ -106,26 +106,26 @@ class Marking:
             return self._leave(context, {"FINISHED"}) if self.confirmed(context) else {"RUNNING_MODAL"}
         if event.value == "PRESS" and event.type == "BACK_SPACE":
             self.removed()
-            return self._again()
-        if event.type == "MOUSEMOVE" and self._held is not None:
-            self.moved(self._held, np.clip(self._place(event), 0, 1))
-            return self._again()
-        if event.type == "LEFTMOUSE" and event.value == "RELEASE" and self._held is not None:
-            self._held = None
-            return self._again()
+            return self._redraw()
+        if event.type == "MOUSEMOVE" and self._grabbed is not None:
+            self.moved(self._grabbed, np.clip(self._place(event), 0, 1))
+            return self._redraw()
+        if event.type == "LEFTMOUSE" and event.value == "RELEASE" and self._grabbed is not None:
+            self._grabbed = None
+            return self._redraw()
         if event.type == "LEFTMOUSE" and event.value in {"PRESS", "DOUBLE_CLICK"} and self._is_over_picture(event):
-            return self._pressed(context, event)
+            return self._on_press(context, event)
         return {"PASS_THROUGH"}
 
-    def _pressed(self, context, event):
+    def _on_press(self, context, event):
         clicked = np.array([event.mouse_x - self._region.x, event.mouse_y - self._region.y], float)
-        near = {key: float(np.linalg.norm(self.pixel(place) - clicked)) for key, place in self.handles().items()}
-        closest = min(near, key=lambda key: near[key], default=None)
-        reached = closest is not None and near[closest] <= _REACH * context.preferences.system.ui_scale
-        self._held = self.taken(closest if reached else None, np.clip(self._place(event), 0, 1))
-        return self._again()
+        distances = {key: float(np.linalg.norm(self.pixel(place) - clicked)) for key, place in self.handles().items()}
+        closest = min(distances, key=lambda key: distances[key], default=None)
+        reached = closest is not None and distances[closest] <= _GRAB_RADIUS * context.preferences.system.ui_scale
+        self._grabbed = self.taken(closest if reached else None, np.clip(self._place(event), 0, 1))
+        return self._redraw()
 
-    def _again(self):
+    def _redraw(self):
         self._area.tag_redraw()
         return {"RUNNING_MODAL"}
 
@@ -146,7 +146,7 @@ class Marking:
         return np.array(region.view2d.region_to_view(event.mouse_x - region.x + 0.5, event.mouse_y - region.y + 0.5))
 
     def pixel(self, place: np.ndarray) -> np.ndarray:
-        """Return the region's pixel (2,) that shows a place."""
+        """Return the pixel (2,) of the region at a place."""
         return np.array(self._region.view2d.view_to_region(*place, clip=False), float)
 
     def _draw(self) -> None:
@@ -158,9 +158,9 @@ class Marking:
             painter.flush()
 
     def _leave(self, context, result):
-        if self._handle is not None:
-            bpy.types.SpaceImageEditor.draw_handler_remove(self._handle, "WINDOW")
-            self._handle = None
+        if self._draw_handler is not None:
+            bpy.types.SpaceImageEditor.draw_handler_remove(self._draw_handler, "WINDOW")
+            self._draw_handler = None
             self._drawing.close()
             handlers.redraw()
         if context.window is not None:
@@ -169,26 +169,26 @@ class Marking:
         return result
 
 
-def _picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
-    """Return an image of the brightest values of photographs, and their size in pixels (2,). Raises InputError."""
-    shown: np.ndarray = np.zeros(())
+def _make_picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
+    """Make an image of the photographs' brightest values; return it and their (width, height). Raises InputError."""
+    peak: np.ndarray = np.zeros(())
     size = np.zeros(2)
     for radiance in radiances:
         size = np.array(radiance.shape[1::-1], float)
         step = math.ceil(max(radiance.shape) / _MOST_PIXELS)
-        shown = np.maximum(shown, np.nan_to_num(radiance[::step, ::step]))
-    shown = srgb_from_linear(np.clip(shown / max(float(np.percentile(shown, _BRIGHT)), 1e-6), 0, 1))
-    height, width = shown.shape[:2]
+        peak = np.maximum(peak, np.nan_to_num(radiance[::step, ::step]))
+    peak = srgb_from_linear(np.clip(peak / max(float(np.percentile(peak, _BRIGHT)), 1e-6), 0, 1))
+    height, width = peak.shape[:2]
     if (former := bpy.data.images.get(_PICTURE)) is not None:
         bpy.data.images.remove(former)
     image = bpy.data.images.new(_PICTURE, width, height)
-    image.pixels.foreach_set(np.concatenate([shown, np.ones((height, width, 1))], axis=-1).astype(np.float32).ravel())
+    image.pixels.foreach_set(np.concatenate([peak, np.ones((height, width, 1))], axis=-1).astype(np.float32).ravel())
     image.update()
     return image, size
 
 
-def _shown_in_editor(context, picture):
-    """Return an Image editor that shows the picture, made by a split where there is none; None where that fails."""
+def _show_in_editor(context, picture):
+    """Show the picture in an Image editor and return it; without one split the largest area, None if that fails."""
     areas = list(context.screen.areas)
     area = next((area for area in areas if area.type == "IMAGE_EDITOR"), None)
     if area is None:

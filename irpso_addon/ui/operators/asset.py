@@ -16,11 +16,11 @@ from ..common.polls import usable
 from ..common.words import rpt
 
 _NO_LIBRARY = "no asset library: add one in Preferences › File Paths › Asset Libraries"
-_items: list[tuple[str, str, str]] = []  # of the menu: Blender needs them to stay
+_items: list[tuple[str, str, str]] = []  # of the menu: kept here because Blender holds no reference
 
 
 def _libraries(_operator, context) -> list[tuple[str, str, str]]:
-    """Return the user's asset libraries as items of a menu."""
+    """Return the user's asset libraries as menu items."""
     _items[:] = [(one.name, one.name, one.path) for one in context.preferences.filepaths.asset_libraries]
     return _items
 

@@ -29,8 +29,8 @@ _AXES = (
 def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
     """Make a camera object for each camera of a file, in a collection, with an empty as parent; return the objects.
 
-    Objects from an earlier import of the same file are updated, and the user may have moved their empty. axes: of
-    ``_AXES``. The objects keep pixels, lens, sensor, shift and distortion.
+    Objects of an earlier import of the same file are updated, while their empty stays where the user has moved it.
+    axes: of ``_AXES``. The objects store pixels, lens, sensor, shift and distortion.
     """
     source, title = str(poses.path.resolve()), f"Cameras {poses.path.stem}"
     collection = next((c for c in scene.collection.children_recursive if c.get(_SOURCE) == source), None)
@@ -43,25 +43,25 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
         empty = bpy.data.objects.new(title, None)
         empty[_SOURCE] = source
         empty.empty_display_type = "ARROWS"
-        turned = axes == "OBJ" or (axes == "AUTO" and poses.program != "COLMAP")
-        empty.rotation_euler = (math.pi / 2 if turned else 0.0, 0.0, 0.0)
+        rotated = axes == "OBJ" or (axes == "AUTO" and poses.program != "COLMAP")
+        empty.rotation_euler = (math.pi / 2 if rotated else 0.0, 0.0, 0.0)
         collection.objects.link(empty)
     places = np.array([camera.position for camera in poses.cameras.values()])
     size = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()) or 1.0
     empty.empty_display_size = _SMALL * size
-    made = {obj[_IMAGE]: obj for obj in collection.objects if _IMAGE in obj}
+    objects = {obj[_IMAGE]: obj for obj in collection.objects if _IMAGE in obj}
     for image, camera in poses.cameras.items():
-        obj = made.get(image)
+        obj = objects.get(image)
         if obj is None:
             name = image.replace("\\", "/").rpartition("/")[2]
-            obj = made[image] = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+            obj = objects[image] = bpy.data.objects.new(name, bpy.data.cameras.new(name))
             obj[_SOURCE], obj[_IMAGE] = source, image
             collection.objects.link(obj)
         obj.parent = None  # set_camera sets world coordinates, which the parent then transforms
         set_camera(obj, camera)
         obj.parent = empty
         obj.data.display_size, obj.data.clip_end = _SMALL * size, max(obj.data.clip_end, _FAR * size)
-    return [made[image] for image in poses.cameras]
+    return [objects[image] for image in poses.cameras]
 
 
 class ImportCameras(bpy.types.Operator):
@@ -92,8 +92,8 @@ class ImportCameras(bpy.types.Operator):
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        made = create_cameras(context.scene, poses, self.axes)
-        cameras = rpt("1 camera") if len(made) == 1 else rpt("{count} cameras", count=len(made))
+        objects = create_cameras(context.scene, poses, self.axes)
+        cameras = rpt("1 camera") if len(objects) == 1 else rpt("{count} cameras", count=len(objects))
         text = rpt("{cameras} of {program}", cameras=cameras, program=poses.program)
         if poses.unusable:
             name, why = next(iter(poses.unusable.items()))

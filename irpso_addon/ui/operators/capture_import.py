@@ -37,12 +37,12 @@ from ..properties.scene_settings import REACTIONS, model_of
 from ..session.job import subject_object
 from ..session.scene_capture import capture_of, capture_path, keep_corners, keep_places
 
-# Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice is as long as that
-# took. After each image Blender redraws all views. If that takes a second (software renderer on a busy machine),
+# Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice lasts as long as
+# this took. After each image Blender redraws all views. If that takes a second (software renderer on a busy machine),
 # constant slices of the shortest length would leave nearly all the time to drawing.
 _SHORTEST, _LONGEST = 0.02, 0.5
 _PAUSE = 0.005  # seconds until the next slice
-_SHOWN = 0.25  # seconds between redraws of the check's progress
+_REDRAW_SECONDS = 0.25  # seconds between redraws of the check's progress
 _EXTENSIONS = ".lp;.toml;.txt"
 _TABLES = (".lp", ".toml")  # files that are a capture by themselves
 _CAMERA = "camera.toml"  # except this one, which belongs to a folder
@@ -53,16 +53,16 @@ _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
 class _Check:
     """A running check. scene: its session_uid. path: capture_path of the settings.
 
-    doing: the current step, in words. paused: when the last slice ended; shown: when the panel was last redrawn; both
-    by ``time.perf_counter``.
+    doing: the current step, in words. slice_end: end of the last slice. redrawn: last redraw of the panel. Both times
+    are by ``time.perf_counter``.
     """
 
     scene: int
     path: str
     steps: Generator[str, None, Report]
     doing: str = ""
-    paused: float = 0.0
-    shown: float = 0.0
+    slice_end: float = 0.0
+    redrawn: float = 0.0
 
 
 _running: list[_Check] = []  # at most one
@@ -76,27 +76,27 @@ def checking(scene) -> str:
 
 
 def capture_at(path: Path) -> Path:
-    """Return the capture of a chosen path: an .lp or .toml itself, for any other file its folder."""
+    """Return the capture's path for a chosen one: an .lp or .toml as it is, for any other file its folder."""
     if path.is_file() and (path.suffix.lower() not in _TABLES or path.name.lower() == _CAMERA):
         return path.parent
     return path
 
 
 def subject_of(spec: CaptureSpec) -> str:
-    """Return "CARD" for a single camera without a pose, which looks straight down; "MESH" for posed cameras."""
+    """Return "CARD" for a single camera without a pose, which looks straight at a card; else "MESH"."""
     return "CARD" if len(spec.views) == 1 and not spec.views[0].placed else "MESH"
 
 
 def goals_of(settings) -> tuple[str, ...]:
-    """Return those of ``sufficiency.GOALS`` that are to be recovered, for which the lights must suffice."""
+    """Return the ``sufficiency.GOALS`` of the maps to be recovered, for which the lights must suffice."""
     try:
         model = model_of(settings)
     except InputError:
         return ("normals",)
     fixed = {item.name for item in settings.parameters if not item.recover}
-    wanted = [parameter for parameter in model.parameters if parameter.name not in fixed]
-    goals = ["normals"] if any(parameter.is_normal for parameter in wanted) else []
-    if any(parameter.kind == "search" and not parameter.is_normal for parameter in wanted):
+    recovered = [parameter for parameter in model.parameters if parameter.name not in fixed]
+    goals = ["normals"] if any(parameter.is_normal for parameter in recovered) else []
+    if any(parameter.kind == "search" and not parameter.is_normal for parameter in recovered):
         goals.append("two lobes" if model.ordered else "roughness")
     return tuple(goals)
 
@@ -113,7 +113,7 @@ def check_capture(scene) -> None:
 def begin_check(scene) -> None:
     """Check the scene's capture: at once in background, in time slices if there is a window."""
     settings = scene.irpso
-    goals = dict.fromkeys(("normals", *goals_of(settings)))  # the panel hides findings that do not matter
+    goals = dict.fromkeys(("normals", *goals_of(settings)))  # the panel shows only findings on recovered maps
     steps = inspect_steps(
         capture_path(settings), decode, settings.colour_space, tuple(goals), settings.card_distance or None,
         settings.skip_damaged, settings.card_width or None,
@@ -132,18 +132,18 @@ def _tick() -> float | None:
     check, now = _running[0], time.perf_counter()
     more = False
     with failures.reported(n_("The check")):
-        more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
+        more = _slice(check, min(max(now - check.slice_end, _SHORTEST), _LONGEST))
     if not more:
         _running.clear()
-    check.paused = time.perf_counter()
-    if not more or check.paused - check.shown > _SHOWN:
-        check.shown = check.paused
+    check.slice_end = time.perf_counter()
+    if not more or check.slice_end - check.redrawn > _REDRAW_SECONDS:
+        check.redrawn = check.slice_end
         drawing.redraw_sidebars()
     return _PAUSE if more else None
 
 
 def _slice(check: _Check, seconds: float) -> bool:
-    """Continue a check for some seconds; return whether it is unfinished."""
+    """Continue a check for about ``seconds``; return whether it is unfinished."""
     scene = next((scene for scene in bpy.data.scenes if scene.session_uid == check.scene), None)
     if scene is None or scene.irpso.capture_path != check.path:
         _running.clear()
@@ -202,8 +202,8 @@ class ImportCapture(bpy.types.Operator):
             self.report({"ERROR"}, _refusal(error, path))
             return {"CANCELLED"}
         settings.source = "FILES"
-        if settings.capture_path != (kept := _kept_path(path)):  # the same capture keeps its card distance
-            settings.capture_path = kept
+        if settings.capture_path != (stored := _stored_path(path)):  # the same capture keeps its card distance
+            settings.capture_path = stored
         keep_places(settings, spec)
         settings.subject = subject_of(spec)
         settings.summary = f"kind: {spec.kind}\nimages: {len(spec.observations)}"
@@ -217,7 +217,7 @@ class ImportCapture(bpy.types.Operator):
 
 
 def _refusal(error: InputError, path: Path | None) -> str:
-    """Return the message of a refused capture; photographs without a list of lights are sent to Find Lights."""
+    """Return the message of a refused capture. For photographs without a list of lights it names Find Lights."""
     if getattr(error, "code", "") != "kind" or path is None or not path.is_dir():
         return str(error)
     suffixes = {file.suffix.lower() for file in path.iterdir()}
@@ -226,11 +226,11 @@ def _refusal(error: InputError, path: Path | None) -> str:
     return f"{path}: holds photographs without a list of their lights; use Find Lights"
 
 
-def _kept_path(path: Path) -> str:
-    """Return the path to store in the .blend: relative to it if the user's preferences say so."""
+def _stored_path(path: Path) -> str:
+    """Return the path to store in the .blend: relative to this file if the user's preferences say so."""
     text = str(path.resolve())
-    wanted = bpy.context.preferences.filepaths.use_relative_paths
-    if not (wanted and bpy.data.filepath):
+    relative = bpy.context.preferences.filepaths.use_relative_paths
+    if not (relative and bpy.data.filepath):
         return text
     try:
         return bpy.path.relpath(text)
@@ -240,9 +240,9 @@ def _kept_path(path: Path) -> str:
 
 def _warn(operator, settings) -> None:
     """Report the first finding, errors before warnings."""
-    if found := findings.shown(settings):
-        more = rpt(" (and {count} more)", count=len(found) - 1) if len(found) > 1 else ""
-        operator.report({"WARNING"}, found[0].message + more)
+    if shown := findings.shown(settings):
+        more = rpt(" (and {count} more)", count=len(shown) - 1) if len(shown) > 1 else ""
+        operator.report({"WARNING"}, shown[0].message + more)
 
 
 class CheckCapture(bpy.types.Operator):
@@ -266,7 +266,7 @@ class CheckCapture(bpy.types.Operator):
 
 
 def _check_scene(scene) -> None:
-    """Store the findings and the summary of the capture of the scene's own cameras, lights and images."""
+    """Check the scene's own cameras, lights and images; store the findings and the summary."""
     settings = scene.irpso
     settings.checked_path, settings.summary = "", ""
     try:
@@ -278,8 +278,8 @@ def _check_scene(scene) -> None:
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
     faults = [Finding("left_out", f"left out: {one.why}") for one in capture.left_out]
-    if lack := sufficiency.no_normal([one.light for one in capture.observations]):
-        faults.append(Finding(f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals", "error"))
+    if problem := sufficiency.no_normal([one.light for one in capture.observations]):
+        faults.append(Finding(f"lights_{problem.code}", f"{capture.name}: {problem.message}", "normals", "error"))
     wide = [] if place is None else wide_lights(scene, place)
     findings.keep(settings, [*faults, *(Finding("light_wide", text) for text in wide)])
 

@@ -40,7 +40,7 @@ def free_folder(source: Path, word: str) -> Path:
 
 
 def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], found: str) -> set[str]:
-    """Import a new capture and report its first warning, or what was found; return how the operator ends."""
+    """Import a new capture and report its first warning, and ``found``; return the operator's result."""
     bpy.ops.irpso.import_capture(directory=str(capture))
     if warnings:
         more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
@@ -98,19 +98,19 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
 
     def execute(self, context):
         """Develop into a new folder beside the capture's, and import it. On an error nothing is written."""
-        return self.begin(context, map_steps(self._developed(context.scene.irpso), lambda step: step.done))
+        return self.begin(context, map_steps(self._develop_steps(context.scene.irpso), lambda step: step.done))
 
-    def _developed(self, settings) -> Generator[Progress, None, tuple[Path, dict]]:
+    def _develop_steps(self, settings) -> Generator[Progress, None, tuple[Path, dict]]:
         """Yield the progress; return the new folder and the report. Raises InputError."""
         source = capture_path(settings)
-        wanted = self._wanted(settings)
+        options = self._options(settings)
         out = free_folder(source, "linear")
-        shots = read_source(source, decode, None, settings.colour_space, wanted.left_out)
-        report = yield from develop_steps(ImageStore(decode), shots, wanted, out, {"capture": str(source)})
+        shots = read_source(source, decode, None, settings.colour_space, options.left_out)
+        report = yield from develop_steps(ImageStore(decode), shots, options, out, {"capture": str(source)})
         return out, report
 
-    def _wanted(self, settings) -> Wanted:
-        """Return what the dialog asks for. Raises InputError."""
+    def _options(self, settings) -> Wanted:
+        """Return the dialog's options. Raises InputError."""
         corners: np.ndarray | str | None = None
         if self.colours == "MARKED":
             if not any(settings.chart_corners):
@@ -130,24 +130,24 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
         )
 
     def finished(self, context, result: tuple[Path, dict]) -> set[str]:
-        """Import the images, and report what the chart said."""
+        """Import the images, and report the chart's color error or the gray card's place."""
         out, report = result
-        found = rpt("Linear images")
+        summary = rpt("Linear images")
         if chart := report.get("colour_chart"):
             before, after = (chart["delta_e_2000"][key]["mean"] for key in ("before", "after"))
-            found = rpt(
+            summary = rpt(
                 "Colors of the chart: ΔE2000 {before:.1f} → {after:.1f} on average; linear images", before=before,
                 after=after,
             )  # fmt: skip
         if card := report.get("grey_card"):
-            found = rpt(
+            summary = rpt(
                 "Gray card found in {file} at {place}; linear images", file=Path(card["file"]).name, place=card["patch"]
             )
-        return imported(self, out, report["warnings"], found)
+        return imported(self, out, report["warnings"], summary)
 
 
 def _files(text: str, setting: str) -> list[Path]:
-    """Return the image of a setting, or those of its folder. Raises InputError if there are none."""
+    """Return the image that a setting names, or those of the folder. Raises InputError if there are none."""
     if not text:
         return []
     path = absolute(text, setting)

@@ -33,10 +33,10 @@ from ..session.keep import NOTHING, found_in, has_found, pictures_of, report_of
 
 MAPS = "maps"
 _FORMATS = {MAPS: ("Maps", "16-bit PNG, 32-bit EXR, a report and a preview, in a folder"), **FORMATS}
-_ITEMS = [(name, title, what) for name, (title, what) in _FORMATS.items()]
+_ITEMS = [(name, title, text) for name, (title, text) in _FORMATS.items()]
 _CONVENTIONS = [(name, name.title(), f"Names and normals that {name.title()} expects") for name in CONVENTIONS]
-# Optional maps of a format, besides the model's own.
-_ALSO = {
+# format → optional maps besides the model's own
+_OPTIONAL = {
     MAPS: (*(f"normal_{space}" for space in NORMAL_SPACES), "height"),
     "textures": ("height", "occlusion"),
     "gltf": ("occlusion",),
@@ -106,8 +106,8 @@ class IRPSO_OT_export(bpy.types.Operator):
             column.prop(self, "convention")
         if self.format == WEB:
             column.prop(self, "photographs")
-        column = self.layout.column()  # not split: half of the narrow panel would cut the names off
-        if options := _ALSO.get(self.format):
+        column = self.layout.column()  # not split, because half of the narrow panel is too short for the names
+        if options := _OPTIONAL.get(self.format):
             column.label(text="Also Write:")
             for name in options:
                 column.prop(self, name)
@@ -117,7 +117,7 @@ class IRPSO_OT_export(bpy.types.Operator):
     def execute(self, context):
         """Write all files or none. A running recovery pauses."""
         running = session.current()
-        if running is None or running.recovery is None:  # it may have ended while the file browser was open
+        if running is None or running.recovery is None:  # the recovery may have ended while the file browser was open
             self.report({"ERROR"}, NOTHING)
             return {"CANCELLED"}
         if not self.filepath:
@@ -154,9 +154,9 @@ class IRPSO_OT_export(bpy.types.Operator):
         return rpt("{count} files of maps that repeat written to {folder}", count=len(files), folder=folder), []
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
-        also = {name for name in _ALSO.get(self.format, ()) if getattr(self, name)}
-        card, occluded = _is_card(running), "occlusion" in also
-        found = found_in(running, self.format == WEB, DerivedMaps(height="height" in also or (card and occluded)))
+        optional = {name for name in _OPTIONAL.get(self.format, ()) if getattr(self, name)}
+        card, occluded = _is_card(running), "occlusion" in optional
+        found = found_in(running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded)))
         result = Result(file_stem(running.job.name), found.written, found.height, card=card)
         if occluded and not card:
             result = replace(result, baked_sky=mesh_open_sky(alone(running.job.mesh), result.maps))
@@ -226,7 +226,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove them."""
+    """Remove the formats."""
     bpy.types.TOPBAR_MT_file_export.remove(_draw_menu)
 
 

@@ -53,8 +53,8 @@ _CARDS = (
     ("FRAME", "As Framed", "The part that Frame, under Subject, shows; of another folder the whole photographs"),
     ("FIND", "Find Corners", "Find the card's corners: by printed markers, or as the only rectangle in the picture"),
 )
-_OF_PHOTOGRAPHS = ("picture_scale", "chart_photograph", "chart_corners")  # settings that other lights leave as they are
-_OF_CARD = ("framing", "crop", "corners", "card_distance", "card_width")
+_PHOTOGRAPH_SETTINGS = ("picture_scale", "chart_photograph", "chart_corners")  # which new lights do not change
+_CARD_SETTINGS = ("framing", "crop", "corners", "card_distance", "card_width")
 
 
 def free_table(folder: Path) -> Path:
@@ -64,7 +64,7 @@ def free_table(folder: Path) -> Path:
 
 @lru_cache(maxsize=1)  # a dialog is drawn often
 def _cameras(photographs: str, changed: float) -> tuple[str, ...]:
-    """Return the names of the cameras of photographs; () where there are none."""
+    """Return the camera names of a folder of photographs; () if it cannot be read. changed: key of the cache."""
     try:
         return tuple(view.name for view in read_photographs(Path(photographs)).views)
     except InputError:
@@ -190,7 +190,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether no recovery runs: both would share the GPU."""
+        """Whether no recovery runs, which would compete for the GPU."""
         return session.idle(cls)
 
     def invoke(self, context, event):
@@ -199,7 +199,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         return context.window_manager.invoke_props_dialog(self, width=420)
 
     def draw(self, context) -> None:
-        """Draw the dialog: the entries that the chosen way needs."""
+        """Draw the dialog: the entries for the choice of From."""
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(self, "photographs")
@@ -211,46 +211,46 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         column.prop(self, "fov")
 
     def _entries(self, context) -> list[str]:
-        """Return the names of the entries of the chosen way."""
+        """Return the names of the properties for the choice of From."""
         if self.found_by in WAYS:
             return {"MESH": ["lights"], "FLAT": ["card", "card_width"], "NONE": ["inside_out"]}[self.found_by]
-        several = ["camera"] * (len(_camera_names(self, context, "")) > 1)
-        place = {"MASK": ["mask"], "CIRCLE": ["circle"]}.get(self.found_by, [])
+        camera = ["camera"] * (len(_camera_names(self, context, "")) > 1)
+        outline = {"MASK": ["mask"], "CIRCLE": ["circle"]}.get(self.found_by, [])
         sizes = ["radius", *["distance"] * (self.radius > 0), *["albedo"] * (self.kind == "matte")]
-        return [*several, "kind", *place, "lights", *sizes]
+        return [*camera, "kind", *outline, "lights", *sizes]
 
     def execute(self, context):
         """Find the lights, write a new table beside the photographs and import it. On an error nothing is written."""
-        return self.begin(context, self._found(context.scene.irpso))
+        return self.begin(context, self._find_steps(context.scene.irpso))
 
     def finished(self, context, result):
-        """Import the table, keep what was set for the same photographs, and report the first warning."""
+        """Import the table, restore the settings of the same photographs, and report the first warning."""
         (path, warnings, card_distance), settings = result, context.scene.irpso
-        kept = {}
-        if self._same:
-            names = _OF_PHOTOGRAPHS if self.found_by == "FLAT" else (*_OF_CARD, *_OF_PHOTOGRAPHS)
-            kept = {name: _plain(getattr(settings, name)) for name in names}
+        former = {}
+        if self._is_capture:
+            names = _PHOTOGRAPH_SETTINGS if self.found_by == "FLAT" else (*_CARD_SETTINGS, *_PHOTOGRAPH_SETTINGS)
+            former = {name: _copied(getattr(settings, name)) for name in names}
         bpy.ops.irpso.import_capture(filepath=str(path))
-        for name, value in kept.items():
+        for name, value in former.items():
             setattr(settings, name, value)
         if self.found_by == "MESH":
             settings.subject = "MESH"
-        given = card_distance is not None and not knows_distance(settings)
-        if given:
+        measured = card_distance is not None and not knows_distance(settings)
+        if measured:
             settings.card_distance = card_distance
-        if given or settings.card_distance or settings.card_width:
-            begin_check(context.scene)  # the one of the import did not know them
+        if measured or settings.card_distance or settings.card_width:
+            begin_check(context.scene)  # again: the check of the import did not know them
         if warnings:
             count = len(warnings) - 1
             more = rpt(" (and {count} more, in the report beside it)", count=count) if count else ""
             self.report({"WARNING"}, failures.words(InputError(warnings[0]), self.names) + more)
-        look = rpt("; look at {file}", file=f"{path.stem}_balls.png") if self.found_by not in WAYS else ""
-        below = rpt("; Card Distance is that of the table below the balls") if given else ""
-        self.report({"INFO"}, rpt("Lights written to {name}", name=path.name) + look + below)
+        picture = rpt("; look at {file}", file=f"{path.stem}_balls.png") if self.found_by not in WAYS else ""
+        distance = rpt("; Card Distance is that of the table below the balls") if measured else ""
+        self.report({"INFO"}, rpt("Lights written to {name}", name=path.name) + picture + distance)
         return {"FINISHED"}
 
-    def _found(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], float | None]]:
-        """Yield the fraction done; return the table's path, the warnings, and a card's distance if balls tell it.
+    def _find_steps(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], float | None]]:
+        """Yield the fraction done (0…1); return the table's path, the warnings, and a card's distance if balls give it.
 
         Raises InputError.
         """
@@ -273,7 +273,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         return table, found.warnings, found.card_distance if found.result.near and len(spec.views) == 1 else None
 
     def _photographs(self, settings, masks: list[Path]) -> tuple[Path, CaptureSpec]:
-        """Return the path of the photographs and their spec, framed as the scene's settings if it is their capture."""
+        """Return the photographs' path and spec; the settings frame those of the scene's capture. Raises InputError."""
         if not self.photographs:
             raise InputError("Photographs: no folder is chosen; choose the folder of the photographs")
         source = absolute(self.photographs, "Photographs")
@@ -281,8 +281,8 @@ class FindLights(SlicedOperator, bpy.types.Operator):
             raise InputError(f"{source}: does not exist; choose the folder of the photographs")
         if is_video(source):
             raise InputError(f"{source}: is no folder of photographs; choose Photographs of a Video first")
-        self._same = settings.capture_path != "" and absolute(settings.capture_path, "Capture") == source
-        return source, spec_of(settings) if self._same else read_photographs(source, settings.colour_space, masks)
+        self._is_capture = settings.capture_path != "" and absolute(settings.capture_path, "Capture") == source
+        return source, spec_of(settings) if self._is_capture else read_photographs(source, settings.colour_space, masks)
 
     def _shading(self) -> ShadingRequest:
         mesh = known_mesh() if self.found_by == "MESH" else None
@@ -310,8 +310,8 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         return BallRequest(mask)
 
 
-def _plain(value):
-    """Return a setting's value that stays when the setting changes."""
+def _copied(value):
+    """Return a copy of a setting's value: a vector property would change with the setting."""
     return value if isinstance(value, str | float | int) else tuple(value)
 
 

@@ -1,4 +1,4 @@
-"""Mixes the kept material of the active object with another one, in a material of its own."""
+"""Mixes the recovered material of the active object with another one, in a new material."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BY = (
     ("IMAGE", "Mask", "An image in the active UV map: the other material shows where it is white"),
     ("FACTOR", "Factor", "One number for the whole surface"),
 )
-_items: list[tuple[str, str, str]] = []  # of the menu: Blender needs them to stay
+_items: list[tuple[str, str, str]] = []  # of the menu: kept here because Blender holds no reference
 
 
 def _others(_operator, context) -> list[tuple[str, str, str]]:
@@ -81,17 +81,17 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
             if second is None:
                 raise InputError("Other: no material is chosen; choose one")
             check_object(obj)
-            made = self._made(first, second)
-            apply_material(obj, made)
+            mixed = self._mixed(first, second)
+            apply_material(obj, mixed)
         except InputError as error:
             return failures.refused(self, error)
-        self.report({"INFO"}, rpt("Material '{name}' on '{object}'", name=made.name, object=obj.name))
+        self.report({"INFO"}, rpt("Material '{name}' on '{object}'", name=mixed.name, object=obj.name))
         if displaced := [one.name for one in (first, second) if _displaces(one)]:
             self.report({"WARNING"}, rpt("The mix has no displacement, unlike '{name}'", name=displaced[0]))
         return {"FINISHED"}
 
-    def _made(self, first, second):
-        """Return the mixed material; where it is refused, no new mask stays. Raises InputError."""
+    def _mixed(self, first, second):
+        """Return the mixed material. Raises InputError, and then removes a new mask."""
         mask = self._mask()
         try:
             return mix_materials(first, second, mask, self.factor, self.scale)
@@ -101,7 +101,7 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
             raise
 
     def _mask(self):
-        """Return the chosen image or a new one, None for a number. Raises InputError."""
+        """Return the chosen mask image or a new one, None for By: Factor. Raises InputError."""
         if self.by == "FACTOR":
             return None
         if self.by == "NEW":

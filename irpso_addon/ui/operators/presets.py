@@ -44,7 +44,7 @@ def purpose_of(schedule: Schedule) -> str:
 def label_of(settings: Any) -> str:
     """Return the label of the preset menu: the preset's name, with a star if settings differ from it.
 
-    For a schedule given by its path, only the file's name: drawing a panel opens no file.
+    A schedule given by its path has only the file's name: drawing a panel opens no file.
     """
     if not is_shipped(settings):
         return settings.own or Path(settings.preset).stem
@@ -53,7 +53,7 @@ def label_of(settings: Any) -> str:
 
 
 def preset_text(settings: Any) -> str:
-    """Return the text of a preset file with the settings. Raises InputError if their schedule does not exist."""
+    """Return the text of a preset file with these settings. Raises InputError if their schedule does not exist."""
     lines = [("preset", settings.preset), *sorted(differences(settings).items())]
     return _HEAD + "".join(f"{_OBJECT}.{name} = {value!r}\n" for name, value in lines)
 
@@ -153,7 +153,7 @@ class IRPSO_OT_preset_load(bpy.types.Operator):
             return failures.refused(self, error)
         settings.preset = name
         fill(settings, schedule)
-        _note_own(settings, self.filepath)
+        _store_own(settings, self.filepath)
         return {"FINISHED"}
 
 
@@ -181,7 +181,7 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
     def execute(self, context):
         """Add or remove a user's preset. Shipped ones are never changed."""
         settings = context.scene.irpso.schedule
-        if self.remove_active:  # not by the menu's label, which is Blender's way: scenes share it
+        if self.remove_active:  # Blender's own way is by the menu's label, which scenes share
             self.remove_active, self.remove_name, self.name = False, True, settings.own
         shipped = self.as_filename(self.name).lower() in shipped_presets()
         try:
@@ -198,7 +198,7 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
         settings = context.scene.irpso.schedule
         with replacing_file(Path(filepath)) as partial:
             partial.write_text(preset_text(settings), encoding="utf-8")
-        _note_own(settings, filepath)
+        _store_own(settings, filepath)
 
     def post_cb(self, context, filepath: str) -> None:
         """Clear the name of a removed preset."""
@@ -206,7 +206,7 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
             context.scene.irpso.schedule.own = ""
 
 
-def _note_own(settings: Any, path: str) -> None:
+def _store_own(settings: Any, path: str) -> None:
     settings.own = bpy.path.display_name(os.path.basename(path), title_case=False)
     settings.own_text = preset_text(settings)
 

@@ -1,4 +1,4 @@
-"""Recover: operators that start, step, pause, resume, stop and cancel the session."""
+"""Operators that start, step, pause, resume, stop and cancel a recovery."""
 
 import time
 
@@ -20,8 +20,8 @@ from ..session.job import make_job, missing
 from .restore import follow
 
 _TIMER_SECONDS = 1 / 60
-_SLICE_SECONDS = 0.04  # of work between the user's events: 25 slices a second, half of the delay that users notice
-_LONGEST_SLICE_SECONDS = 0.1  # a delay that users do not call a stall
+_SLICE_SECONDS = 0.04  # work between events: 25 slices a second, half of the delay that users notice
+_LONGEST_SLICE_SECONDS = 0.1  # longest work between events: users do not call this delay a stall
 
 
 class IRPSO_OT_recover(bpy.types.Operator):
@@ -42,7 +42,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
     def execute(self, context):
         """Recover to the end and keep the result, for background mode and scripts."""
         try:
-            if bpy.app.background:  # not in a window: Blender has a GPU context, and a probe takes seconds
+            if bpy.app.background:  # a window has a GPU context already, and a probe takes seconds
                 probe.probe()
             session.begin(make_job(context)).run()
         except (IrpsoError, MemoryError) as error:
@@ -55,12 +55,12 @@ class IRPSO_OT_recover(bpy.types.Operator):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
-            begun = session.begin(make_job(context))
+            started = session.begin(make_job(context))
         except IrpsoError as error:
             return failures.refused(self, error)
         if gpu_context.on_software_vulkan():
             self.report({"WARNING"}, SOFTWARE_VULKAN)
-        follow(context, begun)
+        follow(context, started)
         return {"FINISHED"}
 
 
@@ -73,10 +73,10 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     _timer = None
     _session = None
-    _number = 0  # this run of the session; the operator ends when a later run has a higher number
-    _draw_at = 0.0  # when the next redraw is due, by time.perf_counter
-    _returned = 0.0  # when the last slice ended
-    _drew = False  # whether it ended with a redraw
+    _number = 0  # Session.runs at the start; the operator ends when a later one has started
+    _draw_at = 0.0  # earliest time of the next redraw, by time.perf_counter
+    _slice_end = 0.0  # when the last slice ended
+    _drew = False  # whether the last slice ended with a redraw
 
     def invoke(self, context, event):
         """Start the timer."""
@@ -100,7 +100,7 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     def _handle(self, context, event):
         running = self._session
-        if not self._is_on() or not running.active:
+        if not self._is_current() or not running.active:
             return self._leave(context)
         if event.type == "ESC" and event.value == "PRESS":
             running.pause()
@@ -109,25 +109,25 @@ class IRPSO_OT_run(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         now = time.perf_counter()
-        if self._drew:  # the time since then was drawing, which may take at most a third of all time
-            self._draw_at = max(self._draw_at, now + 2 * (now - self._returned))
-        # Blender redraws everything whenever an image is loaded: then a slice is as long as that drawing.
-        drawing = now - self._returned if running.state == "loading" else 0.0
+        if self._drew:  # the time since then went to drawing, which may take at most a third of all time
+            self._draw_at = max(self._draw_at, now + 2 * (now - self._slice_end))
+        # While images load, Blender redraws everything after each: a slice then takes as long as that drawing.
+        drawing = now - self._slice_end if running.state == "loading" else 0.0
         running.tick(min(max(_SLICE_SECONDS, drawing), _LONGEST_SLICE_SECONDS))
-        self._returned = time.perf_counter()
-        # Without redraws the initial guess is ready earlier.
-        self._drew = self._returned >= self._draw_at and running.state != "preparing"
+        self._slice_end = time.perf_counter()
+        # No redraws during preparation, which then ends earlier.
+        self._drew = self._slice_end >= self._draw_at and running.state != "preparing"
         if self._drew:
-            self._draw_at = self._returned + preferences.picture_seconds(context)
+            self._draw_at = self._slice_end + preferences.picture_seconds(context)
             handlers.redraw()
         return {"PASS_THROUGH"} if running.active else self._leave(context)
 
     def cancel(self, context):
         """Pause when the operator's window is closed. Another window can resume."""
-        if self._is_on():
+        if self._is_current():
             self._session.pause()
 
-    def _is_on(self) -> bool:
+    def _is_current(self) -> bool:
         return session.current() is self._session and self._session.runs == self._number
 
     def _leave(self, context):
@@ -199,12 +199,12 @@ class IRPSO_OT_stop(bpy.types.Operator):
 
     def execute(self, context):
         """Keep the maps and end the recovery."""
-        done = _keep(self)
-        if done == {"FINISHED"}:
+        result = _keep(self)
+        if result == {"FINISHED"}:
             running = session.current()
             running.finish()
-            _go_on_relighting(context, running)
-        return done
+            _continue_relighting(context, running)
+        return result
 
 
 class IRPSO_OT_cancel(bpy.types.Operator):
@@ -234,8 +234,8 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _go_on_relighting(context, running: session.Session) -> None:
-    """Relight the held-out photographs if that has begun: in time slices if there is a window, else at once."""
+def _continue_relighting(context, running: session.Session) -> None:
+    """Continue a relighting of held-out photographs: in time slices if there is a window, else to its end."""
     if not running.relighting:
         return
     if bpy.app.background or context.window is None:
@@ -245,7 +245,7 @@ def _go_on_relighting(context, running: session.Session) -> None:
 
 
 def _keep(operator) -> set[str]:
-    """Keep the maps. An error of Keep, which Blender raises here, is reported as the operator's own."""
+    """Call the operator Keep. Its error, which Blender raises here, is reported as the caller's own."""
     try:
         return bpy.ops.irpso.keep("INVOKE_DEFAULT", True)  # True: one undo step, as if the user had pressed it
     except RuntimeError as error:

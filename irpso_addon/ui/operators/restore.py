@@ -1,4 +1,4 @@
-"""Restores recoveries that were not kept when their file was closed, and makes Blender ask before it closes one."""
+"""Restores recoveries that were not kept when their file was closed; makes Blender ask before closing with one."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _AFTER_SAVING = 0.1  # seconds until Blender has marked a file as saved
 
 def draw_unkept(layout, context) -> None:
     """Draw the recoveries that were not kept, each with buttons to restore and to delete it."""
-    for found in unkept.listed():
+    for stored in unkept.listed():
         box = layout.box()
-        text = iface("A recovery of '{name}' was not kept ({part:.0%})", name=found.name, part=found.fraction)
+        text = iface("A recovery of '{name}' was not kept ({part:.0%})", name=stored.name, part=stored.fraction)
         drawing.wrapped(box, context, text, "RECOVER_LAST")
         row = box.row(align=True)
-        row.operator("irpso.restore", icon="LOOP_BACK").path = str(found.path)
-        row.operator("irpso.forget", icon="X").path = str(found.path)
+        row.operator("irpso.restore", icon="LOOP_BACK").path = str(stored.path)
+        row.operator("irpso.forget", icon="X").path = str(stored.path)
 
 
 def restored_job(context, found: unkept.Unkept) -> SceneJob:
@@ -44,17 +44,17 @@ def restored_job(context, found: unkept.Unkept) -> SceneJob:
         raise InputError(f"{error}{where}") from error
 
 
-class _OfOne:
+class _OfStored:
     path: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
-    def _found(self) -> unkept.Unkept:
-        found = next((one for one in unkept.listed() if one.path == Path(self.path)), None)
-        if found is None:
+    def _stored(self) -> unkept.Unkept:
+        stored = next((one for one in unkept.listed() if one.path == Path(self.path)), None)
+        if stored is None:
             raise InputError("this recovery is no longer stored")
-        return found
+        return stored
 
 
-class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
+class IRPSO_OT_restore(_OfStored, bpy.types.Operator):
     """Read the photographs again and continue this recovery. Its settings replace those of the scene"""
 
     bl_idname = "irpso.restore"
@@ -67,26 +67,26 @@ class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
         return usable(cls, session.current() is None, "Another recovery is open: keep or discard it first")
 
     def execute(self, context):
-        """Start the recovery, which pauses when it reaches its former state."""
+        """Start the recovery, which pauses as soon as its stored state is loaded."""
         try:
-            begun = session.begin(restored_job(context, self._found()))
+            started = session.begin(restored_job(context, self._stored()))
         except IrpsoError as error:
             return failures.refused(self, error)
         if not bpy.app.background:
-            follow(context, begun)
+            follow(context, started)
         return {"FINISHED"}
 
 
-class IRPSO_OT_forget(_OfOne, bpy.types.Operator):
+class IRPSO_OT_forget(_OfStored, bpy.types.Operator):
     """Delete this stored recovery"""
 
     bl_idname = "irpso.forget"
     bl_label = "Delete"
 
     def execute(self, context):
-        """Delete it."""
+        """Delete its checkpoint."""
         try:
-            unkept.forget(self._found().path)
+            unkept.forget(self._stored().path)
         except IrpsoError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -94,7 +94,7 @@ class IRPSO_OT_forget(_OfOne, bpy.types.Operator):
 
 
 def follow(context, begun: session.Session) -> None:
-    """Run a session by the window's timer, show its card, and mark the file as changed."""
+    """Show a session's card, mark the file as changed, and run the session by the window's timer."""
     if begun.mesh is None:
         height, width = begun.job.capture.masks[0].shape
         show_card(context, begun.subject(), begun.job.place, height / width)

@@ -1,4 +1,4 @@
-"""Saves the capture's lamps and cameras as a rig, applies a rig to photographs; and the menu of these."""
+"""Saves the capture's lamps and cameras as a rig, and applies a rig to photographs; the menu of photographs."""
 
 from __future__ import annotations
 
@@ -103,10 +103,10 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
 
     def execute(self, context):
         """Write a capture beside the photographs, and import it. On an error nothing is written."""
-        return self.begin(context, map_steps(self._applied(), lambda step: step.done))
+        return self.begin(context, map_steps(self._apply_steps(), lambda step: step.done))
 
-    def _applied(self) -> Generator[Progress, None, tuple[Path, Applied]]:
-        """Yield the progress; return the new folder and what was applied. Raises InputError."""
+    def _apply_steps(self) -> Generator[Progress, None, tuple[Path, Applied]]:
+        """Yield the progress; return the new folder and the result. Raises InputError."""
         if not self.rig or not self.photographs:
             raise InputError(f"{'Photographs' if self.rig else 'Rig'}: no folder is chosen; choose one")
         photographs = absolute(self.photographs, "Photographs")
@@ -121,8 +121,8 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
         out, applied = result
         count = len(applied.lamps)
         developed = applied.developed
-        found = rpt("{count} lamps, linear images", count=count) if developed else rpt("{count} lamps", count=count)
-        return imported(self, out, [*applied.left_out, *applied.warnings], found)
+        summary = rpt("{count} lamps, linear images", count=count) if developed else rpt("{count} lamps", count=count)
+        return imported(self, out, [*applied.left_out, *applied.warnings], summary)
 
 
 class IRPSO_MT_photographs(bpy.types.Menu):

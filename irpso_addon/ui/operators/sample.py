@@ -1,4 +1,4 @@
-"""Opens the capture to practise on: renders it in a process of its own, finds its lights and imports it."""
+"""Opens the sample capture: renders it in a child process, finds its lights and imports it."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from .capture_import import begin_check
 from .find_lights import free_table
 
 _NAME = "tile"  # of the capture, and so of the card and its material
-_RENDERING = 0.95  # of the work
+_RENDER_PART = 0.95  # fraction of the progress
 _CHILD = (
     "import json; from irpso_addon.cli import main; from irpso_addon.gpu.context import exit_process;"
     " exit_process(main(json.loads(sys.argv[-1])))"
 )
 _POLL_SECONDS = 0.05
-_FAULT = re.compile(r"irpso: |\w+Error: ")  # ours, or Python's
+_FAULT = re.compile(r"irpso: |\w+Error: ")  # a line with an error of the command line or of Python
 _PERCENT = re.compile(r"(\d+) %")
 
 
@@ -62,7 +62,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether no recovery runs: both would share the processor."""
+        """Whether no recovery runs, which would compete for the processor."""
         return session.idle(cls)
 
     def invoke(self, context, event):
@@ -80,47 +80,47 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
 
     def execute(self, context):
         """Render the sample unless it is there, find the lights by its ball, and import the photographs."""
-        return self.begin(context, self._found())
+        return self.begin(context, self._open_steps())
 
     def finished(self, context, result):
         """Import the table, with the tile as the card."""
         path, size = result
         if bpy.ops.irpso.import_capture(filepath=str(path)) != {"FINISHED"}:
             return {"CANCELLED"}
-        settings, found = context.scene.irpso, layout.arranged(size, 1, 0)
-        settings.framing, settings.crop = "CROP", layout.tile_crop(found.camera)
-        settings.card_distance = found.card_distance
-        begin_check(context.scene)  # the one of the import did not know the distance
+        settings, arranged = context.scene.irpso, layout.arranged(size, 1, 0)
+        settings.framing, settings.crop = "CROP", layout.tile_crop(arranged.camera)
+        settings.card_distance = arranged.card_distance
+        begin_check(context.scene)  # again: the check of the import did not know the distance
         self.report({"INFO"}, rpt("The sample is open; {file} says what is in it", file=path.parents[1] / PAGE))
         return {"FINISHED"}
 
-    def _found(self) -> Generator[float, None, tuple[Path, tuple[int, int]]]:
-        """Yield the fraction done; return the table's path and the photographs' size. Raises InputError."""
+    def _open_steps(self) -> Generator[float, None, tuple[Path, tuple[int, int]]]:
+        """Yield the fraction done (0…1); return the table's path and the photographs' size. Raises InputError."""
         if not self.folder:
             raise InputError("Folder: no folder is chosen; choose one for the sample")
         folder = absolute(self.folder, "Folder")
         photographs = folder / FOLDER
         if not (folder / PAGE).is_file() or not photographs.is_dir():
-            yield from map_steps(_rendering(folder), lambda part: _RENDERING * part)
+            yield from map_steps(_rendering(folder), lambda part: _RENDER_PART * part)
         spec = replace(read_photographs(photographs), name=_NAME)
         keys = lens_of_files(spec, decode)
         request = Request("mirror", distance=layout.LAMP_DISTANCE)
-        spec = with_camera(spec, keys, "EXIF") if keys else spec  # a table from before has the lens
+        spec = with_camera(spec, keys, "EXIF") if keys else spec  # without EXIF, an earlier table has the lens
         steps = calibrate_steps(spec, [BallRequest()], request, decode, layout.BALL_RADIUS)
-        calibration = yield from map_steps(steps, lambda part: _RENDERING + (1 - _RENDERING) * part)
+        calibration = yield from map_steps(steps, lambda part: _RENDER_PART + (1 - _RENDER_PART) * part)
         table = free_table(photographs)
         write_calibration(calibration, table, keys)
         return table, ImageStore(decode).size(spec.observations[0].image)
 
 
 def _rendering(folder: Path, options: Sequence[str] = ()) -> Generator[float, None, None]:
-    """Yield the fraction rendered. When closed early, end the process and delete what it wrote. Raises InputError.
+    """Yield the fraction rendered by a child process. If closed early, kill it and delete its files. Raises InputError.
 
     options: of the command ``sample``.
     """
     command = child_command(_CHILD, [json.dumps(["sample", "-o", str(folder), *options])])
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
-        log = Path(place) / "log.txt"
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
+        log = Path(temporary) / "log.txt"
         with open(log, "wb") as file:
             child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=file)
         try:
@@ -134,8 +134,8 @@ def _rendering(folder: Path, options: Sequence[str] = ()) -> Generator[float, No
                 shutil.rmtree(folder.with_name(f".{folder.name}.partial-{child.pid}"), ignore_errors=True)
         if child.returncode:
             lines = log.read_text("utf-8", "replace").strip().splitlines()
-            told = [line.removeprefix("irpso: ") for line in lines if _FAULT.match(line)]
-            raise InputError((told or lines or [f"the process ended with code {child.returncode}"])[-1])
+            faults = [line.removeprefix("irpso: ") for line in lines if _FAULT.match(line)]
+            raise InputError((faults or lines or [f"the process ended with code {child.returncode}"])[-1])
 
 
 CLASSES = (OpenSample,)

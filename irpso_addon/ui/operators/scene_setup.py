@@ -47,7 +47,7 @@ _SMALL = 0.3  # the cameras' display size over the dome's radius
 
 @dataclass(frozen=True)
 class _Dome:
-    """Where distant lights are displayed: around centre (3,), at radius, in world units."""
+    """Sphere on which distant lights are displayed: centre (3,) and radius in world units."""
 
     centre: np.ndarray
     radius: float
@@ -57,16 +57,16 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     """Make or update the objects of the capture's cameras and lights; return the lights.
 
     spec: of the same capture. The user's objects do not change. A scene without a camera gets one and its resolution.
-    ``scene_capture.capture_from_scene`` returns the capture again, to float32.
+    ``scene_capture.capture_from_scene`` then returns the same capture, in float32 precision.
     """
-    owned = {obj[_ROLE]: obj for obj in _own(scene) if obj[CAPTURE] == capture.name}
+    existing = {obj[_ROLE]: obj for obj in _created(scene) if obj[CAPTURE] == capture.name}
     made: list = []
     collection = _collection(scene, capture.name)
     images = _Images()
     dome = _dome(scene, capture)
     views = []
     for index, (view, camera, mask) in enumerate(zip(spec.views, capture.cameras, capture.masks, strict=True)):
-        obj = _object(owned, made, f"view {index}", f"View {index:03d} {view.name}", "CAMERA", collection, capture)
+        obj = _object(existing, made, f"view {index}", f"View {index:03d} {view.name}", "CAMERA", collection, capture)
         set_camera(obj, camera)
         obj.data.clip_end = max(obj.data.clip_end, 10 * float(np.linalg.norm(camera.position - dome.centre)))
         obj.data.display_size = _SMALL * dome.radius
@@ -75,11 +75,11 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     lights = []
     for index, (shot, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
         name = f"Light {index:03d} {observation.name}"
-        obj = _object(owned, made, f"light {index}", name, "SUN", collection, capture)
+        obj = _object(existing, made, f"light {index}", name, "SUN", collection, capture)
         set_light(obj, observation.light, dome.centre, dome.radius)
         obj.irpso.image, obj.irpso.camera = images.of(shot.image), views[observation.camera]
         lights.append(obj)
-    _remove(set(owned.values()) - set(made))
+    _remove(set(existing.values()) - set(made))
     if scene.camera is None:
         scene.camera = views[0]
     scene[CAPTURE] = capture.name
@@ -95,13 +95,13 @@ def observation_count(scene) -> int:
 
 def _observation_changed(view) -> None:
     if 0 < (count := observation_count(view.id_data)) < view.observation:
-        view.observation = count  # which calls this again
+        view.observation = count  # calls this function again
         return
     show_observation(view.id_data, view.observation)
 
 
 def show_observation(scene, number: int) -> None:
-    """Switch on one observation's light alone, and show its photograph as its camera's background.
+    """Switch on only one observation's light, and show its photograph as its camera's background.
 
     number: of the observation, from 1. Lights without a photograph do not change, nor do cameras that ``create_scene``
     did not make. The scene's camera changes only if ``create_scene`` made it.
@@ -111,7 +111,7 @@ def show_observation(scene, number: int) -> None:
     if not lights:
         return
     shown = lights[min(number, len(lights)) - 1]
-    for obj in {*lights, *_own_lights(scene)}:
+    for obj in {*lights, *_created_lights(scene)}:
         # Written only on change: each write makes Blender rebuild its dependency graph.
         if obj.hide_render != (obj != shown):
             obj.hide_render = obj != shown
@@ -127,14 +127,14 @@ def show_observation(scene, number: int) -> None:
 
 
 def capture_lights(scene) -> list:
-    """Return the lights of the observations in the scene, in their order; [] if there are none.
+    """Return the scene's lights of the observations, in their order; [] if there are none.
 
-    For a capture of files these are the lights that ``create_scene`` made, for the scene as source all lights with a
+    For a capture of files these are the lights that ``create_scene`` made, for This Scene all lights with a
     photograph.
     """
     if scene.irpso.source == "SCENE":
         return photographed_lights(scene)
-    lights = _own_lights(scene)
+    lights = _created_lights(scene)
     current = {obj[_ROLE]: obj for obj in lights if obj[CAPTURE] == scene.get(CAPTURE)}  # copies have the same role
     return [current[role] for role in sorted(current, key=natural)]
 
@@ -148,17 +148,17 @@ def place_card(card, camera: Camera, distance: float) -> None:
     card.matrix_world = Matrix(camera.matrix.tolist()) @ place @ size
 
 
-def _own(scene) -> list:
+def _created(scene) -> list:
     return [obj for obj in scene.objects if CAPTURE in obj and _ROLE in obj and obj.library is None]
 
 
-def _own_lights(scene) -> list:
-    return [obj for obj in _own(scene) if obj.type == "LIGHT"]
+def _created_lights(scene) -> list:
+    return [obj for obj in _created(scene) if obj.type == "LIGHT"]
 
 
-def _object(owned: dict, made: list, role: str, name: str, kind: str, collection, capture: Capture):
+def _object(existing: dict, made: list, role: str, name: str, kind: str, collection, capture: Capture):
     """Return the capture's object of this role, created and tagged if there is none. kind: CAMERA or a light's."""
-    obj = owned.get(role)
+    obj = existing.get(role)
     if obj is None:
         data = bpy.data.cameras.new(name) if kind == "CAMERA" else bpy.data.lights.new(name, kind)
         obj = bpy.data.objects.new(name, data)
@@ -193,14 +193,14 @@ def _dome(scene, capture: Capture) -> _Dome:
         corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
     elif len(capture.cameras) == 1:
         # Without distortion, because a lens may show nothing in its corners.
-        plain = replace(capture.cameras[0], distortion=())
-        corners = plain.points(capture.card_distance or 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
+        undistorted = replace(capture.cameras[0], distortion=())
+        corners = undistorted.points(capture.card_distance or 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
     else:
-        near = min(float(np.linalg.norm(camera.position)) for camera in capture.cameras) or 1.0
-        corners = np.array([(-near / 4,) * 3, (near / 4,) * 3])
+        nearest = min(float(np.linalg.norm(camera.position)) for camera in capture.cameras) or 1.0
+        corners = np.array([(-nearest / 4,) * 3, (nearest / 4,) * 3])
     centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    around = float(np.linalg.norm(corners - centre, axis=1).max()) or 1.0
-    return _Dome(centre, settings.view.dome_radius or _DOME * around)
+    radius = float(np.linalg.norm(corners - centre, axis=1).max()) or 1.0
+    return _Dome(centre, settings.view.dome_radius or _DOME * radius)
 
 
 def _set_background(data, image) -> None:
@@ -231,7 +231,7 @@ class _Images:
         return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
 
     def of(self, reference: ImageRef, mask: bool = False):
-        """Return the image of a capture's file. Raises CaptureError and loads nothing if the header is unreadable."""
+        """Return the image of a file. Raises CaptureError and loads nothing if the header is unreadable."""
         path = reference.path.resolve()
         exr = path.suffix.lower() == ".exr"
         space = None if exr or mask or reference.colour_space == "auto" else reference.colour_space
@@ -280,10 +280,10 @@ class CreateScene(bpy.types.Operator):
             return failures.refused(self, error)
         lights = create_scene(scene, spec, capture)
         if on_card:
-            settings.card_distance = capture.card_distance or 0.0  # so that the scene gives the same capture
+            settings.card_distance = capture.card_distance or 0.0  # so that This Scene gives the same capture
             rows, columns = part.masks[0].shape
             card = material.card_object(capture.name, rows, columns)
-            if is_free(card):  # else the user has moved it
+            if is_free(card):  # the user has not moved it
                 place_card(card, part.cameras[0], depth)
             if context.window is not None:
                 show_card(context, card, np.array(card.matrix_world), rows / columns)
@@ -337,7 +337,7 @@ class AssignImages(bpy.types.Operator):
 
     def invoke(self, context, event):
         """Open the file browser."""
-        if bpy.data.filepath:  # else the browser would propose the open file itself
+        if bpy.data.filepath:  # without this the browser proposes the open file itself
             self.directory = f"{Path(bpy.data.filepath).parent}{os.sep}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}

@@ -1,4 +1,4 @@
-"""Makes photographs of a video of a lamp that is carried around the subject, and goes on to their lights."""
+"""Makes photographs of a video of a lamp that is carried around the subject, then opens Find Lights for them."""
 
 from __future__ import annotations
 
@@ -50,26 +50,26 @@ class PhotographsOfVideo(SlicedOperator, bpy.types.Operator):
 
     def execute(self, context):
         """Write the photographs into a new folder. On an error nothing is written."""
-        return self.begin(context, map_steps(self._written(), lambda step: step[0]))
+        return self.begin(context, map_steps(self._write_steps(), lambda step: step[0]))
 
-    def _written(self) -> Generator[tuple[float, str], None, tuple[Path, Frames]]:
-        """Yield the progress; return the new folder and what is in it. Raises InputError."""
+    def _write_steps(self) -> Generator[tuple[float, str], None, tuple[Path, Frames]]:
+        """Yield (fraction done, step); return the new folder and its frames. Raises InputError."""
         if not self.filepath:
             raise InputError("Video: no file is chosen; choose a video, or a folder of videos")
         source = absolute(self.filepath, "Video")
         videos = videos_of(source)
         if not videos:
             raise InputError(f"{source}: holds no video; choose a video, or a folder of videos")
-        home = source if source.is_dir() else source.parent
-        out = first_free(home, f"{videos[0].stem}_photographs")
+        folder = source if source.is_dir() else source.parent
+        out = first_free(folder, f"{videos[0].stem}_photographs")
         return out, (yield from frame_steps(videos, out, self.count))
 
     def finished(self, context, result: tuple[Path, Frames]) -> set[str]:
         """Report the photographs, and open the dialog of Find Lights for them."""
-        out, found = result
-        for warning in found.warnings:
+        out, frames = result
+        for warning in frames.warnings:
             self.report({"WARNING"}, failures.words(InputError(warning), self.names))
-        count, total = len(found.files), found.total
+        count, total = len(frames.files), frames.total
         self.report(
             {"INFO"}, rpt("{count} of {total} frames written to {name}", count=count, total=total, name=out.name)
         )

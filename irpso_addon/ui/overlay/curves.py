@@ -1,4 +1,4 @@
-"""Probed texels: their colours, their rings on the subject and their error curves, as in Fig. 4 of Nagano et al."""
+"""Draws probed texels: rings on the subject and error curves, as in Fig. 4 of Nagano et al."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
 from .place import Placement, circle, pixel_size, to_pixels, transformed
 from .plot import curve_plot
 
-_MEAN = (0.80, 0.80, 0.82, 1.0)
+_MEAN_COLOR = (0.80, 0.80, 0.82, 1.0)
 _WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
 _LEAST = (290.0, 140.0)
-_SHARE = (0.42, 0.36)  # the panel's most width and height over those of a small region
-_LIST = 136.0  # width of the list with names and last errors, in pixels at scale 1
+_SHARE = (0.42, 0.36)  # most width and height of the panel over those of the free space
+_LIST_WIDTH = 136.0  # width of the list with names and last errors, in pixels at scale 1
 _LIFT = 0.3  # a ring's height above the surface over its radius
 _RING = 7.0  # radius of a ring on the subject, in pixels at scale 1
 
@@ -43,7 +43,7 @@ def draw_rings(
         normal = placement.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
         radius = _RING * scale * pixel_size(perspective, point, size)
         if radius > 0:
-            # Raised, because a curved surface could cover it.
+            # Raised, because a curved surface could hide a flat ring.
             rim = circle(point + _LIFT * radius * normal, normal, radius)
             rims.append(np.stack([rim[:-1], rim[1:]], axis=1).reshape(-1, 3))
             points.append(point)
@@ -94,11 +94,11 @@ def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:
 def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
     """Plot the mean error and the probed texels' errors over the iterations, in an area of ``curves_size``."""
     s = painter.scale
-    series = [("mean", _MEAN, running.history)]
+    series = [("mean", _MEAN_COLOR, running.history)]
     for probe in sorted(running.probes, key=lambda probe: probe.number):
         series.append((f"{probe.number}:  {probe.column}, {probe.row}", color_of(probe), probe.curve))
     plot = curve_plot(
-        area.inset(46 * s, 32 * s, _LIST * s, 34 * s),
+        area.inset(46 * s, 32 * s, _LIST_WIDTH * s, 34 * s),
         [[(iteration, PERCENT * error) for iteration, error in curve] for _, _, curve in series],
     )
     painter.panel(area)
@@ -107,7 +107,7 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
     for (_, color, _), points in reversed(list(zip(series, plot.curves, strict=True))):
         painter.curve(points, color, 1.7)
         painter.dots(points[-1:], color, 4.5)
-    x, y = area.right - (_LIST - 12) * s, plot.area.top - 5 * s
+    x, y = area.right - (_LIST_WIDTH - 12) * s, plot.area.top - 5 * s
     for name, color, curve in series:
         painter.dots(np.array([[x, y + 3.5 * s]]), color, 7)
         painter.text(name, x + 9 * s, y, TEXT, SMALL)

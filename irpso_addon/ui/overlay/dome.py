@@ -1,4 +1,4 @@
-"""The capture's lights, distant ones on a dome around the subject, near ones at their position; and its cameras."""
+"""Draws the capture's cameras and lights: distant lights on a dome around the subject, near ones at their position."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Dome:
     """Lights to draw, in world space.
 
     places: (K, 3). distant: (K,) bool. colors: (K, 3) display values. axis: (3,) mean direction of the distant lights.
-    half: whether all distant lights are on its side. radius: of the dome, 0 without distant lights. centre: (3,).
+    half: whether all these lie on its side. radius: of the dome, 0 without distant lights. centre: (3,).
     """
 
     places: np.ndarray
@@ -56,7 +56,7 @@ def dome_of(lights: np.ndarray, intensities: np.ndarray, placement: Placement, r
 
 
 def light_colors(intensities: np.ndarray) -> np.ndarray:
-    """Return (K, 3) display values of intensities (K, 3): the light's hue, with its strength relative to the others."""
+    """Return (K, 3) display values of intensities (K, 3): each light's hue, with its relative strength."""
     intensities = np.maximum(np.asarray(intensities, np.float64), 0)
     peak = intensities.max(axis=1)
     level = _FAINTEST + (1 - _FAINTEST) * (peak / max(peak.max(), 1e-30)) ** _GAMMA
@@ -70,9 +70,9 @@ def guide_lines(dome: Dome) -> list[np.ndarray]:
     rim = circle(dome.centre, dome.axis, dome.radius)
     first = rim[0] - dome.centre
     second = np.cross(dome.axis, first)
-    part = (np.linspace(-0.5, 0.5, 41) if dome.half else np.linspace(-1, 1, 81)) * np.pi
+    angles = (np.linspace(-0.5, 0.5, 41) if dome.half else np.linspace(-1, 1, 81)) * np.pi
     arcs = [
-        dome.centre + np.outer(np.sin(part), side) + np.outer(np.cos(part), dome.radius * dome.axis)
+        dome.centre + np.outer(np.sin(angles), side) + np.outer(np.cos(angles), dome.radius * dome.axis)
         for side in (first, second)
     ]
     return [rim, *arcs]
@@ -101,9 +101,9 @@ def frustum(camera: Camera, frame: np.ndarray, depth: float) -> np.ndarray:
 def over_subject(
     places: np.ndarray, corners: np.ndarray, perspective: np.ndarray, size: tuple[float, float]
 ) -> np.ndarray:
-    """Return (K,) bool: which world points (K, 3) fall inside the screen rectangle around corners (N, 3)."""
-    pixels, before = to_pixels(perspective, corners, size)
-    if not before.all():
+    """Return (K,) bool: whether world points (K, 3) project into the bounding rectangle of corners (N, 3)."""
+    pixels, in_front = to_pixels(perspective, corners, size)
+    if not in_front.all():
         return np.zeros(len(places), bool)
     at, _ = to_pixels(perspective, places, size)
     return ((at >= pixels.min(axis=0)) & (at <= pixels.max(axis=0))).all(axis=1)
@@ -119,7 +119,7 @@ def draw_lights(
     guides = [np.stack([line[:-1], line[1:]], axis=1).reshape(-1, 3) for line in guide_lines(dome)]
     if guides:
         drawing.draw_lines(np.concatenate(guides), _GUIDE, scale, perspective, depth=True)
-    if 0 <= current < len(dome.places):  # below the lights, to give its disc a rim
+    if 0 <= current < len(dome.places):  # drawn first, so that it gives the light's disc a rim
         ray = np.stack([dome.places[current], dome.centre])
         colors = np.array([_CURRENT, (*_CURRENT[:3], 0.25)])
         drawing.draw_lines(ray, colors, 1.8 * scale, perspective, depth=True)
@@ -137,11 +137,11 @@ def draw_lights(
 def draw_cameras(
     drawing: Drawing, cameras: list[Camera], current: int, placement: Placement, perspective: np.ndarray, scale: float
 ) -> None:
-    """Draw the cameras (matrices in the domain's frame). Of several, the current one is brighter."""
+    """Draw the cameras, whose matrices are in the domain's frame. Of several, the current one is brighter."""
     for index, camera in enumerate(cameras):
         place = transformed(placement.frame, camera.position[None])[0]
-        size = np.linalg.norm(placement.frame[:3, 0])
-        depth = _FRUSTUM * max(np.linalg.norm(place - placement.centre), placement.radius) / max(size, 1e-30)
+        unit = np.linalg.norm(placement.frame[:3, 0])
+        depth = _FRUSTUM * max(np.linalg.norm(place - placement.centre), placement.radius) / max(unit, 1e-30)
         lines = frustum(camera, placement.frame, depth).reshape(-1, 3)
         bright = index == current and len(cameras) > 1
         color, width = (_CURRENT, 1.8) if bright else (_CAMERA, 1.2)

@@ -1,4 +1,4 @@
-"""Places of the flat map in the Image editor, where the domain is shown like an image of its size."""
+"""Rectangles and pixels of the flat map in the Image editor, which shows the domain like an image of its size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .layout import Rectangle
 
 
 def why_covered(space) -> str:
-    """Return in a sentence why an Image editor has no overlay, "" if it shows no image or a recovered map."""
+    """Return a sentence on why an Image editor has no overlay, "" if it shows no image or a recovered map."""
     if space.mode not in ("VIEW", "UV"):  # painting and masking are the user's own work
         return iface("This editor paints or masks: choose View in its header")
     if space.image is not None and MAP_TAG not in space.image:

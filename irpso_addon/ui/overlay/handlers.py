@@ -1,4 +1,4 @@
-"""The draw handlers, which exist while a session exists. An exception in one ends the overlay and is reported."""
+"""Draw handlers of the overlay, while a session exists. An exception in one is reported and ends the overlay."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def is_seen_in(context, space) -> bool:
 
 
 def why_hidden(context) -> str:
-    """Return in a sentence why the context's editor has no overlay, "" if it has one."""
+    """Return a sentence on why the context's editor has no overlay, "" if it has one."""
     if _failed is not None and _failed is session.current():
         return _failed.failure
     return "" if _overlay is None or context.space_data is None else _overlay.why_hidden(context)
@@ -44,7 +44,7 @@ def redraw(only: int = 0) -> None:
 
 
 def _follow() -> None:
-    """Start, update or end the overlay with the session. Called in the GPU context in which the session works."""
+    """Start, update or end the overlay: the sessions' listener, called in the GPU context of their work."""
     global _failed
     running = session.current()
     if _overlay is not None and running is not _overlay.running:
@@ -112,19 +112,19 @@ def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any
 
 
 def draw(method: str) -> None:
-    """Draw a part of the overlay, by a method's name: Blender's draw handler."""
+    """Draw a part of the overlay: Blender's draw handler. method: of ``SessionOverlay``."""
     # Handlers are not removed here, because Blender is iterating over them.
     if _overlay is not None and _overlay.running is not _failed and not _overlay.running.closed:
         _guarded(_overlay.running, getattr(_overlay, method), bpy.context)
 
 
 def register() -> None:
-    """Follow the sessions."""
+    """Listen to the sessions."""
     session.listeners.append(_follow)
 
 
 def unregister() -> None:
-    """Remove the overlay and stop following the sessions."""
+    """Remove the overlay and its listener."""
     global _failed
     session.listeners.remove(_follow)
     _end()

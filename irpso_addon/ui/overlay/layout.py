@@ -26,7 +26,7 @@ class Rectangle:
         return self.y + self.height
 
     def corner(self, width: float, height: float) -> Rectangle:
-        """Return a rectangle of a given size in the lower right corner."""
+        """Return a rectangle of this size in the lower right corner."""
         return Rectangle(self.right - width, self.y, width, height)
 
     def overlaps(self, other: Rectangle) -> bool:
@@ -43,9 +43,9 @@ class Rectangle:
 
 
 def free_rectangle(window: Rectangle, sides: Iterable[tuple[str, Rectangle]]) -> Rectangle:
-    """Return the part of a window that the regions at its sides leave free, in the window's pixels.
+    """Return the part of a window that the regions at its sides do not cover, in the window's pixels.
 
-    window, sides: in the same coordinates. A side is named LEFT, RIGHT, TOP or BOTTOM; other names are ignored.
+    window, sides: in the same coordinates. A side's name is LEFT, RIGHT, TOP or BOTTOM; other names are ignored.
     """
     left, bottom, right, top = window.x, window.y, window.right, window.top
     for side, area in sides:
@@ -95,7 +95,7 @@ def stacked_around(
 def beside(
     point: Sequence[float], size: tuple[float, float], gap: float, free: Rectangle, taken: Iterable[Rectangle]
 ) -> Rectangle | None:
-    """Return a box right, left, above or below of a point: the first inside ``free`` that overlaps nothing taken."""
+    """Return the first box right, left, above or below a point that lies in ``free`` and overlaps none of ``taken``."""
     (x, y), (width, height), taken = point, size, list(taken)
     low, left = y - height / 2, x - width / 2
     for corner in ((x + gap, low), (x - gap - width, low), (left, y + gap), (left, y - gap - height)):

@@ -16,8 +16,8 @@ from ...solver.views.display import Shown
 from .layout import Rectangle
 from .paint import DIM, SMALL, Painter
 
-_BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # height of the bar, width of its panel, in pixels at scale 1
-_SHARE = 0.3  # the bar's height over that of a small region
+_BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # bar's height and least height, panel's width, in pixels at scale 1
+_BAR_SHARE = 0.3  # most height of the bar over that of the free space
 _AROUND = 62.0  # height of the panel without the bar, in pixels at scale 1
 _TICK = 15.0  # least distance of ticks, in pixels at scale 1
 _OF_WHITE, _OF_LIGHT = "% of white", "% of the light"
@@ -62,7 +62,7 @@ def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
 
 def legend_size(scale: float, free: Rectangle) -> tuple[float, float]:
     """Return width and height of the legend's panel in pixels; smaller in a region with little free space."""
-    bar = max(_LEAST_BAR, min(_BAR, _SHARE * free.height / scale))
+    bar = max(_LEAST_BAR, min(_BAR, _BAR_SHARE * free.height / scale))
     return _WIDTH * scale, (bar + _AROUND) * scale
 
 

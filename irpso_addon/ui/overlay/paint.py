@@ -12,7 +12,7 @@ from ...gpu.viewport import Drawing
 from .layout import Rectangle
 
 # Light text on a dark backing is legible with Blender's dark and light themes and over any picture.
-BACKING = (0.055, 0.055, 0.065, 0.90)  # windows blend linear light: over white it becomes 0.29
+BACKING = (0.055, 0.055, 0.065, 0.90)  # windows blend in linear light: over white the result is 0.29
 TEXT = (0.93, 0.93, 0.94, 1.0)
 DIM = (0.93, 0.93, 0.94, 0.62)
 GRID = (1.0, 1.0, 1.0, 0.10)
@@ -112,7 +112,7 @@ class Painter:
         self._texts.clear()
 
     def _add(self, kind: str, width: float, points: np.ndarray, colors: Colors) -> None:
-        """Collect shapes. Those like the ones before share a draw call: about sixty calls cost 20 ms per redraw."""
+        """Collect shapes. Successive ones alike share a draw call: about sixty calls cost 20 ms per redraw."""
         points = np.reshape(points, (-1, 2))
         if not len(points):
             return

@@ -30,14 +30,14 @@ def first_hit(origin: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     for start in range(0, len(triangles), _BLOCK):
         corners = np.asarray(triangles[start : start + _BLOCK], np.float64)
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        across = np.cross(direction, second)
-        volume = np.einsum("ij,ij->i", first, across)
-        volume = np.where(volume == 0, np.nan, volume)  # the ray lies in the triangle's plane
+        p = np.cross(direction, second)
+        determinant = np.einsum("ij,ij->i", first, p)
+        determinant = np.where(determinant == 0, np.nan, determinant)  # the ray is parallel to the triangle's plane
         offset = origin - corners[:, 0]
-        u = np.einsum("ij,ij->i", offset, across) / volume
-        turned = np.cross(offset, first)
-        v = turned @ direction / volume
-        distance = np.einsum("ij,ij->i", turned, second) / volume
+        u = np.einsum("ij,ij->i", offset, p) / determinant
+        q = np.cross(offset, first)
+        v = q @ direction / determinant
+        distance = np.einsum("ij,ij->i", q, second) / determinant
         hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
         if not hit.any():
             continue

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_SIDES = 40  # of a polygon drawn as a circle
+_SIDES = 40  # sides of the polygon that is drawn for a circle
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Present placement of a subject. frame: (4, 4) from the domain's frame (positions, lights) to the world.
+    """Current placement of a subject. frame: (4, 4) from the domain's frame (positions, lights) to the world.
 
     centre: (3,) and radius of a sphere around the subject, in world units.
     """
@@ -59,11 +59,11 @@ def transformed(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def to_pixels(perspective: np.ndarray, points: np.ndarray, size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (N, 2) of world points (N, 3), and (N,) bool: which are in front of the viewer."""
+    """Return pixels (N, 2) of world points (N, 3), and (N,) bool: whether they are in front of the viewer."""
     clip = np.asarray(points, np.float64) @ perspective[:, :3].T + perspective[:, 3]
-    before = clip[:, 3] > 1e-9
-    place = clip[:, :2] / np.where(before, clip[:, 3], 1.0)[:, None]
-    return (place * 0.5 + 0.5) * np.asarray(size, np.float64), before
+    in_front = clip[:, 3] > 1e-9
+    place = clip[:, :2] / np.where(in_front, clip[:, 3], 1.0)[:, None]
+    return (place * 0.5 + 0.5) * np.asarray(size, np.float64), in_front
 
 
 def pixel_size(perspective: np.ndarray, point: np.ndarray, size: tuple[float, float]) -> float:
@@ -81,7 +81,7 @@ def circle(centre: np.ndarray, normal: np.ndarray, radius: float, begin: float =
 
 
 def _pitch(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps (3,) to the next column and row. A single row or column has square texels."""
+    """Return the vectors (3,) to the next column and the next row. A single row or column has square texels."""
     height, width = position.shape[:2]
     x = (position[0, -1] - position[0, 0]) / max(width - 1, 1)
     y = (position[-1, 0] - position[0, 0]) / max(height - 1, 1)

@@ -11,8 +11,8 @@ from ...results.scales import linear_ticks, log_ticks, round_down, round_up, tic
 from .layout import Rectangle
 
 _FEWEST_ITERATIONS = 10  # least length of the iterations' axis
-_LEAST_SPAN = 10.0  # least ratio of the ends of the error's axis: a level curve should look level
-_DEEPEST = 1e-8  # least error drawn over the largest: smaller ones are rounding
+_LEAST_SPAN = 10.0  # least ratio of the error axis's ends, so that a constant curve looks constant
+_LEAST_RATIO = 1e-8  # least error drawn over the axis's upper end: smaller ones are rounding
 
 
 @dataclass(frozen=True)
@@ -34,30 +34,30 @@ def curve_plot(area: Rectangle, curves: Sequence[Sequence[tuple[float, float]]])
 
     Errors that are not finite are left out. Errors of 0 lie on the axis.
     """
-    points = [_numbers(curve) for curve in curves]
-    everything = np.concatenate([np.empty((0, 2)), *points])
-    last = max(_FEWEST_ITERATIONS, everything[:, 0].max(initial=0))
-    low, high = _error_range(everything[:, 1])
+    points = [_finite_points(curve) for curve in curves]
+    all_points = np.concatenate([np.empty((0, 2)), *points])
+    last = max(_FEWEST_ITERATIONS, all_points[:, 0].max(initial=0))
+    low, high = _error_range(all_points[:, 1])
     major, minor = log_ticks(low, high)
 
     def x_of(iteration):
         return area.x + area.width * np.asarray(iteration) / last
 
     def y_of(error):
-        place = np.log(np.clip(error, low, high) / low) / np.log(high / low)
-        return area.y + area.height * place
+        fraction = np.log(np.clip(error, low, high) / low) / np.log(high / low)
+        return area.y + area.height * fraction
 
-    most = max(2, int(area.width / (9 * max(len(tick_text(round(last))), 2))))
+    most_ticks = max(2, int(area.width / (9 * max(len(tick_text(round(last))), 2))))
     return Plot(
         area,
-        tuple((float(x_of(t)), tick_text(t)) for t in linear_ticks(0, last, min(6, most)) if t == int(t)),
+        tuple((float(x_of(t)), tick_text(t)) for t in linear_ticks(0, last, min(6, most_ticks)) if t == int(t)),
         tuple((float(y_of(tick)), tick_text(tick)) for tick in major),
         tuple(float(y_of(tick)) for tick in minor),
         tuple(_thinned(np.stack([x_of(p[:, 0]), y_of(p[:, 1])], axis=-1), int(area.width)) for p in points),
     )
 
 
-def _numbers(curve: Sequence[tuple[float, float]]) -> np.ndarray:
+def _finite_points(curve: Sequence[tuple[float, float]]) -> np.ndarray:
     points = np.asarray(curve, np.float64).reshape(-1, 2)
     return points[np.isfinite(points).all(axis=1) & (points[:, 0] >= 0)]
 
@@ -67,7 +67,7 @@ def _error_range(errors: np.ndarray) -> tuple[float, float]:
     if not len(positive):
         return 0.01, 1.0
     high = round_up(positive.max())
-    low = round_down(max(positive.min(), _DEEPEST * high))
+    low = round_down(max(positive.min(), _LEAST_RATIO * high))
     return min(low, high / _LEAST_SPAN), high
 
 

@@ -1,4 +1,4 @@
-"""Operators that probe texels: a click on the subject, in the viewport or the Image editor, plots a texel's error."""
+"""Operators that probe texels: a click on the subject, in the viewport or an Image editor, adds a texel to plot."""
 
 import bpy
 import numpy as np
@@ -12,7 +12,7 @@ from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
 from .surface import bounding_corners, is_solved, placement, triangles_of
 
-_REACH = 3  # most distance of a solved texel from the click, in texels
+_REACH = 3  # most distance from the click to a solved texel, in texels
 _HELP = "Click the subject to see the error of a texel. Esc or right-click ends"
 
 
@@ -44,7 +44,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
         if not running.fitted.solvable[self.row, self.column]:
             self.report({"ERROR"}, f"no photograph shows texel ({self.row}, {self.column}); choose another")
             return {"CANCELLED"}
-        self._watch(running, self.row, self.column)
+        self._add_probe(running, self.row, self.column)
         return {"FINISHED"}
 
     def invoke(self, context, event):
@@ -57,7 +57,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        """Probe on clicks on the subject. Blender handles all other events."""
+        """Probe the texel of each click on the subject. Blender handles all other events."""
         with failures.reported(n_("Probing")):
             return self._handle(context, event)
         return self._leave(context)
@@ -70,28 +70,28 @@ class IRPSO_OT_probe(bpy.types.Operator):
             return self._leave(context)
         if event.type != "LEFTMOUSE" or event.value != "PRESS" or event.alt or event.ctrl or event.shift:
             return {"PASS_THROUGH"}
-        texel = _clicked(context, running, event.mouse_x, event.mouse_y)
+        texel = _texel_under(context, running, event.mouse_x, event.mouse_y)
         if texel is None:  # buttons, gizmos, other editors
             return {"PASS_THROUGH"}
         nearest = nearest_texel(running.fitted.solvable, *texel, _REACH)
         if nearest is None:
             self.report({"INFO"}, rpt("No photograph shows this texel; click another"))
             return {"RUNNING_MODAL"}
-        self._watch(running, *nearest)
+        self._add_probe(running, *nearest)
         return {"RUNNING_MODAL"}
 
     def cancel(self, context):
-        """End when the window or the file is closed."""
+        """Blender calls this when the window or the file is closed."""
         if context.window is not None:
             self._leave(context)
 
-    def _watch(self, running, row: int, column: int) -> None:
-        """Probe a texel, and report the probe that it replaces."""
-        dropped = running.probes.add(row, column)
-        if dropped is not None:
-            where = f"{dropped.column}, {dropped.row}"
+    def _add_probe(self, running, row: int, column: int) -> None:
+        """Add a probe, and report the one that it replaces."""
+        replaced = running.probes.add(row, column)
+        if replaced is not None:
+            where = f"{replaced.column}, {replaced.row}"
             self.report({"INFO"}, rpt(
-                "Probe {number} has moved here from texel {where}: there are four at most", number=dropped.number,
+                "Probe {number} has moved here from texel {where}: there are four at most", number=replaced.number,
                 where=where,
             ))  # fmt: skip
         handlers.redraw()
@@ -115,7 +115,7 @@ class IRPSO_OT_probe_remove(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Whether a texel is probed."""
-        return _watched(cls)
+        return _has_probes(cls)
 
     def execute(self, context):
         """Remove the probe."""
@@ -138,7 +138,7 @@ class IRPSO_OT_probe_clear(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Whether a texel is probed."""
-        return _watched(cls)
+        return _has_probes(cls)
 
     def execute(self, context):
         """Remove all probes."""
@@ -149,20 +149,20 @@ class IRPSO_OT_probe_clear(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _watched(cls) -> bool:
+def _has_probes(cls) -> bool:
     running = session.current()
     return usable(cls, running is not None and running.probes, "No texel is probed")
 
 
-def _clicked(context, running, x: int, y: int) -> tuple[int, int] | None:
+def _texel_under(context, running, x: int, y: int) -> tuple[int, int] | None:
     """Return (row, column) of the texel at a pixel of the window, None beside the subject."""
     area = next((a for a in context.screen.areas if _contains(a, x, y)), None)
     if area is None or area.type not in ("VIEW_3D", "IMAGE_EDITOR"):
         return None
-    under = [region for region in area.regions if _contains(region, x, y)]
-    if not under or any(region.type != "WINDOW" for region in under):  # a sidebar may lie over the view
+    regions = [region for region in area.regions if _contains(region, x, y)]
+    if not regions or any(region.type != "WINDOW" for region in regions):  # a sidebar may lie over the view
         return None
-    region, space = under[0], area.spaces.active
+    region, space = regions[0], area.spaces.active
     place = (x - region.x + 0.5, y - region.y + 0.5)
     if area.type == "IMAGE_EDITOR":
         return _flat_texel(running, region, space, place)

@@ -29,9 +29,9 @@ from .place import Placement, to_pixels, transformed
 _log = logging.getLogger(__name__)
 
 _MARGIN, _GAP = 14.0, 10.0  # pixels at scale 1
-_LEAST = (300.0, 230.0)  # least free pixels of a region with panels, at scale 1
-_PICTURE_SECONDS = 0.012  # for measuring errors, per redraw
-_STRIPES = 9.0  # distance of stripes, in pixels at scale 1
+_LEAST_FREE = (300.0, 230.0)  # least free width and height of a region with panels, in pixels at scale 1
+_PICTURE_SECONDS = 0.012  # time per redraw for the measurement of errors
+_STRIPE_SPACING = 9.0  # distance between stripes, in pixels at scale 1
 _SPLIT_LINE = (1.0, 1.0, 1.0, 0.85)
 
 
@@ -47,25 +47,25 @@ class SessionOverlay:
         self.drawing = Drawing()
         self.own_window = 0  # address of the window in whose context the session works
         self._guard: ContextGuard | None = None
-        self._of: object = None  # the recovery of surface, pictures and reader
+        self._recovery: object = None  # that of surface, pictures and reader
         self._surface: Surface | None = None
         self._corners: np.ndarray | None = None
         self._reader: TexelProbe | TiledTexelProbe | None = None
         self._pictures: dict[int, tuple[tuple[Shown, ...], list]] = {}  # by the scene's session_uid
-        self._limits: dict[int, float] = {}
+        self._limits: dict[int, float] = {}  # last error drawn red, by the scene's session_uid
         self._trails: dict[int, swarm.Trail] = {}  # by the probe's slot
         self._truths: dict[tuple[int, str], np.ndarray | None] = {}  # by image and parameter
         self._updated = 0.0
-        self._looked = -1  # evaluations at the last reading of the probes
+        self._evaluations_read = -1  # evaluations when the probes were last read
 
     def is_due(self) -> bool:
         """Return whether new pictures are due, by the preferences' display rate."""
-        if self._of is not self.running.recovery:
+        if self._recovery is not self.running.recovery:
             return True
         return self.in_own_context() and time.perf_counter() - self._updated >= preferences.picture_seconds(bpy.context)
 
     def in_own_context(self) -> bool:
-        """Return whether the recovery may be used: whether its GPU context is current."""
+        """Return whether the recovery's GPU context is current, so that it may be used."""
         return self._guard is not None and self._guard.holds()
 
     def update(self) -> bool:
@@ -74,9 +74,9 @@ class SessionOverlay:
         running = self.running
         if running.recovery is None or running.display is None:
             return False
-        if self._of is not running.recovery:
+        if self._recovery is not running.recovery:
             self._begin()
-        return self._look() | any([self._draw_pictures(scene) for scene in self._scenes()])
+        return self._read_probes() | any([self._draw_pictures(scene) for scene in self._scenes()])
 
     def wants_redraw(self) -> bool:
         """Return whether the overlay is animated, as in Blink."""
@@ -112,22 +112,22 @@ class SessionOverlay:
         if view.show:
             curves.name_rings(painter, self.running, self._placement(subject), perspective, size)
             self._draw_split_line(painter, context, Rectangle(0, 0, *size))
-        free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
-        taken: list[Rectangle] = []
+        free = _free_area(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
+        occupied: list[Rectangle] = []
         # In a quad view only the user's own view has panels.
         if context.region_data == context.space_data.region_3d and _has_room(free, painter.scale):
             corner = self._draw_legend(painter, context.scene, free) if view.show else None
-            taken = [*self._draw_panels(painter, view, free, corner), *([corner] if corner else [])]
+            occupied = [*self._draw_panels(painter, view, free, corner), *([corner] if corner else [])]
         if view.show_lights:
-            self._name_light(painter, view, subject, perspective, size, free, taken)
+            self._name_light(painter, view, subject, perspective, size, free, occupied)
         painter.flush()
 
     def draw_image(self, context) -> None:
         """Draw over an Image editor: the map flat, rings, legend."""
         running, space, region = self.running, context.space_data, context.region
         view = context.scene.irpso.view
-        wanted = running.domain is not None and view.show and not flat.why_covered(space)
-        if not wanted or not surface.is_in_scene(context.scene, running, running.subject(), self.home_scene):
+        visible = running.domain is not None and view.show and not flat.why_covered(space)
+        if not visible or not surface.is_in_scene(context.scene, running, running.subject(), self.home_scene):
             return
         shown, pictures = self._pictures_of(context.scene)
         if not pictures:
@@ -142,7 +142,7 @@ class SessionOverlay:
             self.drawing.draw_flat(first, (area.x, area.y), size, second, view.split, view.opacity, part, stripes)
         curves.draw_flat_rings(painter, areas, running)
         self._draw_split_line(painter, context, flat.bounds(areas))
-        free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
+        free = _free_area(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         if _has_room(free, painter.scale):
             corner = self._draw_legend(painter, context.scene, free)
             if all(other.type != "VIEW_3D" for other in context.screen.areas):  # else a viewport has the panels
@@ -151,11 +151,11 @@ class SessionOverlay:
 
     def close(self) -> None:
         """Free the GPU memory."""
-        self._forget()
+        self._release()
         self.drawing.close()
 
     def why_hidden(self, context) -> str:
-        """Return in a sentence why the context's editor has no overlay, "" if it has one."""
+        """Return a sentence on why the context's editor has no overlay, "" if it has one."""
         if context.space_data.type == "IMAGE_EDITOR":
             return flat.why_covered(context.space_data)
         reason = surface.why_unseen(context, self.running, self.running.subject(), self.home_scene)
@@ -167,13 +167,13 @@ class SessionOverlay:
         return self.running.domain is not None and not self.why_hidden(context)
 
     def _begin(self) -> None:
-        self._forget()
-        self._of, self._guard = self.running.recovery, ContextGuard()
+        self._release()
+        self._recovery, self._guard = self.running.recovery, ContextGuard()
         self.own_window = bpy.context.window.as_pointer() if bpy.context.window is not None else 0
         self._surface = surface.make_surface(self.running)
         self._reader = texel_probe_of(self.running.recovery)
 
-    def _forget(self) -> None:
+    def _release(self) -> None:
         for resource in (self._surface, self._reader):
             if resource is not None:
                 resource.close()
@@ -200,7 +200,7 @@ class SessionOverlay:
         self._pictures[uid] = shown, [running.display.picture(item, _PICTURE_SECONDS) for item in shown]
         return True
 
-    def _look(self) -> bool:
+    def _read_probes(self) -> bool:
         """Read the probed texels, at most once for each iteration."""
         running, progress = self.running, self.running.progress
         if not running.probes:
@@ -209,9 +209,9 @@ class SessionOverlay:
             running.probes.numbered(scene.irpso.view.probe) for scene in self._scenes() if scene.irpso.view.show_swarm
         ]
         unread = any(not probe.curve for probe in running.probes) or any(p.slot not in self._trails for p in watched)
-        if progress.evaluations == self._looked and not unread:
+        if progress.evaluations == self._evaluations_read and not unread:
             return False
-        self._looked = progress.evaluations
+        self._evaluations_read = progress.evaluations
         for probe in running.probes:
             state = self._reader.read(probe.row, probe.column)
             if state is None:
@@ -273,10 +273,10 @@ class SessionOverlay:
             return None
         job = self.running.job
         item = shown[surface.blink_index() if scene.irpso.view.shown == "BLINK" else 0]
-        meaning = legend.scale_of(item, job.model)
-        if meaning is not None:
+        color_scale = legend.scale_of(item, job.model)
+        if color_scale is not None:
             area = free.corner(*legend.legend_size(painter.scale, free))
-            legend.draw_legend(painter, area, meaning)
+            legend.draw_legend(painter, area, color_scale)
             return area
         if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has its own labels
             return None
@@ -311,7 +311,7 @@ class SessionOverlay:
         return swarm.choose_axes(names, (view.swarm_x, view.swarm_y, view.swarm_z), self.running.job.model)
 
     def _goal(self, view, axes: list[swarm.Axis], probe: Probe) -> np.ndarray | None:
-        """Return the probed texel's true value as a place in the swarm's box, None without an image of the truth."""
+        """Return the place in the swarm's box of the probed texel's true value, None without an image of the truth."""
         parameters = {parameter.name: parameter for parameter in self.running.job.model.parameters}
         parameter = parameters.get(axes[0].name.partition(".")[0]) if axes else None
         if view.goal is None or parameter is None:
@@ -328,37 +328,37 @@ class SessionOverlay:
 
     def _name_light(
         self, painter: Painter, view, subject, perspective: np.ndarray, size: tuple[float, float], free: Rectangle,
-        taken: list[Rectangle],
+        occupied: list[Rectangle],
     ) -> None:  # fmt: skip
         """Write the current observation's number and name beside its light, if there is space."""
         index = self._observation(view)
         place = self._dome(view, self._placement(subject)).places[index][None]
-        (at,), (before,) = to_pixels(perspective, place, size)
+        (pixel,), (in_front,) = to_pixels(perspective, place, size)
         job = self.running.job
         text = f"{job.numbers[index] + 1}  {job.capture.observations[index].name}"
-        area = beside(at, painter.chip_size(text), 12 * painter.scale, free, taken)
-        if before and area is not None:
+        area = beside(pixel, painter.chip_size(text), 12 * painter.scale, free, occupied)
+        if in_front and area is not None:
             painter.chip(text, area.x, area.y)
 
 
 def _pair(view, pictures: list) -> tuple:
-    """Return what is drawn now: one picture, or two for a split."""
+    """Return the picture to draw now and None, or the two pictures of a split."""
     if view.shown == "BLINK" and len(pictures) == 2:
         return pictures[surface.blink_index()], None
     return pictures[0], pictures[1] if len(pictures) == 2 else None
 
 
 def _stripes(view, scale: float) -> float:
-    """Return how many pixels apart the stripes are, over unknown numbers or samples without weight, 0 for none."""
-    return _STRIPES * scale if view.mark_unused or view.shown == "PARAMETER" else 0.0
+    """Return the distance in pixels between stripes over unknown values or samples without weight, 0 for none."""
+    return _STRIPE_SPACING * scale if view.mark_unused or view.shown == "PARAMETER" else 0.0
 
 
 def _has_room(free: Rectangle, scale: float) -> bool:
-    return free.width >= _LEAST[0] * scale and free.height >= _LEAST[1] * scale
+    return free.width >= _LEAST_FREE[0] * scale and free.height >= _LEAST_FREE[1] * scale
 
 
-def _free(area, region) -> Rectangle:
-    """Return the part of a region that the area's other regions leave free, in the region's pixels."""
+def _free_area(area, region) -> Rectangle:
+    """Return the part of a region that the area's other regions do not cover, in the region's pixels."""
     window = Rectangle(region.x, region.y, region.width, region.height)
     others = [r for r in area.regions if r.type != "WINDOW" and r.width > 1 and r.height > 1]
     sides = [(r.alignment, Rectangle(r.x, r.y, r.width, r.height)) for r in others if r.type != "HUD"]

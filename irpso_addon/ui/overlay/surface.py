@@ -1,4 +1,4 @@
-"""The converging map on its subject in the viewport: which picture, and the card or mesh that shows it."""
+"""The converging map on the subject in the viewport: the chosen picture, and the card's or mesh's triangles."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..session.recovery import Session
 from .place import Placement, card_corners, card_frame, placement_of
 
 _BLINKS = 2.0  # pictures per second
-_MEAN_TO_RED = 4.0  # red error over the mean error: about the spread of errors
-_RED_SHARE = 0.1  # red deviation over the parameter's range
+_MEAN_TO_RED = 4.0  # error drawn red over the mean error: about the spread of errors
+_RED_SHARE = 0.1  # deviation drawn red over the parameter's range
 _RED_ANGLE = math.radians(10)
-_RED_INDIRECT = 0.5  # of a texel's light: from here on its material is unknown (solver/engine/interreflection.py)
-_SECONDS_OF_PAIR = {"SPLIT", "BLINK"}
+_RED_INDIRECT = 0.5  # fraction of a texel's light from which its material is unknown (solver/engine/interreflection.py)
+_PAIRS = {"SPLIT", "BLINK"}
 _CARD_UVS = np.float32([(0, 0), (1, 0), (1, 1), (0, 1)])
 _TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -30,7 +30,7 @@ _TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     """Return the picture chosen in a scene's ViewSettings, or two to show together: render and photograph.
 
-    former_limit: the last red error, 0 at first. An automatic limit keeps it while it is close enough.
+    former_limit: the last error drawn red, 0 at first. An automatic limit keeps it while it is close enough.
     """
     model = running.job.model
     names = [parameter.name for parameter in model.parameters]
@@ -48,7 +48,7 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     exposure = 2.0**view.exposure
     render = Shown("render", observation=observation, exposure=exposure)
     reference = Shown("reference", observation=observation, exposure=exposure)
-    if view.shown in _SECONDS_OF_PAIR:
+    if view.shown in _PAIRS:
         return render, reference
     return (render,) if view.shown == "RENDER" else (reference,)
 
@@ -80,9 +80,9 @@ def is_solved(running: Session, triangle: int) -> bool:
 
 
 def placement(running: Session, subject, corners: np.ndarray) -> Placement:
-    """Return the subject's present placement. subject: its object, None for a card without an object.
+    """Return the subject's current placement. subject: its object, None for a card without an object.
 
-    corners: (N, 3) points in the domain's frame that bound it.
+    corners: (N, 3) points in the domain's frame that bound the subject.
     """
     world = running.job.place if subject is None else np.array(subject.matrix_world, np.float64)
     frame = card_frame(running.domain.bake.position) if running.mesh is None else np.linalg.inv(running.mesh.matrix)
@@ -97,7 +97,7 @@ def bounding_corners(running: Session) -> np.ndarray:
 
 
 def why_unseen(context, running: Session, subject, home_scene: int) -> str:
-    """Return in a sentence why the context's viewport draws no maps on the subject, "" if it draws them.
+    """Return a sentence on why the context's viewport draws no maps on the subject, "" if it draws them.
 
     home_scene: session_uid of the scene for a card that has no object yet.
     """
@@ -120,7 +120,7 @@ def why_unseen(context, running: Session, subject, home_scene: int) -> str:
 
 
 def is_in_scene(scene: bpy.types.Scene, running: Session, subject, home_scene: int) -> bool:
-    """Return whether a scene contains the subject, or will contain the card."""
+    """Return whether a scene contains the subject, or is to contain the card once it is kept."""
     if subject is None:
         return running.mesh is None and scene.session_uid == home_scene
     return subject.name in scene.objects and scene.objects[subject.name] == subject
@@ -132,7 +132,7 @@ def shows_itself(context, running: Session) -> bool:
 
 
 def _unknown_from(view, running: Session, name: str) -> float:
-    """Return the deviation above which a map's value is marked as unknown; 0 for no marks, as during the search."""
+    """Return the deviation above which a map's values are marked as unknown; 0 (no marks) during the search."""
     p = running.job.model.parameter(name)
     if not view.mark_unknown or running.active or not p.has_unknown or name in running.job.fixed:
         return 0.0

@@ -1,4 +1,4 @@
-"""The swarm of one texel: its particles as points in their search space, as in Fig. 2 of Nagano et al."""
+"""Draws the swarm of one texel: its particles as points in the search space, as in Fig. 2 of Nagano et al."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _LIGHT_RIM = (0.85, 0.85, 0.88, 0.8)
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709, applied to display values: enough to separate dark from light
 _GOAL = (1.0, 1.0, 1.0, 1.0)
 _WIDTH, _HEIGHT = 264.0, 294.0  # pixels at scale 1
-_EMPTY = 56.0  # height without a swarm
-_TURN = 40.0  # seconds of work per turn of the box
-_START = 0.62  # first azimuth of the box, in radians
+_EMPTY = 56.0  # the height without a swarm
+_TURN_SECONDS = 40.0  # seconds of work per turn of the box
+_FIRST_AZIMUTH = 0.62  # first azimuth of the box, in radians
 _ELEVATION = 0.38
 _FAR, _NEAR = (1.0, 1.0, 1.0, 0.13), (1.0, 1.0, 1.0, 0.28)
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -35,7 +35,7 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_CORNERS[a
 
 @dataclass(frozen=True)
 class Axis:
-    """One side of the box: a searched component, its index in the particles' positions, and its range."""
+    """One axis of the box: a searched component, its index in the particles' positions, and its range."""
 
     name: str
     index: int
@@ -44,13 +44,13 @@ class Axis:
 
 
 class Trail:
-    """The last positions of a texel's particles. live: whether they search now; else they are the last ones read."""
+    """The last TRAIL positions of a texel's particles. live: whether the swarm still searches."""
 
     def __init__(self) -> None:
         self.particles: Particles | None = None
         self.positions: deque[np.ndarray] = deque(maxlen=TRAIL)
         self.live = False
-        self._of: object = None
+        self._texel: object = None
 
     def follow(self, particles: Particles | None, of: object) -> None:
         """Add the particles read last, None if no swarm is searching. of: identity of the texel.
@@ -58,8 +58,8 @@ class Trail:
         Another texel, or particles with other components, clear the trail.
         """
         self.live = particles is not None
-        if of != self._of:
-            self.particles, self._of = None, of
+        if of != self._texel:
+            self.particles, self._texel = None, of
             self.positions.clear()
         if particles is None:
             return
@@ -73,11 +73,11 @@ class Trail:
 
 
 def choose_axes(names: Sequence[str], chosen: Sequence[str], model: ReflectanceModel) -> list[Axis]:
-    """Return one to three axes: the chosen ones that are searched, then a whole colour, then the first searched."""
+    """Return at most three axes: the chosen components that are searched, then a colour's three, then the others."""
     colors = [p.name for p in model.parameters if p.components == 3 and not p.is_normal]
-    whole = next((c for c in colors if all(f"{c}.{part}" in names for part in "rgb")), None)
-    usual = [f"{whole}.{part}" for part in "rgb"] if whole else []
-    order = dict.fromkeys([*(name for name in chosen if name in names), *usual, *names])
+    color = next((c for c in colors if all(f"{c}.{part}" in names for part in "rgb")), None)
+    default = [f"{color}.{part}" for part in "rgb"] if color else []
+    order = dict.fromkeys([*(name for name in chosen if name in names), *default, *names])
     return [Axis(name, list(names).index(name), *_range(name, model)) for name in list(order)[:3]]
 
 
@@ -97,7 +97,7 @@ def view_of(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def box_pixels(places: np.ndarray, view: np.ndarray, area: Rectangle) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (…, 2) of places in the unit box, and their nearness to the viewer (larger is nearer).
+    """Return pixels (…, 2) of places (…, 3) in the unit box, and their depth toward the viewer (larger is nearer).
 
     The box fits into the area at every turn about its upright axis.
     """
@@ -115,7 +115,7 @@ def swarm_size(scale: float, trail: Trail) -> tuple[float, float]:
 
 
 def goal_place(axes: Sequence[Axis], parameter: Parameter, value: np.ndarray) -> np.ndarray | None:
-    """Return a parameter's true value (components,) as a place (3,) in the box, None if an axis is of another one."""
+    """Return the place (3,) in the box of a true value (components,), None if an axis has another parameter."""
     names = component_names(parameter)
     if not axes or not all(axis.name in names for axis in axes):
         return None
@@ -134,7 +134,7 @@ def draw_swarm(
 ) -> None:
     """Draw the box, the particles with trails and personal bests, the global best, and the goal.
 
-    color: of the probe. seconds: of work so far, which turn the box. goal: (3,) place in the box, None if unknown.
+    color: of the probe. seconds: time of the search, which turns the box. goal: (3,) place in the box, None if unknown.
     """
     s, particles = painter.scale, trail.particles
     painter.panel(area)
@@ -147,17 +147,17 @@ def draw_swarm(
         painter.text("the last swarm", area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
     _draw_key(painter, area, goal is not None)
     inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
-    view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION) if len(axes) == 3 else np.eye(3)
+    view = view_of(_FIRST_AZIMUTH + 2 * np.pi * seconds / _TURN_SECONDS, _ELEVATION) if len(axes) == 3 else np.eye(3)
     _draw_box(painter, axes, view, inside, area)
     places = in_box(axes, np.stack(trail.positions))
-    own = particle_colors(axes, particles.positions, color)
+    colors = particle_colors(axes, particles.positions, color)
     path, depth = box_pixels(places, view, inside)
-    _draw_trails(painter, path, own)
+    _draw_trails(painter, path, colors)
     bests, _ = box_pixels(in_box(axes, particles.bests[np.isfinite(particles.fitness)]), view, inside)
     painter.rings(bests, (1.0, 1.0, 1.0, 0.55), 5.5, 1.0)
     order = np.argsort(depth[-1])
-    painter.dots(path[-1][order], _rims(own[order]), 8.5)
-    painter.dots(path[-1][order], own[order], 6.5)
+    painter.dots(path[-1][order], _rims(colors[order]), 8.5)
+    painter.dots(path[-1][order], colors[order], 6.5)
     best = in_box(axes, particles.global_best)
     _draw_best(painter, best, view, inside)
     if goal is not None:
@@ -182,7 +182,7 @@ def _rims(colors: np.ndarray) -> np.ndarray:
 
 
 def _range(name: str, model: ReflectanceModel) -> tuple[float, float]:
-    """Return the range of a component of the model, or of the prefit's own model."""
+    """Return the range of a component of the model, or of the prefit's model."""
     parameter_name, _, part = name.partition(".")
     for parameter in (*model.parameters, *prefit_model().parameters):
         if parameter.name == parameter_name:
@@ -202,7 +202,7 @@ def _draw_box(painter: Painter, axes: Sequence[Axis], view: np.ndarray, inside: 
         end = pixels[[4, 2, 1][i]]
         painter.line(pixels[0], end, _AXES[i], 1.4)
         outward = (end - middle) / max(np.linalg.norm(end - middle), 1e-9)
-        text, (x, y) = f"{'XYZ'[i]}  {_words(axis)}", end + outward * 9 * painter.scale
+        text, (x, y) = f"{'XYZ'[i]}  {_axis_text(axis)}", end + outward * 9 * painter.scale
         width, rim = painter.width(text, SMALL), 8 * painter.scale
         x -= 0 if outward[0] > 0.35 else width if outward[0] < -0.35 else width / 2
         x = min(max(x, panel.x + rim), panel.right - rim - width)
@@ -264,7 +264,7 @@ def star(at: np.ndarray, radius: float) -> np.ndarray:
     return np.stack([np.broadcast_to(at, outline.shape), outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
 
 
-def _words(axis: Axis) -> str:
+def _axis_text(axis: Axis) -> str:
     parameter, _, part = axis.name.partition(".")
     words = f"{bpy.path.display_name(parameter)} {part.upper()}".strip()
     return f"{words} {tick_text(axis.low)} to {tick_text(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words

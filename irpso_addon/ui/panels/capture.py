@@ -17,13 +17,13 @@ from .mesh import draw_mesh
 from .sidebar import BeforeRun
 
 _CORNERS = (n_("Upper Left"), n_("Upper Right"), n_("Lower Right"), n_("Lower Left"))
-_FACTS = {  # of the check: name → the panel's
+_FACTS = {  # name of a fact of the check → label in the panel
     "kind": n_("Kind"), "images": n_("Images"), "cameras": n_("Cameras"), "enough for": n_("Enough For"),
     "formats": n_("Formats"), "lights": n_("Lights"), "encoding": n_("Encoding"), "noise": n_("Noise"),
     "brightness": n_("Brightness"), "colours": n_("Colors"), "used": n_("Used"), "card": n_("Card"),
 }  # fmt: skip
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
-_MOST_ERRORS, _MOST_FINDINGS = 8, 1  # that stand above; more warnings would push Recover out of view
+_MOST_ERRORS, _MOST_FINDINGS = 8, 1  # in the panel Capture; more warnings would push Recover out of view
 _FIRST_STEP = n_(
     "Photographs with a ball in them: Find Lights. With a list of their lights: Import Capture. Without any: Open"
     " Sample"
@@ -132,7 +132,7 @@ def _draw_check(layout, context, settings) -> None:
 
 
 def _first_findings(settings) -> tuple[list, list]:
-    """Return the findings that stand above, which are errors if there are any, and the others."""
+    """Return the findings for the panel Capture (errors, else the first warning) and those for Details."""
     faults = findings.shown(settings)
     errors = sum(item.severity == "error" for item in faults)
     count = min(errors, _MOST_ERRORS) or _MOST_FINDINGS
@@ -163,12 +163,12 @@ class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is more than the panel above shows."""
+        """Whether there is more than the panel Capture shows."""
         more = not all(map(_is_first, _summary(context))) or _first_findings(context.scene.irpso)[1]
         return super().poll(context) and bool(more)
 
     def draw(self, context) -> None:
-        """Draw them."""
+        """Draw the findings and facts."""
         _draw_findings(self.layout, context, _first_findings(context.scene.irpso)[1])
         column = self.layout.column(align=True)
         column.scale_y = 0.8
@@ -235,7 +235,7 @@ class IRPSO_PT_frame(bpy.types.Panel):
     bl_options = {"INSTANCED"}
 
     def draw(self, context) -> None:
-        """Draw the settings, which the subject's panel opens beside the card's button."""
+        """Draw the settings. The subject's panel opens this panel as a popover."""
         settings = context.scene.irpso
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False

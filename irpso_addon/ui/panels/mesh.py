@@ -1,4 +1,4 @@
-"""The rows of a mesh that photographs show, for the panel of the subject and for dialogs."""
+"""Rows of the mesh settings, for the panel Subject and for dialogs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ..session.job import subject_object
 
 
 def draw_mesh(column, context) -> None:
-    """Draw the object, its slots and what stands around it. column: a layout that splits properties."""
+    """Draw the settings of object, material slots and occluders. column: a layout that splits properties."""
     settings = context.scene.irpso
     column.prop(settings, "object")
     if settings.object is None and (active := subject_object(context)) is not None:

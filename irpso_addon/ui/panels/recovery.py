@@ -50,7 +50,7 @@ def draw_presets(layout, settings) -> None:
 
 
 def _draw_start(layout, context, text: str) -> None:
-    chosen = has_capture(context.scene.irpso)  # else the panel Capture says how to begin
+    chosen = has_capture(context.scene.irpso)  # if not, the panel Capture says how to begin
     if chosen:
         draw_presets(layout, context.scene.irpso)
     row = layout.row()
@@ -79,7 +79,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
     column = layout.column(align=True)
     column.scale_y = 0.9
-    lines = 3 if running.job.schedule.interreflection.rounds else 2  # buttons must not jump
+    lines = 3 if running.job.schedule.interreflection.rounds else 2  # a fixed number, so that buttons do not move
     drawing.fact(column, context, "Now", iface(title[:1].upper() + title[1:]), lines)
     if progress is not None:
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
@@ -151,7 +151,7 @@ def _draw_warning(layout, context, text: str) -> None:
 
 
 def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
-    """Draw what the rounds of interreflection have found."""
+    """Draw the measurements of the interreflection rounds."""
     if not found["rounds"]:
         return
     drawing.fact(layout, context, "Indirect Light", iface("{share} of all", share=drawing.percent(found["share"])))
@@ -179,7 +179,7 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether settings have an effect now: not before there is a capture, nor while a recovery runs."""
+        """Whether changes have an effect now: neither before there is a capture nor while a recovery runs."""
         running = session.current()
         return has_capture(context.scene.irpso) if running is None else running.state in ("paused", "done")
 
@@ -193,13 +193,13 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
         column.prop(context.scene.irpso, "seed")
 
 
-def _shown(settings, name: str) -> bool:
+def _has_effect(settings, name: str) -> bool:
     """Return whether a setting has an effect with the present values of the others."""
     schedule = settings.schedule
     switch = {"prefit": "prefit_iterations", "refinement": "refinement_iterations", "prior": "prior_rounds"}
-    part = name.partition("_")[0]
-    if part in switch and name != switch[part]:
-        return getattr(schedule, switch[part]) > 0
+    group = name.partition("_")[0]
+    if group in switch and name != switch[group]:
+        return getattr(schedule, switch[group]) > 0
     if name in ("delta", "shadow", "highlight_power"):
         return schedule.loss == "robust"
     if name in ("seeded", "seed_spread"):
@@ -216,7 +216,7 @@ def _settings_panel(title: str, names: tuple[str, ...]) -> type[bpy.types.Panel]
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         for name in names:
-            if _shown(context.scene.irpso, name):
+            if _has_effect(context.scene.irpso, name):
                 column.prop(context.scene.irpso.schedule, name)
 
     idname = f"IRPSO_PT_{title.lower()}"

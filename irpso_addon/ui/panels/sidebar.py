@@ -17,7 +17,7 @@ class Sidebar:
 
 
 class Failures:
-    """Messages of failures that no operator could report. The panel comes first."""
+    """Base of the first panel: messages of failures that no operator could report."""
 
     bl_label = "Failed"
     bl_options = {"HIDE_HEADER"}

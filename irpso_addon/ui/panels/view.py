@@ -46,8 +46,8 @@ def draw_shown(layout, context, running: session.Session) -> None:
         column.prop(view, "split", slider=True)
     if view.shown == "INDIRECT" and running.recovery.indirect_share is None:
         on = running.job.schedule.interreflection.rounds > 0
-        known = iface("Known when the first round begins")
-        text = known if on else iface("Not looked for: recover with Interreflection on")
+        pending = iface("Known when the first round begins")
+        text = pending if on else iface("Not looked for: recover with Interreflection on")
         drawing.wrapped(column, context, text, "INFO")
     if reason := why_hidden(context):
         drawing.wrapped(layout, context, reason, "HIDE_ON")
@@ -96,7 +96,7 @@ class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is a recovery, whose capture is drawn."""
+        """Whether there is a recovery, and so a capture to draw."""
         return session.current() is not None
 
     def draw(self, context) -> None:

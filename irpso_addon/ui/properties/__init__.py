@@ -1,1 +1,1 @@
-"""The user's settings: scene, schedule, preferences; and the same as plain data."""
+"""The user's settings as Blender properties (scene, schedule, preferences), and as plain data."""

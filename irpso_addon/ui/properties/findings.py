@@ -1,4 +1,4 @@
-"""Findings of the capture check, kept in the scene's settings: the panel shows them, and errors block Recover."""
+"""Findings of the capture check, stored in the scene's settings: the panel shows them, and errors block Recover."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def wants_normal(settings) -> bool:
 
 
 def obstacle(settings) -> str:
-    """Return why the chosen files cannot be used, "" if no reason is known."""
+    """Return the first error of the chosen files as a sentence, "" if none is known."""
     if settings.source != "FILES":  # a scene changes with every edit: Recover checks it itself
         return ""
     first = next((item.message for item in shown(settings) if item.severity == "error"), "")

@@ -21,7 +21,7 @@ from ..common.polls import usable
 from ..common.words import rpt
 
 DISPLAY_RATE = 10  # pictures per second
-_SPARING_SECONDS = 10.0  # between pictures under software Vulkan, which limits the number of draws (gpu/context.py)
+_SOFTWARE_SECONDS = 10.0  # between pictures under software Vulkan, whose number of draws is limited (gpu/context.py)
 _ENTRIES = (
     ("auto", "Automatic", "Compute shaders if a test finds them at least 1.5 times as fast, else fragment passes"),
     ("fragment", "Fragment", "Always draw, like the paper: fastest on most desktop and laptop GPUs"),
@@ -60,11 +60,11 @@ def current(context) -> Wanted:
 
 def picture_seconds(context) -> float:
     """Return the seconds between two pictures of a running recovery."""
-    return max(1 / current(context).display_rate, _SPARING_SECONDS if gpu_context.on_software_vulkan() else 0.0)
+    return max(1 / current(context).display_rate, _SOFTWARE_SECONDS if gpu_context.on_software_vulkan() else 0.0)
 
 
 def memory_fault(text: str) -> str:
-    """Return the fault of a memory budget, "" if it is valid."""
+    """Return what is wrong with a memory budget's text, "" if it is valid."""
     try:
         if text.strip():
             parse_memory(text)
@@ -74,7 +74,7 @@ def memory_fault(text: str) -> str:
 
 
 def report() -> str:
-    """Return the last report on this machine as text, "" if there is none."""
+    """Return the last report on this machine as lines of text, "" if there is none."""
     return "\n".join(fact_lines(_report)) if _report else ""
 
 
@@ -135,10 +135,10 @@ class Doctor(bpy.types.Operator):
     bl_label = "Examine This Machine"
 
     def execute(self, context):
-        """Examine the machine and keep the report until the next one."""
+        """Examine the machine; the report stays until the next one."""
         _report.clear()
         try:
-            _report.update(machine_facts(_probed()))
+            _report.update(machine_facts(_probe_result()))
         except GpuUnavailableError as error:
             _report.update({f"version of {name}": value for name, value in versions().items()})
             _report["GPU"] = f"none usable: {error}"
@@ -170,14 +170,14 @@ CLASSES = (Preferences, Doctor, CopyReport)
 
 
 def unregister() -> None:
-    """Forget the report."""
+    """Delete the report."""
     _report.clear()
 
 
-def _probed() -> dict:
+def _probe_result() -> dict:
     """Return the result of a GPU probe, in the window's own context if there is a window.
 
-    In background a child process makes the probe: without a usable EGL the driver kills the process that tries.
+    In background a child process runs it: without a usable EGL the driver kills the process that creates a context.
     """
     if bpy.app.background:
         return probe.probe()

@@ -1,4 +1,4 @@
-"""A scene's settings as plain data that outlives the file; and the settings restored from it."""
+"""Converts a scene's settings to plain data, which outlives the .blend file, and back."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ...solver.settings.schedule import SETTINGS
 from ..common.file_paths import absolute
 from .scene_settings import CUSTOM
 
-_KINDS = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of property with a plain value
+_TYPES = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of properties that are numbers, texts or choices
 _LEFT_OUT = {"name", "checked_path", "summary", "slots", "slot_list"}
-_SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it fills the others
+_SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it overwrites the others
 _PARAMETER = ("recover", "value")
 
 
@@ -24,7 +24,7 @@ def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str,
     Objects, collections and images are stored by name, paths as absolute ones. Raises InputError as ``absolute`` does.
     """
     return {
-        "settings": {name: _data(getattr(settings, name)) for name in _plain(settings)}
+        "settings": {name: _plain_value(getattr(settings, name)) for name in _plain_names(settings)}
         | {
             "capture_path": str(absolute(settings.capture_path, "Capture")) if settings.source == "FILES" else "",
             "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
@@ -34,49 +34,49 @@ def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str,
         "slots": None if slots is None else ", ".join(map(str, slots)),
         "parameters": {
             item.name: {name: getattr(item, name) for name in _PARAMETER}
-            | {"color": _data(item.color), "image": item.image.name if item.image is not None else None}
+            | {"color": _plain_value(item.color), "image": item.image.name if item.image is not None else None}
             for item in settings.parameters
         },
         "schedule": schedule_recipe(settings.schedule),
     }  # fmt: skip
 
 
-def _plain(settings: Any) -> list[str]:
+def _plain_names(settings: Any) -> list[str]:
     """Return the names of the settings of type number, text or choice."""
-    known = settings.bl_rna.properties
-    return [p.identifier for p in known if p.type in _KINDS and not p.is_readonly and p.identifier not in _LEFT_OUT]
+    rna = settings.bl_rna.properties
+    return [p.identifier for p in rna if p.type in _TYPES and not p.is_readonly and p.identifier not in _LEFT_OUT]
 
 
-def _data(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """Return a setting's value for JSON: a list for a vector."""
     return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
 def schedule_recipe(schedule: Any) -> dict[str, Any]:
-    """Return the settings of the search."""
+    """Return the settings of the search as plain data."""
     return {name: getattr(schedule, name) for name in _SCHEDULE}
 
 
 def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
-    """Set a scene's settings to those of ``recipe_of``. Raises InputError if one that it names is missing."""
+    """Set a scene's settings from a recipe. Raises InputError if an object, collection or image of it is missing."""
     objects, images = bpy.data.objects, bpy.data.images
     if (name := recipe["object"]) is not None and name not in objects:
         raise InputError(f"this file has no object '{name}', which was recovered; open the file that has it")
     occluders = recipe.get("occluders")  # absent in recipes of earlier versions
     if occluders is not None and occluders not in bpy.data.collections:
         raise InputError(f"this file has no collection '{occluders}' of occluders; open the file that has it")
-    given = recipe["parameters"]
-    for name, values in given.items():
+    parameters = recipe["parameters"]
+    for name, values in parameters.items():
         if values["image"] is not None and values["image"] not in images:
             raise InputError(f"this file has no image '{values['image']}', given for {name}; open the file that has it")
-    for name in _plain(settings):
-        if name in recipe["settings"] and recipe["settings"][name] != _data(getattr(settings, name)):
+    for name in _plain_names(settings):
+        if name in recipe["settings"] and recipe["settings"][name] != _plain_value(getattr(settings, name)):
             setattr(settings, name, recipe["settings"][name])
     settings.object = None if recipe["object"] is None else objects[recipe["object"]]
     settings.occluders = None if occluders is None else bpy.data.collections[occluders]
     settings.slots, settings.slot_list = ("ALL", "") if recipe["slots"] is None else ("NAMED", recipe["slots"])
     for item in settings.parameters:
-        for name, value in given.get(item.name, {}).items():
+        for name, value in parameters.get(item.name, {}).items():
             setattr(item, name, value if name != "image" or value is None else images[value])
     for name, value in recipe["schedule"].items():
         setattr(settings.schedule, name, value)

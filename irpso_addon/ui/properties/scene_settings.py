@@ -26,7 +26,7 @@ from ..common.file_paths import absolute
 from .schedule_settings import ScheduleSettings
 
 CUSTOM = "CUSTOM"  # the user's own model
-REACTIONS: dict[str, Callable[[bpy.types.PropertyGroup], None]] = {}  # setting → an operator's reaction to its change
+REACTIONS: dict[str, Callable[[bpy.types.PropertyGroup], None]] = {}  # setting → the operators' function on its change
 _LARGEST_SIDE = 16384
 _COLOUR_SPACES = (
     ("auto", "Automatic", "8-bit images are sRGB unless file or pixels show that they are linear; others are linear"),
@@ -124,7 +124,7 @@ def _parameter_items(self, context):
     return _PARAMETER_ITEMS or [("NONE", "None", "")]
 
 
-_PARAMETER_ITEMS: list[tuple[str, str, str]] = []  # keeps the texts alive: Blender does not
+_PARAMETER_ITEMS: list[tuple[str, str, str]] = []  # a reference to the texts, because Blender holds none
 
 
 _AXIS_TEXT = "The parameter along this axis of the swarm's box. Empty: a color, or the first searched parameters"

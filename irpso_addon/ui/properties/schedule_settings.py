@@ -19,10 +19,10 @@ from ...solver.settings.setting import Setting
 from ..common.file_paths import absolute
 
 FIRST = "standard"  # the preset of a new scene
-_WITH_ROUNDS = "thorough"  # the preset whose rounds of interreflection the switch sets
-_ABOVE = 1e-6  # an open limit in Blender, whose limits are closed
-_DIGITS = 6  # most decimals that Blender shows
-# Scenes and presets that were saved before format 2 of presets (docs/presets.md): part of a name → what it is now.
+_ROUNDS_PRESET = "thorough"  # the preset with the number of rounds that the switch Interreflection sets
+_OPEN_OFFSET = 1e-6  # added to an open lower limit, because Blender's limits are closed
+_DIGITS = 6  # largest number of decimals that Blender shows
+# Beginnings of names in scenes and presets saved before format 2 of presets (docs/presets.md) → the present ones.
 _RENAMED = {
     "survey_polish_": "prefit_refinement_", "survey_judge_": "prefit_acceptance_",
     "survey_trust": "prefit_acceptance_ratio", "survey_": "prefit_",
@@ -31,7 +31,7 @@ _RENAMED = {
 }  # fmt: skip
 
 
-def _fill(self: ScheduleSettings, context: Any) -> None:
+def _on_preset(self: ScheduleSettings, context: Any) -> None:
     try:
         fill(self, base_schedule(self))
     except InputError:
@@ -48,7 +48,7 @@ def _has_rounds(self: ScheduleSettings) -> bool:
 
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:
-    self.interreflection_rounds = _shipped(_WITH_ROUNDS).interreflection.rounds if on else 0
+    self.interreflection_rounds = _shipped(_ROUNDS_PRESET).interreflection.rounds if on else 0
 
 
 class ScheduleSettings(bpy.types.PropertyGroup):
@@ -92,7 +92,7 @@ def name_today(name: str) -> str:
 
 
 def rename_stored(settings: ScheduleSettings) -> None:
-    """Bring over the values that an earlier version stored in the scene under other names."""
+    """Move values that an earlier version stored under other names to the present settings."""
     stored = system_properties(settings)
     for old in {*stored.keys()} - SETTINGS.keys():
         if name_today(old) in SETTINGS:
@@ -109,12 +109,12 @@ def differences(settings: ScheduleSettings) -> dict[str, Any]:
     base = base_schedule(settings).settings()
     changed = {}
     for name, value in base.items():
-        shown = getattr(settings, name)
+        stored = getattr(settings, name)
         if SETTINGS[name].kind is float:
-            if np.float32(shown) != np.float32(value):
-                changed[name] = float(str(np.float32(shown)))
-        elif shown != value:
-            changed[name] = shown
+            if np.float32(stored) != np.float32(value):
+                changed[name] = float(str(np.float32(stored)))
+        elif stored != value:
+            changed[name] = stored
     return changed
 
 
@@ -142,19 +142,19 @@ def _property(setting: Setting, default: Any) -> Any:
             bounds["update"] = _make_odd
         return IntProperty(default=default, subtype=setting.subtype, **bounds, **texts)
     if setting.above:
-        bounds |= {"min": setting.least + _ABOVE, "soft_min": setting.least + _ABOVE}
+        bounds |= {"min": setting.least + _OPEN_OFFSET, "soft_min": setting.least + _OPEN_OFFSET}
     return FloatProperty(
         default=default, subtype=setting.subtype, precision=min(setting.precision, _DIGITS), step=1, **bounds, **texts
     )
 
 
 def _declare() -> None:
-    defaults = {name: _shipped(name) for name in _names()}[FIRST].settings()  # reads all: panels open no file
+    defaults = {name: _shipped(name) for name in _names()}[FIRST].settings()  # loads all now: panels open no file
     declared = {name: _property(setting, defaults[name]) for name, setting in SETTINGS.items()}
     ScheduleSettings.__annotations__ = {
         "preset": StringProperty(
             name="Preset", description="The schedule of the search, or your own .toml file", default=FIRST,
-            update=_fill,
+            update=_on_preset,
         ),
         "own": StringProperty(description="The last preset of the user's own that was chosen"),
         "own_text": StringProperty(description="The text of its file"),

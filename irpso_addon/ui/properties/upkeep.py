@@ -1,4 +1,4 @@
-"""Brings scenes up to date: fills a parameter list that is missing, and renames settings of older versions."""
+"""Updates scenes: fills missing parameter lists, and renames settings of older versions."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from .schedule_settings import rename_stored
 
 @failures.reported(n_("Listing the maps of the model"))
 def fill_lists() -> None:
-    """Give every scene the parameters of its model. Panels cannot: Blender forbids changes during drawing."""
+    """Fill missing parameter lists of all scenes. Panels cannot: Blender forbids changes during drawing."""
     for scene in bpy.data.scenes:
         if is_wanting(scene.irpso):
             refresh_parameters(scene.irpso)
 
 
 def is_wanting(settings) -> bool:
-    """Return whether the list is wrongly empty. With the user's own model it may be: the file may be unreadable."""
+    """Return whether the parameter list is missing. A custom model may have none: its file may be unreadable."""
     return not settings.parameters and settings.model != CUSTOM
 
 

@@ -1,1 +1,1 @@
-"""The window's recovery: built from the scene's settings, stepped, shown, kept or stored."""
+"""The recovery in Blender's window: its job from the scene's settings, its steps, its result, stored recoveries."""

@@ -1,4 +1,4 @@
-"""The position of a card without an object, and turning a viewport to it."""
+"""The automatic position of a new card, and a viewport that turns to a card."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-_MARGIN = 0.25  # of a card's width, beside objects at the origin
-_DISTANCE = 2.2  # of a viewport from a card, in its longer side: a lens of 50 mm then shows all of it
-_PUT = "irpso_put"  # the card's automatic position
-_HAVE_BODIES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GPENCIL", "GREASEPENCIL"}
+_MARGIN = 0.25  # gap to objects at the origin, in widths of the card
+_DISTANCE = 2.2  # viewport to card, in lengths of its longer side: a 50 mm lens then shows all of it
+_POSITION = "irpso_put"  # custom property: the card's automatic position
+_BODY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GPENCIL", "GREASEPENCIL"}
 
 
 def free_place(context, height: float) -> np.ndarray:
     """Return the (4, 4) matrix of a card 1 wide and ``height`` high: the origin, or beside objects there."""
-    bodies = [obj for obj in context.visible_objects if obj.type in _HAVE_BODIES]
+    bodies = [obj for obj in context.visible_objects if obj.type in _BODY_TYPES]
     corners = np.array([obj.matrix_world @ Vector(corner) for obj in bodies for corner in obj.bound_box])
     low, high = (end(corners.reshape(-1, 8, 3), axis=1) for end in (np.min, np.max))
     place = np.eye(4)
@@ -27,17 +27,17 @@ def free_place(context, height: float) -> np.ndarray:
 def put_card(card: bpy.types.Object, place: np.ndarray) -> None:
     """Move a card's object to an automatic (4, 4) position; ``is_free`` is true until the user moves it."""
     card.matrix_world = Matrix(place.tolist())
-    card[_PUT] = [float(value) for row in card.matrix_basis for value in row]
+    card[_POSITION] = [float(value) for row in card.matrix_basis for value in row]
 
 
 def is_free(card: bpy.types.Object) -> bool:
     """Return whether a card is at its automatic position or at the origin."""
     now = np.array(card.matrix_basis).ravel()
-    return np.allclose(now, np.array(card.get(_PUT, np.eye(4).ravel()))) or np.allclose(now, np.eye(4).ravel())
+    return np.allclose(now, np.array(card.get(_POSITION, np.eye(4).ravel()))) or np.allclose(now, np.eye(4).ravel())
 
 
 def show_card(context, card: bpy.types.Object | None, place: np.ndarray, height: float) -> None:
-    """Turn a viewport to a card, from straight above it, unless the card's object is in sight.
+    """Make a viewport look straight down on a card, unless the card's object is completely in view.
 
     The viewport is the context's own, else the window's largest. card: its object, or None for a card at
     ``place`` (4, 4), 1 wide and ``height`` high.

@@ -1,4 +1,4 @@
-"""The search time of the recovery that the settings ask for, before it begins."""
+"""Estimates a recovery's search time from the settings, before it begins."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from ..properties import findings
 from ..properties.scene_settings import CUSTOM
 from ..properties.schedule_settings import schedule_of
 
-_COVERED = 0.7  # of a mesh's maps: as a usual UV map
+_MESH_COVERAGE = 0.7  # fraction of a mesh's map that a usual UV map covers
 
 
 def search_time(context) -> str:
-    """Return the time that a recovery of the checked files is likely to take; "" where that is not known."""
+    """Return the likely search time for the checked files as text, "" if it cannot be estimated."""
     settings = context.scene.irpso
     if settings.source != "FILES" or not findings.is_checked(settings) or not settings.checked_images:
         return ""
-    if not probe.measured.cache_info().currsize:  # a panel must not wait for it
+    if not probe.measured.cache_info().currsize:  # not measured yet: a panel must not wait for the probe
         return ""
     fixed = tuple(item.name for item in settings.parameters if not item.recover)
     try:
-        each = _work(_model(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
+        work = _work_per_texel(_model(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
     except InputError:  # Recover says what is wrong
         return ""
-    least, most, unit = in_units(forecast(_texels(settings) * each, probe.measured()))
+    least, most, unit = in_units(forecast(_texels(settings) * work, probe.measured()))
     if least == 0:
         return iface("less than a minute")
     if unit == "hours":
@@ -40,16 +40,16 @@ def search_time(context) -> str:
 
 
 def _texels(settings) -> float:
-    """Return about how many texels the maps will have."""
+    """Return the approximate number of texels of the maps."""
     if settings.subject == "MESH":
-        return _COVERED * settings.resolution**2
-    framed = settings.checked_texels
+        return _MESH_COVERAGE * settings.resolution**2
+    texels = settings.checked_texels
     if settings.framing == "CROP":
-        framed = settings.crop[2] * settings.crop[3]
+        texels = settings.crop[2] * settings.crop[3]
     elif settings.framing == "CORNERS":
         x, y = tuple(settings.corners)[::2], tuple(settings.corners)[1::2]
-        framed = abs(sum(x[i - 1] * y[i] - x[i] * y[i - 1] for i in range(4))) / 2
-    return framed * settings.picture_scale**2
+        texels = abs(sum(x[i - 1] * y[i] - x[i] * y[i - 1] for i in range(4))) / 2
+    return texels * settings.picture_scale**2
 
 
 def _model(settings) -> str:
@@ -57,5 +57,5 @@ def _model(settings) -> str:
 
 
 @lru_cache(maxsize=8)  # panels are drawn often
-def _work(model: str, schedule: Schedule, fixed: tuple[str, ...], observations: int) -> float:
+def _work_per_texel(model: str, schedule: Schedule, fixed: tuple[str, ...], observations: int) -> float:
     return recovery_cost(load_model(model), schedule, fixed, observations).work

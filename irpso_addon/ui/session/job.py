@@ -35,16 +35,16 @@ from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
 from .scene_capture import capture_of, capture_path, has_capture, is_marked, knows_distance, wants_distance
 
-_ROUNDING = 1e-5  # of a colour that is brought to another space
-_MESH = "mesh"  # the origin of a mesh's maps, beside its name
+_ROUNDING = 1e-5  # error of a colour's conversion between colour spaces
+_MESH = "mesh"  # origin of a recovery of a mesh
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneJob(Job):
     """A job from a scene's settings; later changes of these do not affect it.
 
-    origin: source of the recovery. scene_uid: Blender's session number of the scene. place: (4, 4) position of a card
-    without an object. recipe: the settings, of ``recipe_of``.
+    origin: "mesh", or the source of a card's capture. scene_uid: Blender's session number of the scene. place: (4, 4)
+    matrix of a card without an object. recipe: the settings, from ``recipe_of``.
     """
 
     origin: str
@@ -54,7 +54,7 @@ class SceneJob(Job):
 
 
 def missing(context) -> str:
-    """Return what a recovery still lacks, with the remedy, "" for nothing. Opens no file."""
+    """Return a text on the first missing or wrong setting, with the remedy; "" if there is none. Opens no file."""
     settings = context.scene.irpso
     if not has_capture(settings):
         return iface(NO_CAPTURE)
@@ -98,13 +98,13 @@ def make_job(context) -> SceneJob:
     """Return the job of the scene's settings. Raises InputError naming the setting and the remedy."""
     if text := missing(context):
         raise InputError(text)
-    settings, wanted = context.scene.irpso, preferences.current(context)
+    settings, prefs = context.scene.irpso, preferences.current(context)
     model, schedule = model_of(settings), schedule_of(settings.schedule)
     capture = capture_of(context.scene)
     if findings.wants_normal(settings):
         check_normal(f"capture '{capture.name}'", [one.light for one in capture.observations])
-    unseen = _held_out(settings, capture)
-    capture, _ = held_out_last(capture, unseen)
+    held_out = _held_out(settings, capture)
+    capture, _ = held_out_last(capture, held_out)
     obj = subject_object(context) if settings.subject == "MESH" else None
     mesh = slots = None
     if obj is not None:
@@ -119,17 +119,17 @@ def make_job(context) -> SceneJob:
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
     return SceneJob(
         capture=capture, name=name, model=model, schedule=schedule, seed=settings.seed, size=size,
-        scratch=scratch_folder((wanted.folder() or Path.home()) / "x"), mesh=mesh,
-        object_uid=None if obj is None else obj.session_uid, fixed=_given(settings, model, size[::-1], tiles),
-        held_out=unseen, shadows=settings.shadows, entry=wanted.entry, memory=wanted.memory,
+        scratch=scratch_folder((prefs.folder() or Path.home()) / "x"), mesh=mesh,
+        object_uid=None if obj is None else obj.session_uid, fixed=_fixed(settings, model, size[::-1], tiles),
+        held_out=held_out, shadows=settings.shadows, entry=prefs.entry, memory=prefs.memory,
         lights=LightOptions(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
-        source=_source(settings, capture, mesh, unseen), origin=origin, scene_uid=context.scene.session_uid,
+        source=_domain_key(settings, capture, mesh, held_out), origin=origin, scene_uid=context.scene.session_uid,
         place=free_place(context, size[1] / size[0]), recipe=recipe_of(settings, obj, slots),
     )  # fmt: skip
 
 
 def _held_out(settings, capture: Capture) -> tuple[int, ...]:
-    """Return the held-out observations, as ``--hold-out`` does. Raises InputError."""
+    """Return the indices of the held-out observations, chosen as by ``--hold-out``. Raises InputError."""
     if settings.hold_out == "OFF":
         return ()
     count = capture.listed
@@ -138,11 +138,11 @@ def _held_out(settings, capture: Capture) -> tuple[int, ...]:
         raise InputError(
             f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {FEWEST_SPARING} or more"
         )
-    unseen = tuple(capture.numbers(chosen))
-    fitted = [one.light for k, one in enumerate(capture.observations) if k not in unseen]
-    if findings.wants_normal(settings) and (lack := no_normal(fitted)):
-        raise InputError(f"Hold Out: what is left to fit gives no normal: {lack.message}; or set it to Off")
-    return unseen
+    held_out = tuple(capture.numbers(chosen))
+    fitted = [one.light for k, one in enumerate(capture.observations) if k not in held_out]
+    if findings.wants_normal(settings) and (problem := no_normal(fitted)):
+        raise InputError(f"Hold Out: what is left to fit gives no normal: {problem.message}; or set it to Off")
+    return held_out
 
 
 def wanted_slots(settings, obj) -> tuple[int, ...] | None:
@@ -160,22 +160,22 @@ def mesh_of(settings, obj) -> MeshData:
 
 
 def _occluders(settings, obj) -> list[Any]:
-    """Return the objects of the collection of occluders that have a surface, besides the subject."""
-    there = settings.occluders.all_objects if settings.occluders is not None else ()
-    return [other for other in there if other != obj and other.type in WITH_SURFACE]
+    """Return the objects with a surface in the collection of occluders, without the subject."""
+    members = settings.occluders.all_objects if settings.occluders is not None else ()
+    return [other for other in members if other != obj and other.type in WITH_SURFACE]
 
 
-def _given(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:
+def _fixed(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:
     """Return the maps of the fixed parameters."""
     items = {item.name: item for item in settings.parameters}
     return {
-        parameter.name: _given_map(items[parameter.name], parameter, size, tiles)
+        parameter.name: _fixed_map(items[parameter.name], parameter, size, tiles)
         for parameter in model.parameters
         if parameter.name in items and not items[parameter.name].recover
     }
 
 
-def _given_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...]) -> np.ndarray:
+def _fixed_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...]) -> np.ndarray:
     low, high = np.float32(parameter.range)  # Blender keeps 0.02 as 0.0199999996
     if item.image is not None:
         return image_map(item.image, parameter, size, tiles)
@@ -194,15 +194,16 @@ def _given_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[i
 def image_map(image, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...] = ONE_SQUARE) -> np.ndarray:
     """Return (H, W, components) of a Blender image, in the parameter's own units.
 
-    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. For data other than colours the file's numbers
-    count, although Blender marks every PNG as sRGB. tiles: the UDIM tiles of the domain, which a tiled image must have.
+    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. Parameters other than colours get the file's own
+    numbers, although Blender marks every PNG as sRGB. size: (H, W) of all tiles. tiles: the domain's UDIM tiles, which
+    a tiled image must have. Raises InputError if the image is unreadable or does not fit.
     """
     with tile_images(image, tiles) as parts:
         size = size[0], size[1] // len(tiles)
-        return np.concatenate([_picture_map(part, parameter, size) for part in parts], axis=1)
+        return np.concatenate([_tile_map(part, parameter, size) for part in parts], axis=1)
 
 
-def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+def _tile_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     height, width = size
     if not image.has_data and not image.size[0]:
         raise InputError(f"image '{image.name}' cannot be read; choose another for {parameter.name}")
@@ -216,9 +217,9 @@ def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarr
     values = values.reshape(height, width, image.channels)[..., : parameter.components]
     if values.shape[-1] < parameter.components:
         raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
-    encoded = use_of(image) == "srgb"  # and where they are floats, Blender has decoded them
+    encoded = use_of(image) == "srgb"  # float pixels are decoded already, by Blender
     if image.is_float and not image.colorspace_settings.is_data and values.shape[-1] == 3:
-        values = to_rec_709(values)  # Blender has brought them to the file's own space
+        values = to_rec_709(values)  # Blender has converted them to the .blend file's working space
     if encoded and image.is_float and parameter.color_space != "sRGB":
         values = srgb_from_linear(values)
     if parameter.is_normal:
@@ -231,35 +232,35 @@ def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarr
 def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:
     """Return the unit vectors of a normal map: its values, or 2v − 1, whichever have lengths nearer to 1."""
     shifted = 2 * values - 1
-    off, shifted_off = (np.median(np.abs(np.linalg.norm(v, axis=-1) - 1)) for v in (values, shifted))
-    vectors = values if may_be_vectors and off < shifted_off else shifted
+    error, shifted_error = (np.median(np.abs(np.linalg.norm(v, axis=-1) - 1)) for v in (values, shifted))
+    vectors = values if may_be_vectors and error < shifted_error else shifted
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    # What has the length 1 but for rounding stays, bit for bit, as the command line takes it.
+    # Vectors of length 1 but for rounding stay bit for bit equal to those of the command line.
     return np.where(np.abs(lengths - 1) < 1e-6, vectors, vectors / np.maximum(lengths, 1e-8))
 
 
-def _source(settings, capture: Capture, mesh: MeshData | None, unseen: tuple[int, ...]) -> tuple[Any, ...] | None:
-    """Return a key of the domain of these settings: images with their times, lights, mesh.
+def _domain_key(settings, capture: Capture, mesh: MeshData | None, held_out: tuple[int, ...]) -> tuple[Any, ...] | None:
+    """Return a key of the domain of these settings, None for a scene's own capture; equal keys have equal domains.
 
-    Lights and cameras enter by value, because a folder's time does not change with its lists. unseen: the held-out
-    observations, which are read last.
+    Images enter by modification time and size; lights and cameras by value, because a folder's time does not change
+    with its lists. held_out: the held-out observations, which are read last.
     """
     if settings.source != "FILES":
         return None
     spec = read_spec(capture_path(settings), settings.colour_space)
-    gone = {one.index for one in capture.left_out}
+    left_out = {one.index for one in capture.left_out}
     images = (
-        *(shot.image for k, shot in enumerate(spec.observations) if k not in gone),
+        *(shot.image for k, shot in enumerate(spec.observations) if k not in left_out),
         *(view.mask for view in spec.views if view.mask),
     )
     files = {image.path: image.path.stat() for image in images}
     stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)
     lights = tuple((observation.light, observation.camera) for observation in capture.observations)
     cameras = (capture.card_distance, *(camera.key for camera in capture.cameras))
-    shape = None
+    mesh_key = None
     if mesh is not None:
         arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs, mesh.occluders)
         solved = None if mesh.solved is None else mesh.solved.tobytes()
-        made = (settings.resolution, settings.shadows, mesh.tiles, solved)
-        shape = hash((*(array.tobytes() for array in arrays), *made))
-    return stamps, lights, cameras, shape, unseen
+        bake_settings = (settings.resolution, settings.shadows, mesh.tiles, solved)
+        mesh_key = hash((*(array.tobytes() for array in arrays), *bake_settings))
+    return stamps, lights, cameras, mesh_key, held_out

@@ -1,4 +1,4 @@
-"""Keeps the maps as the subject's material in one undo step; and prepares results for exports."""
+"""Operator Keep, which makes the maps the subject's material in one undo step; and the results for exports."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _STANDARD = "Standard"
 
 
 def found_in(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
-    """Return the current maps. wanted: derived maps. Raises InputError if one is impossible."""
+    """Return the current maps. wanted: derived maps to add. Raises InputError if one cannot be made."""
     return found_of(running.work, running.maps(confidence), wanted)
 
 
 def report_of(running: session.Session, found: Found) -> dict[str, Any]:
-    """Return the report of the current maps, as the command line writes it."""
+    """Return the report of the current maps, in the form that the command line writes."""
     job, model = running.job, running.job.model
     settings = {
         "capture": str(job.capture.source or job.capture.name),
@@ -72,7 +72,7 @@ def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
 
 
 def has_found(cls) -> bool:
-    """Whether there are maps to keep; else the button shows the remedy."""
+    """Return whether there are maps to keep; if not, the button's tooltip names the remedy."""
     running = session.current()
     return usable(cls, running is not None and running.recovery is not None, NOTHING)
 
@@ -86,11 +86,11 @@ class IRPSO_OT_keep(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is something to keep."""
+        """Whether there are maps to keep."""
         return has_found(cls)
 
     def execute(self, context):
-        """Pause, and make images, material and, for a card, its object."""
+        """Pause the recovery, and make images, material and, for a card, its object."""
         running = session.current()
         running.pause()
         try:
@@ -104,13 +104,13 @@ class IRPSO_OT_keep(bpy.types.Operator):
 
 
 def _keep(context, running: session.Session) -> str:
-    """Keep, and return a message. Raises InputError."""
+    """Make images, material and card object; return the operator's message. Raises InputError."""
     job = running.job
     former = result.subject_of(job)
     found = found_in(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
     folder = preferences.current(context).folder()
-    made, subject = result.make_material(job, former, found, found.height, folder)
-    made[material.ORIGIN], made[material.STAMP] = job.origin, running.stamp
+    made_material, subject = result.make_material(job, former, found, found.height, folder)
+    made_material[material.ORIGIN], made_material[material.STAMP] = job.origin, running.stamp
     if job.mesh is None:
         if former is None:
             put_card(subject, job.place)
@@ -118,8 +118,8 @@ def _keep(context, running: session.Session) -> str:
     count = len(map_tables(job.model))
     where = rpt("in {folder}", folder=folder) if folder else rpt("packed into the file")
     return rpt(
-        "Material '{name}' on '{object}', with {count} maps {where}", name=made.name, object=subject.name, count=count,
-        where=where,
+        "Material '{name}' on '{object}', with {count} maps {where}", name=made_material.name, object=subject.name,
+        count=count, where=where,
     )  # fmt: skip
 
 
@@ -154,14 +154,14 @@ class IRPSO_OT_standard_view(bpy.types.Operator):
         return usable(cls, not is_standard_view(context.scene), "The scene has the Standard view transform already")
 
     def execute(self, context):
-        """Set view transform and look, and nothing else."""
+        """Set view transform and look."""
         context.scene.view_settings.view_transform = _STANDARD
         context.scene.view_settings.look = "None"
         return {"FINISHED"}
 
 
 def is_standard_view(scene) -> bool:
-    """Return whether the scene is shown without a film look."""
+    """Return whether the scene has the Standard view transform without a look."""
     return scene.view_settings.view_transform == _STANDARD and scene.view_settings.look == "None"
 
 

@@ -1,4 +1,4 @@
-"""The texels that the user watches during a recovery."""
+"""Probes: texels whose error the user watches during a recovery."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MOST = 4
 
 @dataclass
 class Probe:
-    """A watched texel. curve: (iteration, error) pairs. slot: 0…3, of its colour."""
+    """A watched texel. curve: (iteration, error) pairs. slot: index of its colour, 0…3."""
 
     row: int
     column: int
@@ -19,22 +19,22 @@ class Probe:
 
     @property
     def number(self) -> int:
-        """Its number, 1…4, which it keeps with its colour."""
+        """Its number for the user, 1…4, which does not change."""
         return self.slot + 1
 
 
 class Probes(list[Probe]):
-    """Watched texels, the oldest first, at most four. changed: called after ``add`` and ``remove``."""
+    """Watched texels, the oldest first, at most four. changed: called after ``add`` and ``remove_at``."""
 
     def __init__(self, changed: Callable[[], None]):
         super().__init__()
         self._changed = changed
 
     def add(self, row: int, column: int) -> Probe | None:
-        """Watch a texel. Return the probe that a fifth one replaces, the oldest; else None."""
+        """Watch a texel. A fifth probe replaces the oldest, which is returned; else return None."""
         dropped = self.pop(0) if len(self) == MOST else None
-        free = set(range(MOST)) - {probe.slot for probe in self}
-        self.append(Probe(row, column, slot=min(free)))
+        free_slots = set(range(MOST)) - {probe.slot for probe in self}
+        self.append(Probe(row, column, slot=min(free_slots)))
         self._changed()
         return dropped
 
@@ -44,5 +44,5 @@ class Probes(list[Probe]):
         self._changed()
 
     def numbered(self, number: int) -> Probe | None:
-        """Return the probe with a number, else the oldest, else None."""
+        """Return the probe with this number; if there is none, the oldest; None without probes."""
         return next((probe for probe in self if probe.number == number), next(iter(self), None))

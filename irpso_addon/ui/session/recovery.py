@@ -1,4 +1,4 @@
-"""One recovery of the window, stepped in slices until it is kept or dropped."""
+"""State machine of the window's recovery, stepped in time slices until its maps are kept or dropped."""
 
 from __future__ import annotations
 
@@ -32,41 +32,42 @@ from .job import SceneJob
 from .probes import Probes
 from .worker import Worker
 
-_ERROR_EVERY = 0.5  # seconds between measurements of the mean error, each a small render
+_ERROR_SECONDS = 0.5  # seconds between measurements of the mean error, each a small render
 
 _TITLES = {READ: n_("Reading images"), LIGHTS: n_("Finding the lights"), PREPARE: n_("Fitting a first guess")}
 
 
 class Session:
-    """One recovery that runs or waits to be kept. It does not change the scene.
+    """A recovery that runs, or whose maps wait to be kept. It does not change the scene.
 
     state: "loading", "preparing", "running" (also while held-out photographs are relit), "paused" or "done". title: the
-    current step, for the panel. work: the run of the job. history: (iteration, mean error) pairs. longest_stall_s: the
-    longest tick. failure: the error that ended it, "" for none.
+    current step, for the panel. history: (iteration, mean error) pairs. error: the last mean error, a fraction of
+    white. seconds: search time. longest_stall_s: the longest tick. doubts: warnings of a finished recovery. failure:
+    the error that ended the session, "" for none.
 
-    data: of the run before, for this one. changed: called with the session for every redraw, and after ``close``.
+    data: results of the previous run, for reuse. changed: called with the session for every redraw and by ``close``.
     """
 
     def __init__(self, job: SceneJob, data: Kept, changed: Callable[[Session], None]):
         self._data, self._changed = data, changed
         self._worker = Worker()
-        self.work = Run(job, self._note, self._worker.run, data)
+        self.work = Run(job, self._on_step, self._worker.run, data)
         self.state, self.title, self.failure = "loading", _TITLES[READ], ""
         self.display: Display | TiledDisplay | None = None
         self.probes = Probes(self._notify)
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
-        self.doubts: tuple[str, ...] = ()  # of the recovery, once it has ended
+        self.doubts: tuple[str, ...] = ()
         self.seconds = 0.0
         self.longest_stall_s = 0.0
         self.closed = False
-        self.runs = 0  # of the modal operator; each resume starts it again
+        self.runs = 0  # starts of the modal operator: each resume starts another
         self._guard: ContextGuard | None = None
         self._uuid = uuid4().hex
-        self._paused_in = self.state
-        self._part = 0.0  # fraction of the images, the lights or the first guess
-        self._time_left, self._left = TimeLeft(), None
-        self._measured = 0.0  # time of the last measurement of the error
+        self._state_before_pause = self.state
+        self._fraction = 0.0  # fraction done of reading, lights or preparation
+        self._time_left, self._seconds_left = TimeLeft(), None
+        self._measured_at = 0.0  # time of the last measurement of the error
         self._relighting: Generator[None, None, None] | None = None
         self._opening: Generator[None, None, None] | None = self._open()
 
@@ -92,7 +93,7 @@ class Session:
 
     @property
     def lights(self) -> Lights | None:
-        """The refined lights, None if they stay as given."""
+        """The refined lights, None if the capture's own are used."""
         return self.work.lights
 
     @property
@@ -112,8 +113,8 @@ class Session:
 
     @property
     def fraction(self) -> float:
-        """The fraction done of the current step: images, lights, first guess, or recovery."""
-        return self._part if self.recovery is None else self.recovery.progress.fraction
+        """The fraction done (0…1) of the current step: reading, lights, preparation, or recovery."""
+        return self._fraction if self.recovery is None else self.recovery.progress.fraction
 
     @property
     def rate(self) -> float:
@@ -122,23 +123,23 @@ class Session:
 
     @property
     def seconds_left(self) -> float | None:
-        """An estimate, None while there is too little data."""
-        return self._left
+        """The estimated remaining time, None while there is too little data."""
+        return self._seconds_left
 
     @property
     def stamp(self) -> str:
-        """Identifies a material with the current maps, "" before the recovery."""
+        """The stamp of a material with the current maps, "" before the recovery has begun."""
         return f"{self._uuid} {self.recovery.progress.evaluations}" if self.recovery is not None else ""
 
     @property
     def kept(self) -> bool:
         """Whether a material of the open file holds the current maps; false after an undo or more iterations."""
         stamp = self.stamp
-        return bool(stamp) and any(made.get(STAMP) == stamp for made in bpy.data.materials)
+        return bool(stamp) and any(material.get(STAMP) == stamp for material in bpy.data.materials)
 
     @property
     def stopped(self) -> bool:
-        """Whether the user ended it before its last iteration; ``resume`` continues."""
+        """Whether the user ended the recovery before its last iteration; ``resume`` continues."""
         return self.state == "done" and self.recovery is not None and not self.recovery.progress.done
 
     @property
@@ -148,16 +149,16 @@ class Session:
 
     @property
     def unseen(self) -> str:
-        """The error of the maps on held-out photographs in words, "" if not measured for the current maps."""
+        """The error of the current maps on held-out photographs as a sentence, "" if it is not measured."""
         return relit_line(self.work.relit[1]) if self.work.is_relit else ""
 
     def observation(self, view: Any) -> int:
-        """Return the index in the job's capture of the fitted observation that ViewSettings show."""
+        """Return the index, in the job's capture, of the fitted observation that ViewSettings ``view`` choose."""
         return self.job.fitted_at(view.index(len(self.job.capture.observations)))
 
     @property
     def in_own_context(self) -> bool:
-        """Whether the recovery's own graphics context is current; true in background."""
+        """Whether the graphics context of the recovery's display is current; true in background."""
         return self._guard is None or self._guard.holds()
 
     @property
@@ -170,13 +171,13 @@ class Session:
         return subject_object(self.job.object_uid, self.job.name)
 
     def tick(self, budget_s: float) -> None:
-        """Work for about ``budget_s``. Any error ends the session and sets ``failure``."""
+        """Work for about ``budget_s`` seconds. Any error ends the session and sets ``failure``."""
         if not self.active or self.closed:
             return
         started, searching = time.perf_counter(), not self.relighting
         try:
             self._work(started + budget_s)
-            self._look()
+            self._measure_error()
         except Exception as error:  # noqa: BLE001  Blender calls a modal operator again after an error
             self.failure = failures.report(n_("The recovery"), error)
             self.close()
@@ -184,11 +185,11 @@ class Session:
         self.longest_stall_s = max(self.longest_stall_s, took)
         if self.recovery is not None and searching:
             self.seconds += took
-            self._left = self._time_left.after(self.seconds, self.recovery.progress)
+            self._seconds_left = self._time_left.after(self.seconds, self.recovery.progress)
         self._notify()
 
     def run(self) -> None:
-        """Work to the end, for background mode. An error ends the session and is raised."""
+        """Work to the end, for background mode. An error closes the session and is raised."""
         try:
             while self.active:
                 self._work(time.perf_counter() + 0.5)
@@ -199,7 +200,7 @@ class Session:
     def pause(self) -> None:
         """Pause until ``resume``."""
         if self.active:
-            self._paused_in, self.state = self.state, "paused"
+            self._state_before_pause, self.state = self.state, "paused"
             self._notify()
 
     def resume(self, schedule: Schedule | None = None) -> None:
@@ -210,37 +211,37 @@ class Session:
         if self.state != "paused" and not self.stopped:
             return
         if schedule is not None and schedule != self.job.schedule:
-            self._change(schedule)
-        self.state = self._paused_in
+            self._replace_schedule(schedule)
+        self.state = self._state_before_pause
         self._notify()
 
     def finish(self) -> None:
-        """Stop; the maps wait to be kept, after held-out photographs are relit. A second call skips relighting."""
+        """End the search, then relight held-out photographs; a second call skips that. Then the maps can be kept."""
         if not self.work.is_relit and not self.relighting:
             self._relighting = self._relight()
             self.state, self.title = "running", n_("Relighting unseen photographs")
             self._notify()
             return
-        self._leave_relighting()
+        self._end_relighting()
         self.state, self.doubts = "done", self.recovery.warnings
         self.title = n_("Stopped") if self.stopped else n_("Done")
         self._notify()
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return the current maps in the solver's frames. confidence: as for a Recovery."""
+        """Return the current maps in the solver's frames. confidence: whether with standard deviations."""
         return self.work.maps(confidence)
 
     def relight(self, maps: Maps) -> None:
-        """Relight held-out photographs from the current ``maps``, unless that is done."""
+        """Relight held-out photographs with the current ``maps``, unless this is done already."""
         if not self.work.is_relit:
-            self._leave_relighting()
+            self._end_relighting()
             self.work.relight(maps)
 
     def close(self) -> None:
         """Free all GPU memory; may be called at any time and repeatedly."""
         self.closed, self.state = True, "done"
         self._opening = None
-        self._leave_relighting()
+        self._end_relighting()
         self._worker.wait()
         if self.display is not None:
             self.display.close()
@@ -281,61 +282,61 @@ class Session:
         self.finish()
 
     def _relight(self) -> Generator[None, None, None]:
-        yield from self.work.relighting(self.maps(confidence=False))  # here, so that errors end the relighting alone
+        yield from self.work.relighting(self.maps(confidence=False))  # here, an error ends the relighting alone
 
-    def _leave_relighting(self) -> None:
+    def _end_relighting(self) -> None:
         self._worker.wait()
         self._relighting = None
 
     def _open(self) -> Generator[None, None, None]:
-        """Read, prepare, and start the recovery; yields often for redraws."""
+        """Read, prepare, and start the recovery, or load the one to resume. Yields often, for redraws."""
         context.ensure()
         yield from self.work.open()
         if self.job.resumed is not None:
             notes = self.recovery.load(self.job.resumed)
             self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
             self.seconds = float(notes[unkept.SECONDS])
-        self._watch()
+        self._create_display()
         self.state = "running"
-        if self.job.resumed is not None:  # paused, as it was stored
+        if self.job.resumed is not None:  # a stored recovery opens paused
             self.title = self.recovery.progress.title
             self.pause()
             if self.recovery.progress.done:
                 self.finish()
 
-    def _watch(self) -> None:
+    def _create_display(self) -> None:
         """Create the recovery's display in the current graphics context."""
         self._guard = None if bpy.app.background else ContextGuard()
         self.display = display_of(self.recovery)
 
-    def _note(self, step: str, fraction: float) -> None:
-        """Store the fraction of a step. Also called by the worker thread while the session is paused."""
-        self._part = fraction
+    def _on_step(self, step: str, fraction: float) -> None:
+        """Set title, state and fraction (0…1) of a step. The worker thread calls this too, even during a pause."""
+        self._fraction = fraction
         if self.title != _TITLES[step]:
             self.title, self.state = _TITLES[step], "loading" if step == READ else "preparing"
 
-    def _change(self, schedule: Schedule) -> None:
-        if self.recovery is None:  # not started: its preparation was for the former schedule
+    def _replace_schedule(self, schedule: Schedule) -> None:
+        if self.recovery is None:  # the preparation depends on the schedule
             self._worker.wait()
-            self.work = Run(replace(self.job, schedule=schedule), self._note, self._worker.run, self._data)
-            self._opening, self._paused_in = self._open(), "loading"
+            self.work = Run(replace(self.job, schedule=schedule), self._on_step, self._worker.run, self._data)
+            self._opening, self._state_before_pause = self._open(), "loading"
             return
         self.work.change(schedule)
-        self._leave_relighting()
-        self._paused_in = "running"
+        self._end_relighting()
+        self._state_before_pause = "running"
         self.display.close()
         self._time_left = TimeLeft()
-        self._watch()
+        self._create_display()
 
-    def _look(self) -> None:
-        """Measure the mean error from time to time."""
+    def _measure_error(self) -> None:
+        """Measure the mean error, at most every _ERROR_SECONDS seconds, and once at the end."""
         now = time.perf_counter()
-        if self.recovery is None or self.relighting or now - self._measured < _ERROR_EVERY and self.active:
+        if self.recovery is None or self.relighting or now - self._measured_at < _ERROR_SECONDS and self.active:
             return
         progress = self.recovery.progress
         if progress.iteration < 0 and self.history:
             return
-        self._measured = now
+        self._measured_at = now
         self.error = float(self.recovery.mean_error())
         if np.isfinite(self.error):
             self.history.append((progress.iteration_in_all, self.error))

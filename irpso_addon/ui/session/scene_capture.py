@@ -24,7 +24,7 @@ from ..common.file_paths import absolute
 
 
 def has_capture(settings) -> bool:
-    """Return whether there is something to recover from: the open scene, or files that were chosen."""
+    """Return whether a capture is chosen: the open scene, or files."""
     return settings.source == "SCENE" or settings.capture_path != ""
 
 
@@ -34,7 +34,7 @@ def capture_of(scene) -> Capture:
 
 
 def capture_steps(scene) -> Generator[None, None, Capture]:
-    """Yield before each header; return what ``capture_of`` does."""
+    """Yield before each image header is read; return the capture as ``capture_of``."""
     settings = scene.irpso
     with naming_remedy(settings.skip_damaged):
         if settings.source == "SCENE":
@@ -45,15 +45,15 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
 
 
 def spec_steps(settings) -> Generator[None, None, CaptureSpec]:
-    """Yield before each decoded image; return the spec of the capture's files: see ``spec_of``."""
+    """Yield before each decoded image; return ``spec_of``, without damaged images if the settings leave them out."""
     spec = spec_of(settings)
     return (yield from sound_steps(spec, ImageStore(decode))) if settings.skip_damaged else spec
 
 
 def spec_of(settings) -> CaptureSpec:
-    """Return the spec of the capture's files with the set card distance. Raises InputError.
+    """Return the spec of the capture's files, with the settings' framing and card distance. Raises InputError.
 
-    Also stores in the settings what panels show, because these read no files.
+    Also stores in the settings the values that panels show, because panels read no files.
     """
     spec = read_spec(capture_path(settings), settings.colour_space)
     keep_places(settings, spec)
@@ -65,7 +65,7 @@ def spec_of(settings) -> CaptureSpec:
 
 
 def _framing_of(settings, stated: Framing) -> Framing:
-    """Return the framing of the settings, where they change the capture's. Raises InputError."""
+    """Return the capture's own framing with the changes of the settings. Raises InputError."""
     changes: dict[str, Any] = {}
     if settings.subject == "CARD" and settings.framing == "CROP":
         changes = {"crop": tuple(settings.crop), "corners": None}
@@ -80,13 +80,13 @@ def _framing_of(settings, stated: Framing) -> Framing:
 
 
 def is_marked(settings) -> bool:
-    """Return whether the card is marked in the photographs, if it should be."""
+    """Return whether the card is marked in the photographs, or needs no marks."""
     marks = {"CROP": settings.crop, "CORNERS": settings.corners}.get(settings.framing)
     return marks is None or any(marks)
 
 
 def keep_corners(settings, found: Found) -> None:
-    """Store corners that were found as the frame, and the width of a marker board's field if near lights need it."""
+    """Make detected corners the frame, and a marker board's width the card's if near lights need a distance."""
     settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
     settings.crop = crop_around(np.array(found.corners))
     if found.width and settings.near_lights and not knows_distance(settings):
@@ -106,7 +106,7 @@ def keep_places(settings, spec: CaptureSpec) -> None:
 
 
 def wants_distance(scene) -> bool:
-    """Return whether the maps depend on the distance of a card from its camera: it has near lights."""
+    """Return whether the maps depend on the distance from card to camera: only with near lights."""
     settings = scene.irpso
     if settings.subject != "CARD":
         return False

@@ -1,4 +1,4 @@
-"""The window's session: the one recovery that runs or waits to be kept, and who follows it."""
+"""The window's current Session, of which there is at most one, and its listeners."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .recovery import Session
 
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
-_kept = Kept()  # data of the last run, for the next one
+_previous_run = Kept()  # results of the last run that the next one may reuse
 
 
 def current() -> Session | None:
@@ -26,30 +26,30 @@ def current() -> Session | None:
 
 
 def idle(operator: type[bpy.types.Operator]) -> bool:
-    """Return whether no recovery works now; the poll of what would share its processor or GPU."""
+    """Return whether no recovery is working. Poll of operators that compete with one for processor or GPU."""
     return usable(operator, _current is None or not _current.active, "A recovery runs: pause or stop it first")
 
 
 def begin(job: SceneJob) -> Session:
-    """Begin a session; drops the former one."""
+    """Close the former session and begin a new one."""
     global _current
     if _current is not None:
         _current.close()
     failures.clear()
-    _current = Session(job, _kept, _changed)
+    _current = Session(job, _previous_run, _on_change)
     _notify()
     return _current
 
 
 def end() -> None:
-    """Drop the session, if any."""
+    """Close the session, if any."""
     if _current is not None:
         _current.close()
 
 
-def _changed(one: Session) -> None:
+def _on_change(running: Session) -> None:
     global _current
-    if one.closed and one is _current:
+    if running.closed and running is _current:
         _current = None
     _notify()
 
@@ -60,20 +60,20 @@ def _notify() -> None:
 
 
 def forget() -> None:
-    """Store unkept maps, then drop the session and its data, because the file changes."""
+    """Before the file changes: store unkept maps, close the session, and delete its data."""
     if _current is not None:
         unkept.store(_current)
     end()
-    _kept.clear()
+    _previous_run.clear()
 
 
 def register() -> None:
-    """Watch for the loading of another file."""
+    """Add the handler that calls ``forget`` before another file is loaded."""
     bpy.app.handlers.load_pre.append(_on_load)
 
 
 def unregister() -> None:
-    """End the session and stop watching."""
+    """End the session and remove the handler."""
     forget()
     bpy.app.handlers.load_pre.remove(_on_load)
 

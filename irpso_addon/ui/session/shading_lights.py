@@ -1,4 +1,4 @@
-"""Lights of photographs without a ball: from the shading of relief, of a known mesh or of a flat card."""
+"""Estimates the lights of photographs without a ball, from the shading of relief, a known mesh or a flat card."""
 
 from __future__ import annotations
 
@@ -28,14 +28,15 @@ from ...reflectance.model import load_model
 from .job import mesh_of, subject_object
 
 WAYS = ("NONE", "MESH", "FLAT")
-_SEARCHED = 0.2  # fraction of the work, at the end of a search for corners
+_DETECTION = 0.2  # part of the progress for the detection of corners
 
 
 @dataclass(frozen=True)
 class ShadingRequest:
-    """way: one of WAYS; NONE: from relief. lights: "auto", "distant" or "near", over a mesh. inside_out: of relief.
+    """How to estimate lights. way: "NONE" (from relief of unknown shape), "MESH" or "FLAT" (from a flat card).
 
-    corners: whether those of a flat card are searched. card_width: of a flat card, 0 if unknown. mesh: of MESH.
+    Relief: inside_out takes the solution with inverted relief. mesh: for "MESH"; its lights are "auto", "distant" or
+    "near". Flat card: corners, whether to detect its corners; card_width, 0 if unknown.
     """
 
     way: str
@@ -47,8 +48,8 @@ class ShadingRequest:
 
 
 @dataclass(frozen=True)
-class _Answer:
-    """lights: of each photograph. report, warnings: theirs. keys: of the cameras. card: keys of the table."""
+class _Estimate:
+    """Lights, one per photograph. keys: the cameras' keys in the table of lights. card: the card's keys."""
 
     lights: list[Light]
     report: dict[str, Any]
@@ -58,7 +59,7 @@ class _Answer:
 
 
 def known_mesh() -> MeshData:
-    """Return the mesh that the photographs show, by the scene's settings. Raises InputError."""
+    """Return the mesh that the settings name as the subject of the photographs. Raises InputError."""
     obj = subject_object(bpy.context)
     if obj is None:
         raise InputError("Object: is no mesh; choose the mesh that the photographs show")
@@ -68,49 +69,49 @@ def known_mesh() -> MeshData:
 def shading_light_steps(
     spec: CaptureSpec, keys: Mapping[str, Any], request: ShadingRequest, table: Path
 ) -> Generator[float, None, tuple[str, ...]]:
-    """Yield the fraction done; write the lights of photographs as a new table and return the warnings.
+    """Yield the fraction done (0…1); write the estimated lights as a new ``table`` and return the warnings.
 
-    keys: of the cameras. Raises InputError and then writes nothing.
+    keys: the cameras' keys in the table. Raises InputError before it writes anything.
     """
     probe.probe()
     gpu_context.ensure()
     whole = yield from map_steps(build_steps(spec, decode), lambda _: 0.0)
     if request.way == "FLAT":
-        answer = yield from _of_card(whole, spec, keys, request)
+        estimate = yield from _of_card(whole, spec, keys, request)
     else:
-        answer = yield from _of_relief(framed(whole, spec.framing), keys, request)
-    write_lights(spec, answer.keys, answer.lights, answer.report, table, answer.card)
-    return answer.warnings
+        estimate = yield from _of_relief(framed(whole, spec.framing), keys, request)
+    write_lights(spec, estimate.keys, estimate.lights, estimate.report, table, estimate.card)
+    return estimate.warnings
 
 
-def _of_relief(capture: Capture, keys: Mapping[str, Any], request: ShadingRequest) -> Generator[float, None, _Answer]:
+def _of_relief(capture: Capture, keys: Mapping[str, Any], request: ShadingRequest) -> Generator[float, None, _Estimate]:
     if request.mesh is not None:
         shape = yield from known_shape_steps(capture, request.mesh, request.lights)
-        return _Answer(shape.lights, shape.report(), shape.warnings, keys)
-    found = yield from uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=request.inside_out)
-    return _Answer(found.lights, found.report(), found.warnings, keys)
+        return _Estimate(shape.lights, shape.report(), shape.warnings, keys)
+    fitted = yield from uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=request.inside_out)
+    return _Estimate(fitted.lights, fitted.report(), fitted.warnings, keys)
 
 
 def _of_card(
     whole: Capture, spec: CaptureSpec, keys: Mapping[str, Any], request: ShadingRequest
-) -> Generator[float, None, _Answer]:
-    framing, begun = spec.framing, 0.0
+) -> Generator[float, None, _Estimate]:
+    framing, start = spec.framing, 0.0
     if request.card_width:
         whole, framing = replace(whole, card_distance=None), replace(framing, card_width=request.card_width)
     if request.corners or framing.corners == AUTO:
-        looking = found_corner_steps(whole, replace(framing, crop=None))
-        framing, _ = yield from map_steps(looking, lambda part: _SEARCHED * part)
-        begun = _SEARCHED
-    fitting = flat_card_steps(framed(whole, framing))
-    found = yield from map_steps(fitting, lambda part: begun + (1 - begun) * part)
+        detection = found_corner_steps(whole, replace(framing, crop=None))
+        framing, _ = yield from map_steps(detection, lambda part: _DETECTION * part)
+        start = _DETECTION
+    fit = flat_card_steps(framed(whole, framing))
+    fitted = yield from map_steps(fit, lambda part: start + (1 - start) * part)
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
-    card = {**_part(framing), CARD_DISTANCE: found.capture.card_distance}
-    return _Answer(found.lights, found.report(), found.warnings, keys, card)
+    card = {**_framing_keys(framing), CARD_DISTANCE: fitted.capture.card_distance}
+    return _Estimate(fitted.lights, fitted.report(), fitted.warnings, keys, card)
 
 
-def _part(framing: Framing) -> dict[str, Any]:
-    """Return the keys of the part of the photographs that is the card."""
+def _framing_keys(framing: Framing) -> dict[str, Any]:
+    """Return the table's keys for the corners or the crop of the card."""
     if framing.corners:
         return {"corners": [list(corner) for corner in framing.corners]}
     return {"crop": [int(value) for value in framing.crop]} if framing.crop else {}

@@ -19,12 +19,12 @@ from ...solver.state.checkpoint import read_note
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
 _log = logging.getLogger(__name__)
-_listed: list[Unkept] | None = None  # contents of the folder, once read
+_listed: list[Unkept] | None = None  # contents of the folder, None before it is read
 
 
 @dataclass(frozen=True)
 class Unkept:
-    """A stored recovery. fraction: of its work done. recipe: of ``recipe.recipe_of``. file: its .blend."""
+    """A stored recovery. fraction: done, 0…1. file: path of its .blend, "" if unsaved. recipe: from ``recipe_of``."""
 
     path: Path
     name: str
@@ -34,7 +34,7 @@ class Unkept:
 
 
 def folder() -> Path | None:
-    """Return the extension's folder for them; None without an installed extension or a window."""
+    """Return the folder of stored recoveries; None without an installed extension or a window."""
     if bpy.app.background:
         return None
     try:
@@ -44,8 +44,8 @@ def folder() -> Path | None:
 
 
 def store(running: Any) -> None:
-    """Write the unkept maps of a session. Errors are only logged, because Blender is closing its file."""
-    if running.recovery is None or running.kept or (place := folder()) is None:
+    """Store a session whose maps are not kept. Errors are only logged, because Blender is closing its file."""
+    if running.recovery is None or running.kept or (directory := folder()) is None:
         return
     job, file = running.job, bpy.data.filepath
     about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
@@ -58,7 +58,7 @@ def store(running: Any) -> None:
             HISTORY: np.array(running.history).reshape(-1, 2),
             SECONDS: np.array(running.seconds),
         }
-        running.recovery.save(job.resumed or place / f"{file_stem(job.name)}-{digest}.npz", notes, running=True)
+        running.recovery.save(job.resumed or directory / f"{file_stem(job.name)}-{digest}.npz", notes, running=True)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
     look()
@@ -74,13 +74,13 @@ def listed() -> list[Unkept]:
 def look() -> None:
     """Read the folder again; skips unreadable files and other files."""
     global _listed
-    place = folder()
+    directory = folder()
     try:
-        paths = [] if place is None or not place.is_dir() else place.glob("*.npz")
+        paths = [] if directory is None or not directory.is_dir() else directory.glob("*.npz")
         newest = sorted(paths, key=lambda path: path.stat().st_mtime, reverse=True)
     except OSError:
         newest = []
-    _listed = [found for path in newest if (found := _read(path)) is not None]
+    _listed = [stored for path in newest if (stored := _read(path)) is not None]
 
 
 def forget(path: Path | None) -> None:

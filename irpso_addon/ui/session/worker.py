@@ -1,4 +1,4 @@
-"""A thread for numpy work, while the window stays responsive."""
+"""Runs numpy work in a thread, so that the window stays responsive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _POLL_SECONDS = 0.002
 
 
 class Worker:
-    """One thread, started for each piece of work."""
+    """Runs one function at a time, each in a new thread."""
 
     def __init__(self) -> None:
         self._work: futures.Future | None = None
@@ -32,7 +32,7 @@ class Worker:
         return work.result()
 
     def wait(self) -> None:
-        """Wait for unfinished work, whose arrays may then be freed; two seconds at most."""
+        """Wait for the end of unfinished work, so that its arrays may be freed. It takes two seconds at most."""
         if self._work is not None:
             futures.wait([self._work])
             self._work = None

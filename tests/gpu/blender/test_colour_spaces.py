@@ -20,7 +20,7 @@ from irpso_addon.capture.images.image import ImageRef, ImageStore
 from irpso_addon.capture.types import Light
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
-from irpso_addon.ui.session.job import _given_map, image_map
+from irpso_addon.ui.session.job import _fixed_map, image_map
 from tests.builders.captures import write_png
 
 CONFIG = """ocio_profile_version: 2
@@ -190,6 +190,6 @@ def test_painted_photographs_and_given_colours_are_linear_rec_709(space):
     base_color = load_model("principled").parameter("base_color")
     np.testing.assert_allclose(image_map(image, base_color, (2, 2))[0, 0], RED, atol=1e-4)
     item = SimpleNamespace(image=None, color=tuple(space @ RED), value=0.0)
-    np.testing.assert_allclose(_given_map(item, base_color, (2, 2), (1001,)), RED, atol=1e-4)
+    np.testing.assert_allclose(_fixed_map(item, base_color, (2, 2), (1001,)), RED, atol=1e-4)
     item.color = (1.0, 1.0, 1.0)  # white stays inside the parameter's limits
-    np.testing.assert_allclose(_given_map(item, base_color, (2, 2), (1001,)), 1, atol=1e-4)
+    np.testing.assert_allclose(_fixed_map(item, base_color, (2, 2), (1001,)), 1, atol=1e-4)
