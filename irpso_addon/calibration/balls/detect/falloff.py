@@ -66,7 +66,7 @@ def _fitted(
         residual = _centred(value - law - height * gloss, weights)
         scale = max(1.4826 * float(np.median(np.abs(residual[usable]))), _LEAST_SCALE)
         weights = usable * tukey(residual, scale)
-        residual, slope, gloss = (_centred(share, weights) for share in (value - law - height * gloss, slope, gloss))
+        residual, slope, gloss = (_centred(array, weights) for array in (value - law - height * gloss, slope, gloss))
         ratio = (weights * slope * gloss).sum() / max((weights * gloss**2).sum(), 1e-12)
         projected = slope - ratio * gloss  # derivative of the law, orthogonal to the lobe
         power, gain = (weights * projected**2).sum(axis=1), (weights * projected * residual).sum(axis=1)

@@ -40,9 +40,9 @@ def agreement(
     """Return the correlation, −1…1, of the darkness around a ball with its predicted shadow, and the best table.
 
     stack: (K, H, W) grey values over white. lights: (K, 3) unit, from the ball, NaN where unknown. near: compare only
-    tables near this one. around: the ball around which pixels are compared (default: the ball). inverse: the ball's radius
-    over the lamps' distance. noise: standard deviation of the values. A correlation of 0: nothing darkens. None: no
-    surface is lit, or fewer than three lights are known.
+    tables near this one. around: the ball around which pixels are compared (default: ``ball``). inverse: the ball's
+    radius over the lamps' distance. noise: standard deviation of the values. A correlation of 0: nothing darkens. None:
+    no surface is lit, or fewer than three lights are known.
     """
     known = np.isfinite(lights).all(axis=-1)
     around = around or ball
