@@ -112,7 +112,7 @@ def _quality(small: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
 
 
 def _substitute(small: np.ndarray, index: int, reach: float, quality: np.ndarray, free: np.ndarray) -> int:
-    """Return the frame of best quality in the run about ``index`` whose light differs by at most ``reach``."""
+    """Return the best frame of the run about ``index`` whose light differs by at most ``reach``, or a neighbour."""
     similar = _rms(small - small[index]) <= reach
     similar[max(index - 1, 0) : index + 2] = True
     similar &= free
