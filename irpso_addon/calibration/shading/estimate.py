@@ -72,9 +72,9 @@ def shading_steps(
         pixels = lit[part_of[lit] != part]
         steps = _lights(scaled, usable, pixels, mask, np.random.default_rng(seed))
         fits.append((yield from _counted(steps, part)))
-    lights, outward = fits[-1]
-    strength = np.linalg.norm(lights, axis=-1)
-    directions = lights / strength[:, None]
+    full, outward = fits[-1]
+    strength = np.linalg.norm(full, axis=-1)
+    directions = full / strength[:, None]
     solid = abs(outward) >= _OUTLINE
     replicates = np.stack([_unit(lights) for lights, _ in fits[:-1]])
     if not solid:  # a part may have found the inverse
