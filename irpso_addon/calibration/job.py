@@ -1,4 +1,4 @@
-"""One calibration job, from options to output. The command line and the window share it."""
+"""Calibration by balls, from options to lights and report. The command line and the window share it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from .balls.second_opinion import contradiction
 from .photographs import calibrated_table
 
 AUTO = "auto"
-_FEWEST = 0.5  # fraction of the photographs that must show a light
-_SEARCH = 0.7  # fraction of the work
-_PHONE, _MATTERS = 65.0, 2.0  # degrees: over a phone's picture, and by which lights may be off
-_FAR, _SIGNIFICANT = 5.0, 5.0  # picture widths to a distant lamp; standard errors
+_LEAST_LIT = 0.5  # least fraction of the photographs with a light
+_SEARCH = 0.7  # fraction of the work in the search for balls
+_PHONE, _TOLERATED = 65.0, 2.0  # degrees: field of view of a phone; tolerated error of lights
+_FAR, _SIGNIFICANT = 5.0, 5.0  # image widths to a distant lamp; standard errors of a near one
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
     " --ball none finds lights by the subject's own shading"
@@ -39,7 +39,7 @@ _NO_BALL = (
 
 @dataclass(frozen=True)
 class BallRequest:
-    """Where a ball is. mask: an image, white on the ball. numbers: x, y, radius, or x1, y1, x2, y2, x3, y3, ….
+    """Location of a ball. mask: an image, white on the ball. numbers: x, y, radius, or x1, y1, x2, y2, x3, y3, ….
 
     Pixels count from the upper left corner, as in image programs. Without both, all balls are searched.
     """
@@ -74,7 +74,7 @@ def ball_of_text(text: str) -> BallRequest:
 
 
 def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: int, radius: float | None) -> Ball:
-    """Return the requested ball. Raises InputError where the mask has another size or shows no ball."""
+    """Return the requested ball. Raises InputError if the mask has another size or shows no ball."""
     name = f"ball {number}"
     if request.mask is not None:
         size = store.size(ImageRef(request.mask))
@@ -97,10 +97,9 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Calibrated lights. shots: indices of the photographs in the spec. names: theirs. camera: index.
+    """Calibrated lights. camera: index. shots: indices of the photographs in the spec. names: of the photographs.
 
-    request: what was asked for. radius: of the balls, as given. found: the balls that a search found, also those that
-    calibration does not use.
+    request: the options. radius: of the balls, as given. found: all balls that the search found, used or not.
     """
 
     spec: CaptureSpec
@@ -128,14 +127,13 @@ def calibrate_steps(
     view: str | None = None,
     dropped: Collection[str] = (),
 ) -> Generator[float, None, Calibrated]:
-    """Yield the finished fraction of the work; return the lights that the balls show.
+    """Yield the finished fraction of the work; return the lights by balls.
 
-    Without requests, or with one that is ``searched``, the photographs are searched for balls. radius: of the balls,
-    in world units. view: name of the camera, needed where the spec has several. dropped: names of photographs whose
-    highlight is not the lamp's; they are left out.
-    Raises InputError, also where more than half of the photographs show no light.
+    Without requests, or if all are ``searched``, the photographs are searched for balls. radius: of the balls, in world
+    units. view: name of the camera, required if the spec has several. dropped: names of photographs to leave out, whose
+    highlight is not the lamp's. Raises InputError, also if more than half of the photographs show no light.
     """
-    number, asked = _camera_number(spec, view), request
+    number, original_request = _camera_number(spec, view), request
     capture = build_capture(spec, decoder)
     shots = tuple(n for n, shot in enumerate(spec.observations) if shot.camera == number)
     camera = capture.cameras[number]
@@ -155,45 +153,45 @@ def calibrate_steps(
         request = replace(request, kind=used[0].kind, inverse=inverse, tables=tables_of(used))
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
-    begun = _SEARCH if found else 0.0
+    start = _SEARCH if found else 0.0
     others = [ball for ball in found if ball.exact and ball.kind != request.kind][:1]
-    each = (1 - begun) / (1 + len(others)) / len(shots)
-    result = yield from map_steps(calibration_steps(readers, balls, request), lambda n: begun + each * n)
+    each = (1 - start) / (1 + len(others)) / len(shots)
+    result = yield from map_steps(calibration_steps(readers, balls, request), lambda n: start + each * n)
     names = tuple(spec.observations[n].name for n in shots)
     result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
-    doubts: list[str] = []
+    contradictions: list[str] = []
     for other in others:
         steps = _second_opinion_steps(readers, camera, of_one_kind(found)[0], result, other)
-        doubts += yield from map_steps(steps, lambda n: 1 - each * (len(shots) - n))
+        contradictions += yield from map_steps(steps, lambda n: 1 - each * (len(shots) - n))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
-    shown = sum(light.light is not None for light in result.lights)
-    if shown < max(1, _FEWEST * len(shots)):
-        lost = next(i for i, light in enumerate(result.lights) if light.light is None)
+    lit = sum(light.light is not None for light in result.lights)
+    if lit < max(1, _LEAST_LIT * len(shots)):
+        missing = next(i for i, light in enumerate(result.lights) if light.light is None)
         raise InputError(
-            f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - shown} of {len(shots)}"
+            f"{names[missing]}: {'; '.join(result.lights[missing].warnings)} ({len(shots) - lit} of {len(shots)}"
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
-        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *doubts,
+        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *contradictions,
         *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
-    return Calibrated(spec, number, shots, names, result, tuple(warnings), asked, radius, found)
+    return Calibrated(spec, number, shots, names, result, tuple(warnings), original_request, radius, found)
 
 
 def _second_opinion_steps(
     readers: Sequence[Callable[[], np.ndarray]], camera: Camera, used: FoundBall, result: Calibration, other: FoundBall
 ) -> Generator[int, None, list[str]]:
-    """Yield the number of each photograph; return a warning where the lights of a ball of the other kind contradict."""
+    """Yield the number of each photograph; return a warning if a ball of the other kind shows other lights."""
     if result.near:
         return []
     ball = as_ball(other, camera, "other", None)
     request = Request(other.kind, inverse=other.inverse[0] / ball.radius, tables=tables_of([other]))
-    found = yield from calibration_steps(readers, [ball], request)
-    warning = contradiction(used, result.lights, other, found.lights, camera)
+    calibration = yield from calibration_steps(readers, [ball], request)
+    warning = contradiction(used, result.lights, other, calibration.lights, camera)
     return [warning] if warning else []
 
 
@@ -206,7 +204,7 @@ def _without(dropped: Collection[str], name: str, light: FoundLight) -> FoundLig
 def _given_balls(
     requests: Sequence[BallRequest], request: Request, camera: Camera, store: ImageStore, radius: float | None
 ) -> list[Ball]:
-    """Return the balls whose places are given. Raises InputError where only some are, or their kind is not."""
+    """Return the balls at given places. Raises InputError if some are to be searched, or no kind is given."""
     if any(ball.searched for ball in requests):
         raise InputError("--ball auto: finds all balls; omit the other --ball, or give the place of every ball")
     if request.kind == AUTO:
@@ -223,16 +221,16 @@ def _too_small(ball: FoundBall, camera: Camera) -> InputError:
 
 
 def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[str]:
-    """Return a warning where nothing states the lens and balls lie far enough off the axis for it to matter.
+    """Return a warning if the lens is unknown and the balls lie far off the axis.
 
-    Rays of a lens that is taken as orthographic are off by their angle to the axis, and so are the lights.
+    An unknown lens is taken as orthographic. Its rays, and so the lights, are off by their angle to the axis.
     """
     if camera.perspective or view.lens:
         return []
-    middles = np.array([ball.outline[:-1].mean(axis=0) for ball in balls])
-    away = np.linalg.norm(middles - (camera.width / 2, camera.height / 2), axis=-1).max() / (camera.width / 2)
-    degrees = np.degrees(np.arctan(away * np.tan(np.radians(_PHONE / 2))))
-    if degrees < _MATTERS:
+    centres = np.array([ball.outline[:-1].mean(axis=0) for ball in balls])
+    offset = np.linalg.norm(centres - (camera.width / 2, camera.height / 2), axis=-1).max() / (camera.width / 2)
+    degrees = np.degrees(np.arctan(offset * np.tan(np.radians(_PHONE / 2))))
+    if degrees < _TOLERATED:
         return []
     return [
         f"the field of view is unknown, so a very long lens is assumed; if it is a phone's ({_PHONE:.0f}° over the"
@@ -241,7 +239,7 @@ def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[
 
 
 def _doubts(found: Sequence[FoundBall]) -> list[str]:
-    """Return warnings about balls that a search found."""
+    """Return warnings about balls that the search found but that are unused, or without shadow."""
     used, warnings = of_one_kind(found) if found else [], []
     for ball in found:
         where = f"the {ball.kind} ball of radius {ball.radius:.0f} pixels that was found"
@@ -255,7 +253,7 @@ def _doubts(found: Sequence[FoundBall]) -> list[str]:
 
 
 def near_lamps(found: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
-    """Return a warning where lights count as distant, and their fall-off over the table says that they are not."""
+    """Return a warning if lights are output as distant, but fall off over the table like near ones."""
     if result.near or not found or not of_one_kind(found):
         return []
     ball = of_one_kind(found)[0]
@@ -269,7 +267,7 @@ def near_lamps(found: Sequence[FoundBall], result: Calibration, camera: Camera) 
 
 
 def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:
-    """Raise InputError where a distance has no unit."""
+    """Raise InputError if a distance has no unit or lies within the ball."""
     if request.distance is None:
         return
     if radius is not None and request.distance <= radius:
@@ -284,7 +282,7 @@ def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: fl
 
 
 def _refuse_radii(spec: CaptureSpec, number: int) -> None:
-    """Raise InputError where the capture has a unit of length and the light positions would be in ball radii."""
+    """Raise InputError if the capture has a unit of length, but light positions would be in ball radii."""
     placed = spec.views[number].placed
     if placed or spec.card_distance is not None:
         raise InputError(
@@ -362,7 +360,7 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
 
 
 def _circle(ball: Ball) -> list[float]:
-    """Return x, y and radius of a circle like a ball's outline; pixels count from the upper left corner."""
+    """Return x, y and radius of a ball's outline as a circle; pixels count from the upper left corner."""
     points = ball.outline[:-1]
     x, y = (points.max(axis=0) + points.min(axis=0)) / 2
     return [round(float(v), 2) for v in (x, ball.camera.height - y, np.ptp(points, axis=0).mean() / 2)]
@@ -376,7 +374,7 @@ def _highlight(sight: Sight | None, height: int) -> list[float] | None:
 
 
 def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
-    """Return a found ball's row; pixels count from the upper left corner."""
+    """Return the report's row of a found ball; pixels count from the upper left corner."""
     x, y = ball.centre
     height = calibrated.result.views[0].ball.camera.height
     return {

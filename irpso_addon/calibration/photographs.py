@@ -1,4 +1,4 @@
-"""Photographs of balls: a capture, or a folder of images without lights."""
+"""Input of calibrations: a capture, or a folder of images or videos without lights; and output as capture.toml."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
 _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
-_EITHER = ({"crop", "corners"}, {"card_width", table.CARD_DISTANCE})  # keys of which a table has one
+_EITHER = ({"crop", "corners"}, {"card_width", table.CARD_DISTANCE})  # mutually exclusive keys
 _PATH_KEYS = ("image", "mask", "cameras")
 
 
 def is_photograph(path: Path) -> bool:
-    """Return whether a file's suffix is that of an image that is read."""
+    """Return whether a file's suffix is that of a supported image."""
     return path.suffix.lower() in _SUFFIXES or is_raw(path)
 
 
 def videos_of(path: Path) -> list[Path]:
     """Return the videos of a path: itself, or those of a folder without lists, sorted by name.
 
-    A video with a photograph's name is that of a phone's live photograph and does not count.
+    Videos with a photograph's name belong to a phone's live photographs and are ignored.
     """
     if path.suffix.lower() in _VIDEO_SUFFIXES and path.is_file():
         return [path]
-    if not path.is_dir() or _is_listed(path) or (path / diligent.FILENAMES).exists():
+    if not path.is_dir() or _has_lights(path) or (path / diligent.FILENAMES).exists():
         return []
     files = sorted(path.iterdir())
     photographs = {p.stem.lower() for p in files if is_photograph(p)}
     return [p for p in files if p.suffix.lower() in _VIDEO_SUFFIXES and p.stem.lower() not in photographs]
 
 
-def _is_listed(folder: Path) -> bool:
+def _has_lights(folder: Path) -> bool:
     """Return whether a folder holds a capture with lights."""
     if (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists():
         return True
@@ -70,7 +70,7 @@ def read_photographs(
     """Return the spec of a capture, or of a folder of images or videos with placeholder lights.
 
     Images of a folder: those in filenames.txt, else all except masks and ``leave_out``, sorted by name; then
-    ``frames``, those of its videos, or of the video at ``path``. Its camera: camera.toml. Raises InputError where there
+    ``frames``, of its videos or of the video at ``path``. Its camera.toml gives the camera. Raises InputError if there
     are no images.
     """
     path = Path(path)
@@ -79,7 +79,7 @@ def read_photographs(
     if path.is_file() and is_photograph(path):
         raise CaptureError(f"{path}: is one photograph; give the folder of all of them", "kind")
     names = path / diligent.FILENAMES
-    if not path.is_dir() or _is_listed(path):
+    if not path.is_dir() or _has_lights(path):
         return read.read_spec(path, colour_space)
     hidden = {p.resolve() for p in leave_out}
     if names.exists():
@@ -117,9 +117,9 @@ def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> Captu
 
 
 def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str, Any]:
-    """Return the camera keys that the EXIF of all photographs agrees on; {} where the capture tells the lens itself.
+    """Return the field of view, as camera keys, by the EXIF of the first and last photograph.
 
-    Also {} where files do not tell it, differ, were cropped, or the capture has several cameras.
+    {} if the capture states the lens or has several cameras, or the files have no EXIF, differ or were cropped.
     """
     if len(spec.views) != 1 or spec.views[0].lens or is_exr(spec.observations[0].image.path):
         return {}
@@ -138,11 +138,11 @@ def calibrated_table(
     folder: Path,
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
-    """Return the text of a capture.toml in ``folder``: the spec's, with its lights replaced.
+    """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot. card: keys of the card, in
-    place of the source's. Everything else of a capture.toml stays, except comments. Image paths become relative to
-    ``folder``.
+    cameras: camera index → keys. lights: shot index → light; None removes the shot. card: keys of the card, which
+    replace the source's. Everything else of a capture.toml is preserved, except comments. Image paths become relative
+    to ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)
@@ -164,7 +164,7 @@ def calibrated_table(
             kept = {k: v for k, v in row.items() if k not in _LIGHT_KEYS}
             rows.append({**kept, **_light_keys(light, row.get("light_intensity"))})
     source["observation"] = rows
-    return "\n".join(_lines(_moved(source, home, folder))) + "\n"
+    return "\n".join(_lines(_rebased(source, home, folder))) + "\n"
 
 
 def _light_keys(light: Light, former: Any) -> dict[str, Any]:
@@ -175,7 +175,7 @@ def _light_keys(light: Light, former: Any) -> dict[str, Any]:
 
 
 def _as_table(spec: CaptureSpec) -> dict[str, Any]:
-    """Return the capture.toml table of a spec of another kind, with its paths unchanged."""
+    """Return the capture.toml table of a spec from another format, with its paths unchanged."""
     camera: dict[str, Any] = {"name": spec.views[0].name}
     file = (spec.source if spec.source.is_dir() else spec.source.parent) / CAMERA
     if file.exists() and spec.source.suffix.lower() != ".lp":
@@ -193,19 +193,19 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
     return {"format": table.FORMAT, "name": spec.name, "camera": [camera], "observation": rows}
 
 
-def _moved(value: Any, home: Path, folder: Path) -> Any:
+def _rebased(value: Any, home: Path, folder: Path) -> Any:
     """Return a table with its image paths rebased from ``home`` to ``folder``."""
     if isinstance(value, list):
-        return [_moved(item, home, folder) for item in value]
+        return [_rebased(item, home, folder) for item in value]
     if not isinstance(value, dict):
         return value
-    moved = {}
+    rebased = {}
     for key, item in value.items():
         if key in _PATH_KEYS and isinstance(item, str):
-            moved[key] = relative_path(home / item, folder)
+            rebased[key] = relative_path(home / item, folder)
         else:
-            moved[key] = _moved(item, home, folder) if key in ("camera", "observation") else item
-    return moved
+            rebased[key] = _rebased(item, home, folder) if key in ("camera", "observation") else item
+    return rebased
 
 
 def relative_path(path: Path, folder: Path) -> str:

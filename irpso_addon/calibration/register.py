@@ -1,10 +1,10 @@
-"""Registration of one camera's frames under different lights: small shifts, and their removal.
+"""Registration of one camera's frames under different lights: estimation and removal of small shifts.
 
-1. Phase correlation of edges (Kuglin and Hines 1975), refined below a pixel by an upsampled transform about the peak
-(Guizar-Sicairos, Thurman and Fienup 2008). 2. A fit of each frame by three images made of the others, which span a
+1. Phase correlation of edges (Kuglin and Hines 1975), with subpixel refinement by an upsampled transform about the peak
+(Guizar-Sicairos, Thurman and Fienup 2008). 2. A fit of each frame by three basis images of the others, which span a
 matt surface under every distant light (Shashua 1997), and by its own derivatives, whose factors are the remaining
-shift (Hager and Belhumeur 1998). Measured on cards with texture, relief and 2 % noise: step 1 errs by 0.02 px where
-texture prevails and by 1.4 px where relief does, step 2 by at most 0.03 px in both.
+shift (Hager and Belhumeur 1998). Measured on cards with texture, relief and 2 % noise: step 1 errs by 0.02 px if
+texture dominates and by 1.4 px if relief does, step 2 by at most 0.03 px in both.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from ..capture.inspect import three_images
 from ..capture.inspect.checks import edge_sizes, whitened
 from ..core.steps import at_once
 
-_REACH, _SMALLEST = 32, 32  # pixels searched on each side; least side of a frame, pixels
-_ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the other frames; pixels: the change that ends them
+_REACH, _SMALLEST = 32, 32  # pixels: search range to each side; least side of a frame
+_ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the other frames; pixels: change that ends them
 _UPSAMPLED = (0.1, 0.01)  # pixels: steps of the two transforms about the peak
 _STEPS = 15  # on each side of the peak
-_PEAK = 6.0  # deviations above the noise: least peak of a true shift
-_ENOUGH = 10  # least frames for fits: 8 frames made the shifts worse (0.02 px to 0.06), 10 better (0.01)
-_FITS, _SETTLED = 16, 0.005  # most fits; pixels: the largest change that ends them
-_LONGEST_STEP = 1.0  # pixels in one fit: derivatives are not valid beyond
-# Correlation with the fit below which a frame is reported and not moved; fraction of such frames above which no fit is
-# used. Measured at the right place: a matt subject 0.97 and more, with cast shadows too; a shiny one about 0.7, and its
-# fits err by 2 px.
-_AGREE, _MOST_ASTRAY = 0.8, 0.34
+_PEAK = 6.0  # deviations: least height of the peak of a trusted shift
+_FEWEST_FOR_FITS = 10  # least frames for fits: 8 frames made the shifts worse (0.02 px to 0.06), 10 better (0.01)
+_FITS, _SETTLED = 16, 0.005  # most fits; pixels: largest change that ends them
+_LONGEST_STEP = 1.0  # pixels per fit: the linearisation is not valid beyond
+# Correlation with the fit: below, a frame is not trusted; fraction of such frames: above, none is. Measured at the
+# correct shift: 0.97 and more for a matt subject, even with cast shadows; about 0.7 for a shiny one, whose fits err by
+# 2 px.
+_LEAST_AGREEMENT, _MOST_UNTRUSTED = 0.8, 0.34
 SMALLEST_MOVE = 0.01  # pixels: smaller shifts are not resampled
-_LOBES, _LOST = 3, 0.03  # Lanczos; most of a pixel's kernel that may fall on pixels without weight
+_LOBES, _MOST_OUTSIDE = 3, 0.03  # of Lanczos; most of the kernel on pixels without weight
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Shifts:
 
 
 def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None, Shifts]:
-    """Return the shifts of frames (K, H, W), linear grey radiance, from the reference, or from the first trusted frame.
+    """Yield the fraction done, 0…1; return the shifts of frames (K, H, W), linear grey radiance, from the reference.
 
-    Yields the fraction done, 0…1. The search covers 32 pixels each way. Frames with a side below 32 pixels stay
-    unmoved. Fewer than ten frames use correlation alone.
+    If the reference is not trusted, they are from the first trusted frame. The search range is 32 pixels to each side.
+    Shifts are 0 for frames with a side below 32 pixels. With fewer than ten frames, correlation alone is used.
     """
     frames = np.asarray(frames, np.float32)
     count = len(frames)
@@ -59,10 +59,10 @@ def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None
     if count < 2 or min(frames.shape[1:]) < _SMALLEST:
         return Shifts(np.zeros((count, 2)), agreement, np.ones(count, bool))
     pixels, trusted = yield from _correlated(frames)
-    if trusted.sum() >= _ENOUGH:
+    if trusted.sum() >= _FEWEST_FOR_FITS:
         pixels, agreement = yield from _fitted(frames, pixels, trusted)
-        trusted &= agreement >= _AGREE
-        if (~trusted).sum() > _MOST_ASTRAY * count:
+        trusted &= agreement >= _LEAST_AGREEMENT
+        if (~trusted).sum() > _MOST_UNTRUSTED * count:
             trusted[:] = False
     origin = reference if trusted[reference] or not trusted.any() else int(trusted.argmax())
     pixels = np.where(trusted[:, None], pixels - pixels[origin], 0.0)
@@ -73,7 +73,7 @@ find_shifts = at_once("find_shifts", shift_steps)
 
 
 def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
-    """Return (K, 2) shifts by correlation of edges with the mean of the others, and (K,) bool: peak above noise."""
+    """Return shifts (K, 2) by correlation of edges with the mean of the others, and bool (K,): peak above noise."""
     count, shape = len(frames), frames.shape[1:]
     spectra = []
     for k, frame in enumerate(frames):
@@ -89,13 +89,13 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
             others = total - moved[k] if trusted[k] else total
             *shifts[k], peak = _peak(spectra[k] * np.conj(others), shape)
             trusted[k] = peak >= _PEAK
-        # The mean contains the frame's own shift; without this factor two frames would swap places for ever.
+        # The shifts are relative to a mean that moves, too; without this factor two frames would oscillate.
         good = max(int(trusted.sum()), 2)
         change = (shifts - pixels) * (good - 1) / good
         pixels = pixels + change
         if np.abs(change).max() < _ALIGNED:
             break
-    for k in np.flatnonzero(~trusted).tolist():  # a light far from the mean's may suit a neighbour
+    for k in np.flatnonzero(~trusted).tolist():  # a frame whose light is far from the mean's may match one neighbour
         tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]
         if tries and (best := max(tries, key=lambda t: t[2]))[2] >= _PEAK:
             pixels[k], trusted[k] = best[:2], True
@@ -109,7 +109,7 @@ def _phases(shape: tuple[int, ...], right: float, up: float) -> np.ndarray:
 
 
 def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, float]:
-    """Return the place (right, up) of a cross spectrum's largest correlation, and its height in deviations."""
+    """Return the shift (right, up) of a cross spectrum's correlation peak, and its height in deviations."""
     cross = whitened(cross, shape)
     field = np.fft.fftshift(np.fft.irfft2(cross, shape))
     row, column = (side // 2 for side in shape)
@@ -118,7 +118,7 @@ def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, floa
     up, right = (float(v) - reach for v in np.unravel_index(window.argmax(), window.shape))
     height = (window.max() - np.median(window)) / (window.std() + 1e-30)
     rows, columns = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
-    twice = np.where((columns > 0) & (columns < 0.5), 2.0, 1.0)  # rfft2 leaves out half of the spectrum
+    twice = np.where((columns > 0) & (columns < 0.5), 2.0, 1.0)  # rfft2 omits half of the spectrum
     for step in _UPSAMPLED:
         offsets = np.arange(-_STEPS, _STEPS + 1) * step
         left = np.exp(2j * np.pi * np.outer(up + offsets, rows))
@@ -131,7 +131,7 @@ def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, floa
 def _fitted(
     frames: np.ndarray, pixels: np.ndarray, trusted: np.ndarray
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
-    """Return (K, 2) shifts from fits of each trusted frame by images made of the others, and (K,) correlations."""
+    """Return shifts (K, 2) from fits of each trusted frame by basis images of the others, and correlations (K,)."""
     shape, chosen = frames.shape[1:], np.flatnonzero(trusted)
     low_pass, fade = three_images.low_pass(shape), three_images.fading(shape)
     spectra = [(np.fft.rfft2(frames[k] / three_images.scale_of(frames[k])) * low_pass).astype(np.complex64)
@@ -154,7 +154,7 @@ def _fitted(
 def _fit(images: np.ndarray, fade: np.ndarray, weights: list) -> tuple[np.ndarray, np.ndarray]:
     """Return the remaining shifts (K, 2) of images (K, H, W), and their correlations (K,) with their fits.
 
-    weights: of each image's pixels, from the previous fit; this fit replaces them.
+    weights: of each image's pixels, from the previous fit, or None; updated in place.
     """
     count = len(images)
     flat = (images * fade).reshape(count, -1)
@@ -175,26 +175,26 @@ def _fit(images: np.ndarray, fade: np.ndarray, weights: list) -> tuple[np.ndarra
 
 
 def moved_back(image: np.ndarray, right: float, up: float) -> np.ndarray:
-    """Return (H, W, 4) radiance and weight, moved back by (right, up) pixels.
+    """Return radiance and weight (H, W, 4), moved back by (right, up) pixels.
 
-    Lanczos with three lobes (Duchon 1979). Pixels from outside the frame or of weight 0 give weight 0.
+    Lanczos kernel with three lobes (Duchon 1979). Pixels that depend on pixels outside or of weight 0 get weight 0.
     """
     colour, weight = image[..., :3], image[..., 3]
     bad = (weight <= 0).astype(np.float32)
     colour = np.nan_to_num(colour, posinf=0, neginf=0)
     for axis, distance in ((0, up), (1, right)):
-        colour, weight = _slid(colour, distance, axis), _slid(weight, distance, axis)
-        bad = _slid(bad, distance, axis, outside=True)
+        colour, weight = _shifted(colour, distance, axis), _shifted(weight, distance, axis)
+        bad = _shifted(bad, distance, axis, outside=True)
     weight = np.where(weight > 1 - 1e-5, 1, np.maximum(weight, 0))  # a weight of 1 stays 1 despite rounding
     result = np.concatenate([colour, weight[..., None]], axis=-1).astype(np.float32)
-    result[..., 3][bad > _LOST] = 0
+    result[..., 3][bad > _MOST_OUTSIDE] = 0
     return result
 
 
-def _slid(array: np.ndarray, distance: float, axis: int, outside: bool = False) -> np.ndarray:
-    """Return array(x + distance) along an axis, with its border repeated beyond the ends.
+def _shifted(array: np.ndarray, distance: float, axis: int, outside: bool = False) -> np.ndarray:
+    """Return array(x + distance) along an axis; the border is repeated beyond the ends.
 
-    outside: pad with 1 and use the kernel's magnitudes: how much of the kernel falls where the array is 1.
+    outside: pad with 1 and use the kernel's magnitudes, for the part of the kernel on values of 1.
     """
     whole = int(np.floor(distance))
     taps = np.arange(1 - _LOBES, _LOBES + 1)

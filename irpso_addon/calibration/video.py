@@ -1,4 +1,4 @@
-"""Photographs from a video of a lamp carried around: frames of different light, sharp, with the lamp at rest."""
+"""Selection of sharp frames under different lights from a video of a lamp that is carried around."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ..core.errors import InputError
 from .register import find_shifts
 
 LOOKED_AT = 600  # most frames of a video that are compared
-FEWEST = 3  # frames of different light: less are no capture
-_SIDE, _CROP = 48, 384  # pixels: the longest side of a small frame; of what is registered
-_DENSE = 4  # pixels on a side of those that a pixel of a small frame is the mean of
-_DARK = 0.25  # of the median brightness: below, the lamp is off or the video fades
+FEWEST = 3  # frames of different light in a capture
+_SIDE, _CROP = 48, 384  # pixels: longest side of a small frame; of the crop that is registered
+_DENSE = 4  # sampled pixels along a side of the block that is averaged to a pixel of a small frame
+_DARK = 0.25  # of the median brightness: below, the lamp is off, or the video fades
 # Relative RMS of the square roots of normalised radiance. Lights 2° apart differ by 0.005, 15° apart by 0.04 and more.
 _SAME_LIGHT, _ONE_LIGHT = 0.01, 0.03
-_ALIKE = 0.5  # of a frame's difference from the chosen ones: within, a neighbour in time may stand for it
-_MOVED, _MOST_MOVED = 2.0, 0.1  # pixels; of the frames
+_ALIKE = 0.5  # of a frame's difference from the chosen ones: closer neighbours in time may replace it
+_MOVED, _MOST_MOVED = 2.0, 0.1  # pixels; fraction of the frames
 
 
 @dataclass(frozen=True)
 class Look:
-    """A frame as it is compared. small: (h, w) square root of radiance / mean. brightness: mean linear radiance.
+    """Descriptor of a frame. small: (h, w) square root of radiance / mean. brightness: mean linear radiance.
 
-    sharpness: mean size of the second derivative of the middle / its mean.
+    sharpness: mean absolute Laplacian of the middle / its mean.
     """
 
     small: np.ndarray
@@ -36,26 +36,26 @@ class Look:
 
 
 def look_at(codes: np.ndarray, linearised: Callable[[np.ndarray], np.ndarray]) -> Look:
-    """Return the look of a frame (H, W, 3), of which a part of the pixels is made linear."""
+    """Return the descriptor of a frame (H, W, 3). linearised: codes to radiance, applied to a part of the pixels."""
     step = max(1, max(codes.shape) // (_DENSE * _SIDE))
     small = _shrunk(linearised(codes[::step, ::step]).mean(axis=-1), _SIDE)
     middle = linearised(codes[middle_window(np.ones(codes.shape[:2], bool), _CROP)]).mean(axis=-1)
-    curved = np.abs(
+    curvature = np.abs(
         4 * middle[1:-1, 1:-1] - middle[:-2, 1:-1] - middle[2:, 1:-1] - middle[1:-1, :-2] - middle[1:-1, 2:]
     )
     return Look(
         np.sqrt(np.maximum(small, 0) / max(float(small.mean()), 1e-9)),
         float(small.mean()),
-        float(curved.mean() / max(float(middle.mean()), 1e-9)),
+        float(curvature.mean() / max(float(middle.mean()), 1e-9)),
     )
 
 
 def chosen_frames(looks: Sequence[Look], count: int, where: str) -> list[int]:
-    """Return the indices of at most ``count`` frames, in order, that differ most in light.
+    """Return the indices, in order, of at most ``count`` frames whose lights differ most.
 
-    Farthest-point selection (Gonzalez 1985); each chosen frame is replaced by the sharpest of its neighbours in time of
-    nearly the same light, those with the lamp at rest preferred. Dark frames are left out. where: names the video in
-    errors. Raises InputError if fewer than three lights differ.
+    Farthest-point selection (Gonzalez 1985); each chosen frame is replaced by the sharpest of its neighbours in time
+    with nearly the same light, with a preference for a lamp at rest. Dark frames are excluded. where: names the video
+    in errors. Raises InputError if fewer than three lights differ.
     """
     bright = np.array([look.brightness for look in looks])
     usable = bright > _DARK * np.median(bright)
@@ -70,8 +70,8 @@ def chosen_frames(looks: Sequence[Look], count: int, where: str) -> list[int]:
             break
         free = usable & ~np.isin(np.arange(len(looks)), chosen)
         best = _substitute(small, nearest, _ALIKE * gap, quality, free)
-        away = _rms(small - small[best])
-        differences = np.minimum(differences, away) if chosen else away
+        distances = _rms(small - small[best])
+        differences = np.minimum(differences, distances) if chosen else distances
         chosen.append(best)
     if len(chosen) < FEWEST:
         raise InputError(
@@ -82,10 +82,10 @@ def chosen_frames(looks: Sequence[Look], count: int, where: str) -> list[int]:
 
 
 def check_camera(frames: Sequence[np.ndarray], where: str) -> int:
-    """Return how many of some linear grey frames (H, W) are shifted against the others.
+    """Return how many of the linear grey frames (H, W) are shifted by more than 2 pixels.
 
-    They are registered in the middle, pixel by pixel, and as a whole, made smaller, for large shifts. Raises InputError
-    if more than a tenth has moved.
+    Crops of the middle are registered at full size, and, for large shifts, whole frames at reduced size. Raises
+    InputError if more than a tenth of the frames is shifted.
     """
     shape = frames[0].shape
     window, factor = middle_window(np.ones(shape, bool), _CROP), -(-max(shape) // _CROP)
@@ -104,7 +104,7 @@ def check_camera(frames: Sequence[np.ndarray], where: str) -> int:
 
 
 def _quality(small: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
-    """Return (K,) sharpness, less where the light changes fast, which blurs highlights and shadows."""
+    """Return the sharpness (K,), reduced where the light changes fast, which blurs highlights and shadows."""
     before, after = np.roll(small, 1, axis=0), np.roll(small, -1, axis=0)
     before[0], after[-1] = small[0], small[-1]
     speed = _rms(after - before)
@@ -113,13 +113,13 @@ def _quality(small: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
 
 def _substitute(small: np.ndarray, index: int, reach: float, quality: np.ndarray, free: np.ndarray) -> int:
     """Return the best frame of the run about ``index`` whose light differs by at most ``reach``, or a neighbour."""
-    alike = _rms(small - small[index]) <= reach
-    alike[max(index - 1, 0) : index + 2] = True
-    alike &= free
+    similar = _rms(small - small[index]) <= reach
+    similar[max(index - 1, 0) : index + 2] = True
+    similar &= free
     first, last = index, index
-    while first > 0 and alike[first - 1]:
+    while first > 0 and similar[first - 1]:
         first -= 1
-    while last < len(small) - 1 and alike[last + 1]:
+    while last < len(small) - 1 and similar[last + 1]:
         last += 1
     return first + int(quality[first : last + 1].argmax())
 
@@ -129,7 +129,7 @@ def _rms(rows: np.ndarray) -> np.ndarray:
 
 
 def _shrunk(grey: np.ndarray, longest: int) -> np.ndarray:
-    """Return (H, W) averaged over blocks, its longest side at most ``longest``."""
+    """Average an image (H, W) over blocks to a longest side of at most ``longest``."""
     factor = -(-max(grey.shape) // longest)
     height, width = grey.shape
     return shrunk(grey, (min(factor, height), min(factor, width)))

@@ -26,7 +26,7 @@ _REPORT, _PICTURE = "report.json", "balls.png"
 
 
 def checked_output(out: Path) -> Path:
-    """Return the output path. Raises InputError where it exists: nothing is overwritten."""
+    """Return the output path. Raises InputError if it exists: nothing is overwritten."""
     if out.suffix.lower() == ".toml":
         for path in (out, _beside(out, _REPORT), _beside(out, _PICTURE)):
             if path.exists():
@@ -49,7 +49,7 @@ def _beside(table: Path, name: str) -> Path:
 def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any]) -> None:
     """Write table, report and picture: into a new folder with the lists of a DiLiGenT capture, or as OUT.toml.
 
-    keys: of the camera. All files or none are written. Raises InputError where writing fails.
+    keys: of the camera. The output is atomic. Raises InputError if writing fails.
     """
     _write(
         out, lambda folder: written_table(calibrated, folder, keys), report_text(calibrated), _lists(calibrated),
@@ -65,10 +65,10 @@ def write_lights(
     out: Path,
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """Write a table and a report of lights that no ball shows: into a new folder, or as OUT.toml. All or nothing.
+    """Write a table and a report of lights from other sources than balls: into a new folder, or as OUT.toml.
 
-    keys: of the cameras. lights: one for each photograph. card: keys of the table in place of the
-    source's, lengths in the lights' unit. Raises InputError where writing fails.
+    keys: of the cameras. lights: one per photograph. card: keys that replace the source's, lengths in the lights' unit.
+    The output is atomic. Raises InputError if writing fails.
     """
     cameras = dict.fromkeys(range(len(spec.views)), keys) if keys else {}
     by_number = dict(enumerate(lights))
@@ -83,9 +83,9 @@ def _write(
     lists: Mapping[str, Sequence[str]] = MappingProxyType({}),
     picture: np.ndarray | None = None,
 ) -> None:
-    """Write a table, a report and a picture: into a new folder, with lists, or as OUT.toml. All files or none.
+    """Write a table, a report and a picture atomically: into a new folder, with lists, or as OUT.toml.
 
-    table_in: the table's text for a folder. lists: file name → lines. Raises InputError where writing fails.
+    table_in: folder → the table's text. lists: file name → lines. Raises InputError if writing fails.
     """
     if out.suffix.lower() == ".toml":
         _write_beside(out, {_beside(out, _REPORT): report, out: table_in(out.parent)}, picture)
@@ -101,7 +101,7 @@ def _write(
 
 
 def _write_beside(out: Path, texts: dict[Path, str], picture: np.ndarray | None) -> None:
-    """Write report and picture, then the table. Where writing fails, none of them stays."""
+    """Write report and picture, then the table. If writing fails, partial files are deleted."""
     partials = {path: path.with_name(f".{path.name}.partial-{os.getpid()}") for path in texts}
     shown = _beside(out, _PICTURE)
     hidden = shown.with_name(f".{shown.stem}.partial-{os.getpid()}.png")
@@ -124,10 +124,10 @@ def _write_beside(out: Path, texts: dict[Path, str], picture: np.ndarray | None)
 def _lists(calibrated: Calibrated) -> dict[str, list[str]]:
     """Return file name → lines of the DiLiGenT lists: names, directions (or positions), intensities."""
     result = calibrated.result
-    kept = [(name, light.light) for name, light in zip(calibrated.names, result.lights, strict=True) if light.light]
-    vectors = [" ".join(f"{v:.8f}" for v in light.vector) for _, light in kept]
-    lists = {FILENAMES: [name for name, _ in kept]}
+    located = [(name, light.light) for name, light in zip(calibrated.names, result.lights, strict=True) if light.light]
+    vectors = [" ".join(f"{v:.8f}" for v in light.vector) for _, light in located]
+    lists = {FILENAMES: [name for name, _ in located]}
     lists["light_positions.txt" if result.near else DIRECTIONS] = vectors
     if result.kind == "matte":
-        lists[INTENSITIES] = [" ".join(f"{v:.8f}" for v in light.intensity) for _, light in kept]
+        lists[INTENSITIES] = [" ".join(f"{v:.8f}" for v in light.intensity) for _, light in located]
     return lists

@@ -1,4 +1,4 @@
-"""A ball seen by a camera: its position from its outline, and the normal that a pixel shows."""
+"""A ball seen by a camera: fit of its position to its outline; surface points and normals at pixels."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ...core.errors import InputError
 SMALL = 15.0  # pixels of radius: below, half a pixel in the highlight is 4° in the light
 _SMALLEST = 5.0
 _UNEVEN, _NO_BALL = 0.02, 0.08  # RMS distance of the outline from the fit, in radii: warning, error
-_STEP = 0.7  # pixels: noise of a digital outline
+_DIGITAL_NOISE = 0.7  # pixels: an outline of whole pixels deviates by as much
 _ARC, _SHORT_ARC = 0.6, 0.25  # visible fraction of the outline: warning, error
-_GIVEN_ERROR = 0.5  # pixels: error of a circle given as numbers
+_STATED_ERROR = 0.5  # pixels: standard error of a circle that the user states
 _ITERATIONS = 30
 _CIRCLE_POINTS = 180
 
@@ -51,17 +51,17 @@ class Ball:
         return to_pixels(self.camera, rim)
 
     def surface(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return points (…, 3), unit normals (…, 3), unit vectors to the viewer (…, 3) and bool (…): the ray hits.
+        """Return points (…, 3), unit normals (…, 3), unit vectors to the viewer (…, 3), and whether rays hit, bool (…).
 
-        pixels: (…, 2) pixel coordinates. A ray that misses gets the values of the nearest point.
+        pixels: (…, 2) pixel coordinates. A ray that misses gets the values of its point nearest to the ball.
         """
         origin, ray = pixel_rays(self.camera, np.asarray(pixels, np.float64))
         toward = self.centre - origin
-        middle = (toward * ray).sum(axis=-1)
-        reach = self.radius**2 - (toward**2).sum(axis=-1) + middle**2
-        point = origin + (middle - np.sqrt(np.maximum(reach, 0)))[..., None] * ray
+        along = (toward * ray).sum(axis=-1)
+        discriminant = self.radius**2 - (toward**2).sum(axis=-1) + along**2
+        point = origin + (along - np.sqrt(np.maximum(discriminant, 0)))[..., None] * ray
         normal = point - self.centre
-        return point, normal / np.linalg.norm(normal, axis=-1, keepdims=True), -ray, reach > 0
+        return point, normal / np.linalg.norm(normal, axis=-1, keepdims=True), -ray, discriminant > 0
 
 
 def tangents(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -89,9 +89,9 @@ def to_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 def outline_of_mask(mask: np.ndarray) -> np.ndarray:
-    """Return (N, 2) pixel coordinates of the outer border of a mask (H, W) bool, row 0 at the bottom.
+    """Return the outer border (N, 2), in pixel coordinates, of a mask (H, W) bool, row 0 at the bottom.
 
-    Where the mask touches the frame there is no border: the ball may continue outside.
+    A mask that touches the edge of the image has no border there: the ball may continue outside.
     """
     rows = _crossings(mask)
     columns = _crossings(mask.T)[:, ::-1]
@@ -99,7 +99,7 @@ def outline_of_mask(mask: np.ndarray) -> np.ndarray:
 
 
 def _crossings(mask: np.ndarray) -> np.ndarray:
-    """Return (N, 2) x, y of the first step into the mask and the last step out of it, for each row."""
+    """Return x, y (N, 2) where each row first enters the mask and last leaves it."""
     rows = np.flatnonzero(mask.any(axis=1))
     first = mask[rows].argmax(axis=1)
     last = mask.shape[1] - mask[rows, ::-1].argmax(axis=1)
@@ -121,10 +121,11 @@ def fit_ball(
 ) -> Ball:
     """Return the sphere whose outline passes through points (N, 2) in pixel coordinates.
 
-    The rays of a perspective camera that touch a sphere form a right circular cone about the ray to its centre; the
-    fit is of this cone's axis and opening, not of an ellipse. For an orthographic camera it is a circle. It is robust
-    (Tukey 1960): dents of a mask hardly count. radius: of the ball, in world units. measured: the error of the fit
-    follows from the scatter of the points; else it is 0.5 pixels. Raises InputError where the points outline no ball.
+    The rays of a perspective camera that touch a sphere form a right circular cone about the ray to its centre. The
+    fit solves for this cone's axis and opening, not for an ellipse; for an orthographic camera, for a circle. Tukey's
+    weights (1960) suppress outliers, such as dents of a mask. radius: of the ball, in world units. measured: the
+    scatter of the points gives the standard errors; else they are 0.5 pixels. Raises InputError for points that do not
+    outline a ball.
     """
     points = np.asarray(points, np.float64)
     if len(points) < 3:
@@ -140,18 +141,18 @@ def fit_ball(
         weights = cone.weights()
         if step < 1e-9:
             break
-    sine_px = cone.pixels_a_unit
-    radius_px = cone.opening * sine_px
-    distance = cone.residuals() * sine_px
+    pixels_per_unit = cone.pixels_a_unit
+    radius_px = cone.opening * pixels_per_unit
+    distance = cone.residuals() * pixels_per_unit
     size = 1.0 if radius is None else radius
     if camera.perspective:
         centre = cone.axis * size / np.sin(cone.opening)
     else:
         centre, size = cone.axis, cone.opening
-    warnings, error = _size(name, radius_px), np.full(2, _GIVEN_ERROR)
+    warnings, error = _size(name, radius_px), np.full(2, _STATED_ERROR)
     if measured:
         warnings += _shape(name, radius_px, distance, weights, cone.seen_arc())
-        error = cone.errors(weights) * sine_px
+        error = cone.errors(weights) * pixels_per_unit
     return Ball(name, camera, centre, float(size), float(radius_px), (float(error[0]), float(error[1])), warnings)
 
 
@@ -165,7 +166,7 @@ class _Cone:
         self._camera = camera
         origins, rays = pixel_rays(camera, points)
         self._rays = rays if camera.perspective else origins
-        # Algebraic start: the product of ray and axis is constant; so is the distance from the centre to a point.
+        # Algebraic start: the product of ray and axis is constant on the cone.
         if camera.perspective:
             middle = self._rays.mean(axis=0)
             solution = np.linalg.lstsq(self._rays, np.ones(len(points)), rcond=None)[0]
@@ -180,7 +181,7 @@ class _Cone:
         self.pixels_a_unit = spread / max(np.linalg.norm(polar - polar.mean(axis=0), axis=-1).mean(), 1e-300)
 
     def _polar(self) -> np.ndarray:
-        """(N, 2) the points about the axis: the length is the angle to the axis, or the distance."""
+        """Return (N, 2): the direction of each ray about the axis, times its angle (orthographic: distance) to it."""
         if not self._camera.perspective:
             return (self._rays - self.axis)[:, :2]
         across, upward = tangents(self.axis)
@@ -193,7 +194,7 @@ class _Cone:
         return np.linalg.norm(self._polar(), axis=-1) - self.opening
 
     def weights(self) -> np.ndarray:
-        """Tukey's weights: 0 beyond 4.685 deviations; points within half a pixel always count."""
+        """Return Tukey's weights. The scale is at least 0.3 pixels, so points within half a pixel always count."""
         residuals = self.residuals()
         scale = max(1.4826 * np.median(np.abs(residuals)), 0.3 / self.pixels_a_unit)
         return tukey(residuals, scale)
@@ -201,10 +202,10 @@ class _Cone:
     def refine(self, weights: np.ndarray) -> float:
         """Make one Gauss–Newton step; return its length relative to the opening."""
         polar = self._polar()
-        away = np.linalg.norm(polar, axis=-1)
-        jacobian = self._jacobian(polar, away)
+        distance = np.linalg.norm(polar, axis=-1)
+        jacobian = self._jacobian(polar, distance)
         root = np.sqrt(weights)
-        step = np.linalg.lstsq(jacobian * root[:, None], (self.opening - away) * root, rcond=None)[0]
+        step = np.linalg.lstsq(jacobian * root[:, None], (self.opening - distance) * root, rcond=None)[0]
         self.opening += step[2]
         if self._camera.perspective:
             across, upward = tangents(self.axis)
@@ -215,11 +216,11 @@ class _Cone:
         return float(np.linalg.norm(step) / max(abs(self.opening), 1e-300))
 
     @staticmethod
-    def _jacobian(polar: np.ndarray, away: np.ndarray) -> np.ndarray:
-        return np.concatenate([-polar / np.maximum(away, 1e-300)[:, None], -np.ones((len(polar), 1))], axis=1)
+    def _jacobian(polar: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        return np.concatenate([-polar / np.maximum(distance, 1e-300)[:, None], -np.ones((len(polar), 1))], axis=1)
 
     def errors(self, weights: np.ndarray) -> np.ndarray:
-        """(2,) standard errors of centre and opening. Errors of neighbours on a digital outline are correlated."""
+        """Return standard errors (2,) of centre and opening; half of the points count, as neighbours correlate."""
         polar = self._polar()
         jacobian = self._jacobian(polar, np.linalg.norm(polar, axis=-1))
         variance = (weights * self.residuals() ** 2).sum() / max(weights.sum() / 2 - 3, 1)
@@ -227,7 +228,7 @@ class _Cone:
         return np.sqrt([np.trace(covariance[:2, :2]) / 2, covariance[2, 2]])
 
     def seen_arc(self) -> float:
-        """The fraction of the outline, 0…1, that has points nearby."""
+        """Return the fraction, 0…1, of 24 sectors of the outline that contain points."""
         polar = self._polar()
         bins = np.floor((np.arctan2(polar[:, 1], polar[:, 0]) / (2 * np.pi) + 0.5) * 24).astype(int) % 24
         return len(np.unique(bins)) / 24
@@ -244,16 +245,16 @@ def _size(name: str, radius_px: float) -> tuple[str, ...]:
 
 
 def _shape(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarray, arc: float) -> tuple[str, ...]:
-    """Return warnings about an outline. Raises InputError where it is not a ball's."""
+    """Return warnings about an outline. Raises InputError if it is not round or shows too short an arc."""
     warnings = []
     uneven = np.sqrt(np.mean(distance**2))
     if len(distance) > 12:  # the scatter of a few clicked points does not show the shape
-        if uneven > max(_NO_BALL * radius_px, 2 * _STEP):
+        if uneven > max(_NO_BALL * radius_px, 2 * _DIGITAL_NOISE):
             raise InputError(
                 f"{name}: the outline is not round: {uneven:.1f} pixels off a ball's of radius {radius_px:.0f}; paint"
                 " one ball white, all of it, and the rest black"
             )
-        if uneven > max(_UNEVEN * radius_px, _STEP):
+        if uneven > max(_UNEVEN * radius_px, _DIGITAL_NOISE):
             warnings.append(f"{name}: the outline is {uneven:.1f} pixels off a ball's; is the mask exact?")
         if arc < _SHORT_ARC:
             raise InputError(
@@ -267,5 +268,5 @@ def _shape(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarra
 
 
 def tukey(residuals: np.ndarray, scale: float) -> np.ndarray:
-    """Return the biweights of residuals of deviation ``scale``: 0 beyond 4.685 deviations (Beaton & Tukey 1974)."""
+    """Return Tukey's biweights of residuals of deviation ``scale``, 0 beyond 4.685 deviations (Beaton & Tukey 1974)."""
     return np.maximum(1 - (residuals / (4.685 * scale)) ** 2, 0) ** 2

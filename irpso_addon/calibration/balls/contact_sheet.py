@@ -12,21 +12,21 @@ from .picture import BallTile, ball_sheet
 
 
 def calibration_picture(calibrated: Calibrated) -> np.ndarray:
-    """Return (H, W, 3) display values: each ball in each photograph with its light, and the lights on a dome."""
+    """Return the sheet (H, W, 3), display values: each ball in each photograph, and all lights on a dome."""
     tiles = []
     result = calibrated.result
     lights = result.lights
     for number, (name, light) in enumerate(zip(calibrated.names, lights, strict=True)):
         tiles += [_tile(f"{number + 1} {name}", view, number, light, b) for b, view in enumerate(result.views)]
-    shown = [(light, next(s for s in light.sights if s is not None)) for light in lights if light.light is not None]
+    located = [(light, next(s for s in light.sights if s is not None)) for light in lights if light.light is not None]
     balls = len(result.views)
-    title = f"{len(shown)} lights from {balls} {result.kind} {'ball' if balls == 1 else 'balls'}\n{result.how}"
-    doubtful = [bool(light.warnings) for light, _ in shown]
-    return ball_sheet(tiles, np.array([sight.direction for _, sight in shown]), doubtful, title)
+    title = f"{len(located)} lights from {balls} {result.kind} {'ball' if balls == 1 else 'balls'}\n{result.how}"
+    doubtful = [bool(light.warnings) for light, _ in located]
+    return ball_sheet(tiles, np.array([sight.direction for _, sight in located]), doubtful, title)
 
 
-def _tile(label: str, view: BallView, number: int, light: FoundLight, which: int) -> BallTile:
-    sight = light.sights[which]
+def _tile(label: str, view: BallView, number: int, light: FoundLight, index: int) -> BallTile:
+    sight = light.sights[index]
     mark = curve = None
     if sight is not None and np.isfinite(sight.pixel).all():
         mark = _in_tile(view, sight.pixel[None])[0]
@@ -42,7 +42,7 @@ def _in_tile(view: BallView, pixels: np.ndarray) -> np.ndarray:
 
 
 def _terminator(ball: Ball, direction: np.ndarray) -> np.ndarray:
-    """Return (N, 2) pixels of the visible part of the terminator."""
+    """Return pixel coordinates (N, 2) of the terminator, visible part first; hidden points lie at −10⁶."""
     across, upward = tangents(direction)
     phi = np.linspace(0, 2 * np.pi, 120)[:, None]
     normals = np.cos(phi) * across + np.sin(phi) * upward

@@ -12,7 +12,7 @@ from ...core.filters import block_means
 from .ball import Ball
 
 _MARGIN = 3  # pixels around the outline
-_REACH, _COARSE = 6.0, 6.0  # half the side of a ball's surroundings, in radii; values along a radius there
+_REACH, _COARSE = 6.0, 6.0  # radii: margin of a ball's surroundings; values along a radius there
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,10 @@ class BallView:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What lies around a ball in K photographs. values: (K, h, w, 3) linear radiance, means of block × block pixels.
+    """The surroundings of a ball in K photographs.
 
-    origin: (2,) the pixel where the first value begins.
+    values: (K, h, w, 3) linear radiance, means of block × block pixels. origin: (2,) lower left corner of the first
+    value, in pixel coordinates.
     """
 
     values: np.ndarray
@@ -50,10 +51,10 @@ class Surroundings:
 def reading_steps(
     readers: Sequence[Callable[[], np.ndarray]], balls: Sequence[Ball], radius: float
 ) -> Generator[int, None, tuple[list[BallView], list[Surroundings]]]:
-    """Yield each image's number before it is read; return a BallView and the Surroundings of each ball.
+    """Yield each image's number before reading it; return a BallView and the Surroundings of each ball.
 
-    readers: each returns (H, W, 4) like ``Observation.read``. radius: largest radius in values; larger balls are
-    averaged down to it. Raises InputError where a ball is outside the picture.
+    readers: each returns (H, W, 4) like ``Observation.read``. radius: largest radius of a view, in values; larger balls
+    are averaged down to it. Raises InputError for a ball outside the image.
     """
     windows = [_window(ball) for ball in balls]
     blocks = [max(1, int(np.ceil(ball.radius_px / radius))) for ball in balls]
@@ -83,7 +84,7 @@ def reading_steps(
 
 
 def _window(ball: Ball, margin: int = _MARGIN) -> tuple[int, int, int, int]:
-    """Return x0, y0, x1, y1 of the ball's crop with so many pixels around it."""
+    """Return x0, y0, x1, y1 of the ball's crop, with ``margin`` pixels around its outline."""
     size = (ball.camera.width, ball.camera.height)
     outline = ball.outline[np.isfinite(ball.outline).all(axis=-1)]
     low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - margin, 0)
@@ -94,6 +95,6 @@ def _window(ball: Ball, margin: int = _MARGIN) -> tuple[int, int, int, int]:
 
 
 def _averaged(part: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return block means (h, w, 3) of an image (H, W, 4), and (h, w) bool: every pixel of the block is usable."""
+    """Return block means (h, w, 3) of an image (H, W, 4), and bool (h, w): all pixels of the block have weight."""
     usable = block_means((part[..., 3] > 0).astype(np.float32), block) == 1
     return block_means(part[..., :3].astype(np.float32, copy=False), block), usable

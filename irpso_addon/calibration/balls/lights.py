@@ -1,4 +1,4 @@
-"""Lights of a capture from photographs of balls."""
+"""Lights of a capture from mirror or matte balls: directions, positions and intensities with their errors."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _APART, _APART_DEGREES = 3.0, 2.0  # two balls disagree beyond both: standard er
 
 @dataclass(frozen=True)
 class FoundLight:
-    """One photograph's light. light: in world axes, or None. error: of its direction, degrees.
+    """One photograph's light.
 
-    distance_error: of a near light, relative. sights: each ball's view of it, in camera axes, or None.
-    warnings: doubts.
+    light: in world axes, or None. error: standard error of its direction, degrees. distance_error: relative standard
+    error of a near light's distance, or None. sights: the light as each ball shows it, in camera axes, or None.
     """
 
     light: Light | None
@@ -44,10 +44,10 @@ class FoundLight:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Lights from balls. kind: one of KINDS. near: lights have positions. how: the reason, in words.
+    """Lights from balls. kind: one of KINDS. near: lights have positions. how: in words, why they are near or distant.
 
     bounce: (3,) normal of the table below matte balls times its albedo, in camera axes; or (1,) the balls' albedo,
-    where the table is known and its light is gathered.
+    where the photographs show the table's light (see ``table.gathered``).
     """
 
     kind: str
@@ -63,8 +63,8 @@ class Request:
     """Options. kind: one of KINDS. lights: one of DISTANCES. distance: from the balls' centre to all lights, or None.
 
     albedo: (3,) of matte balls, or None: intensities are relative to the first light's. inverse: 1 / distance of lamps
-    that count as distant: directions are those from the balls' centre. tables: below each ball; none where they are
-    unknown.
+    that are output as distant; their directions start at the balls' centre. tables: one below each ball, or () if they
+    are unknown.
     """
 
     kind: str
@@ -78,7 +78,7 @@ class Request:
 def calibration_steps(
     readers: Sequence[Callable[[], np.ndarray]], balls: Sequence[Ball], request: Request
 ) -> Generator[int, None, Calibration]:
-    """Yield the number of each photograph before it is read; return the Calibration.
+    """Yield the number of each photograph before reading it; return the Calibration.
 
     readers: return (H, W, 4) like ``Observation.read``, all from the balls' camera. Raises InputError where the balls
     do not determine the requested lights.
@@ -87,19 +87,19 @@ def calibration_steps(
         raise InputError("near lights: one ball gives a direction only; add a second --ball, or --distance")
     if request.distance is not None and request.lights == "distant":
         raise InputError("--distance: distant lights have none; omit it, or --lights distant")
-    part = mirror if request.kind == "mirror" else matte
-    views, surroundings = yield from reading_steps(readers, balls, part.LARGEST_RADIUS)
+    method = mirror if request.kind == "mirror" else matte
+    views, surroundings = yield from reading_steps(readers, balls, method.LARGEST_RADIUS)
     centre = np.mean([ball.centre for ball in balls], axis=0)
-    return _by_mirror(views, centre, request) if part is mirror else _by_shading(views, surroundings, centre, request)
+    return _by_mirror(views, centre, request) if method is mirror else _by_shading(views, surroundings, centre, request)
 
 
 def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
     ups: list[np.ndarray | None] = [table.up for table in request.tables]
     highlights = list(zip(*map(find_highlights, views, ups or [None] * len(views)), strict=True))
     sights = [tuple(s if isinstance(s, Sight) else None for s in row) for row in highlights]
-    several = [_intersected(row, centre, True) for row in sights if sum(s is not None for s in row) > 1]
-    near, how = _decision(several, request, len(views))
-    median = _median_inverse(several)
+    intersections = [_intersected(row, centre, True) for row in sights if sum(s is not None for s in row) > 1]
+    near, how = _decision(intersections, request, len(views))
+    median = _median_inverse(intersections)
     lights = []
     for row, shown in zip(sights, highlights, strict=True):
         warnings = [s if isinstance(s, str) else w for s in shown for w in ([s] if isinstance(s, str) else s.warnings)]
@@ -146,7 +146,7 @@ def _by_shading(
 
 
 def _tables(found: tuple[Table, ...], bounce: np.ndarray) -> list[tuple[Table, ...]]:
-    """Return tables below balls: as found, and as the bounce (3,) says; the shadow alone may err by 25°."""
+    """Return candidate tables: those of the shadows, which may err by 25°, and those with the bounce's normal."""
     if not found or not bounce.any():
         return [found] if found else []
     up = bounce / np.linalg.norm(bounce)
@@ -154,7 +154,7 @@ def _tables(found: tuple[Table, ...], bounce: np.ndarray) -> list[tuple[Table, .
 
 
 def _misfit(fits: Sequence[Fit | str]) -> float:
-    """Return the median misfit of the lights, infinite without any."""
+    """Return the median misfit of the lights; infinity if there are none."""
     misfits = [fit.misfit for fit in fits if isinstance(fit, Fit)]
     return float(np.median(misfits)) if misfits else np.inf
 
@@ -166,7 +166,7 @@ def _median_inverse(intersections: Sequence[Intersection]) -> float | None:
 
 
 def _scaled(lights: list[FoundLight], request: Request) -> tuple[FoundLight, ...]:
-    """Return lights whose intensities, without an albedo, are relative to the first light's (near: at distance 1)."""
+    """Return lights; without an albedo, with intensities over that of the first light (near lights: at distance 1)."""
     lit = [f.light for f in lights if f.light is not None]
     if request.albedo or not lit or not np.min(lit[0].intensity) > 0:
         return tuple(lights)
@@ -195,9 +195,9 @@ def _doubts(fit: Fit) -> list[str]:
 def _located(
     row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: Request, median: float | None
 ) -> Intersection:
-    """Return the position of a light. median: 1 / distance for a light whose own distance is uncertain.
+    """Return a light's intersection. median: 1 / distance for a light whose own distance is uncertain.
 
-    A sight's direction starts on its ball: as seen from the balls' centre, a light 6 radii away lies up to 6° off it.
+    A sight's direction starts on its ball. From the balls' centre, a light 6 radii away lies up to 6° off it.
     """
     if not near:
         return _intersected(row, centre, False, request.inverse)
@@ -219,7 +219,7 @@ def _intersected(row: Sequence[Sight | None], centre: np.ndarray, near: bool, in
 
 
 def _of_fit(fit: Fit, views: Sequence[BallView]) -> Intersection:
-    """Return a fit as an intersection, with the error of the outlines, which turns the balls' normals."""
+    """Return a fit as an Intersection whose errors include those of the outlines, which rotate the balls' normals."""
     outline = np.mean([2 * (v.ball.error_px[0] ** 2) / v.ball.radius_px**2 for v in views]) ** 0.5
     centres = np.array([view.ball.centre for view in views])
     far = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()  # 0 for one ball
@@ -230,7 +230,7 @@ def _of_fit(fit: Fit, views: Sequence[BallView]) -> Intersection:
 
 
 def _brightest(ball: Ball, fit: Fit, intersection: Intersection) -> Sight:
-    """Return the point of a matte ball whose normal points to the light."""
+    """Return the Sight at the point of a matte ball whose normal points to the light."""
     point = ball.centre + ball.radius * fit.direction
     return Sight(np.full(2, np.nan), point, fit.direction, intersection.error)
 

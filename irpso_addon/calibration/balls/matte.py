@@ -13,17 +13,17 @@ from .shading import Shading
 
 LARGEST_RADIUS = 24.0  # values; shading is smooth, and averaging reduces noise
 _FEWEST = 40  # usable values
-_FEWEST_FOR_BOUNCE = 4  # photographs: in one alone a bounce looks like a turned light
+_FEWEST_FOR_BOUNCE = 4  # photographs: in a single one a bounce looks like a rotated light
 
 _ITERATIONS, _JOINT_ITERATIONS, _JACKKNIFE_ITERATIONS = 25, 40, 6
 _CHANNEL_ITERATIONS = 8
-_LEAST_SCALE = 0.002  # of the light's radiance: best possible fit
+_LEAST_SCALE = 0.002  # of the light's radiance: least scale of residuals
 _GRID = 400  # start directions
 _GRID_VALUES = 600
 _BOUNCE_START = (0.0, 0.1, 0.15)  # a table below and behind the ball that reflects a fifth
 _ALBEDO_START = (0.6,)  # of balls, where the table's light is known
-_SCATTER = 0.15  # deviation of the values from the fit, over the light's radiance: the light does not reach the ball
-_LEAST_BOUNCE = 0.01  # below, there is no table
+_SCATTER = 0.15  # deviation of residuals over the light's radiance; above, the light does not reach the ball
+_LEAST_BOUNCE = 0.01  # length of ``ground``; below, there is no table
 _BOUNCE_PRIOR = 1e-4  # weight against the data: keeps an undetermined bounce near its start
 _HIDDEN = "the shading is not a ball's: the lamp does not reach it"
 
@@ -50,7 +50,7 @@ class Fit:
 
 @dataclass
 class _State:
-    """One photograph's fit. parameters: k times the direction, inverse distance, ambient radiance of each ball."""
+    """One photograph's fit. grey, weights: (N,). parameters: see ``shading.direct``."""
 
     shading: Shading
     grey: np.ndarray
@@ -63,13 +63,13 @@ def fit_lights(
 ) -> tuple[list[Fit | str], np.ndarray]:
     """Return the light of each photograph, or in words why there is none, and ``ground`` of ``shading.bounced``.
 
-    Robust fit (Tukey 1960) of ambient + ``shading.direct`` + ``shading.bounced``: each photograph has its light and
-    ambient radiance, all share one bounce, which in a single photograph looks like a turned light. Measured in Cycles
+    Robust fit (Tukey 1960) of ambient + ``shading.direct`` + ``shading.bounced``. Each photograph has its own light and
+    ambient radiance; all share one bounce, which in a single photograph looks like a rotated light. Measured in Cycles
     on a table that reflects 40 %: without the bounce directions err by 2.5° to 4.2° in the mean. near: fit distances;
-    else ``inverse`` is 1 / distance of all lights, 0 for distant ones. Errors come from a jackknife over sectors of the
-    balls, so they include what the model does not describe.
+    else ``inverse`` is 1 / distance of all lights, 0 for distant ones. The standard errors come from a jackknife over
+    sectors of the balls, so they include errors of the model.
     """
-    fits: list[_State | str] = [_begun(shading, centre, near, inverse) for shading in shadings]
+    fits: list[_State | str] = [_initial_state(shading, centre, near, inverse) for shading in shadings]
     states = [state for state in fits if isinstance(state, _State)]
     ground = np.zeros(3)
     if len(states) >= _FEWEST_FOR_BOUNCE:
@@ -77,15 +77,15 @@ def fit_lights(
         for state in states:
             _refine(state, centre, ground, near, _ITERATIONS)
     radiances = iter(_radiances(states, centre, ground))
-    found: list[Fit | str] = []
+    results: list[Fit | str] = []
     for begun in fits:
         if isinstance(begun, str):
-            found.append(begun)
+            results.append(begun)
             continue
         radiance = next(radiances)
         hidden = _scatter(begun, centre, ground) > _SCATTER
-        found.append(_HIDDEN if hidden else _fit(begun, centre, ground, radiance, near))
-    return found, ground
+        results.append(_HIDDEN if hidden else _fit(begun, centre, ground, radiance, near))
+    return results, ground
 
 
 def _scatter(state: _State, centre: np.ndarray, ground: np.ndarray) -> float:
@@ -93,7 +93,7 @@ def _scatter(state: _State, centre: np.ndarray, ground: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(residual))) / float(np.linalg.norm(state.parameters[:3]))
 
 
-def _begun(shading: Shading, centre: np.ndarray, near: bool, inverse: float) -> _State | str:
+def _initial_state(shading: Shading, centre: np.ndarray, near: bool, inverse: float) -> _State | str:
     if len(shading.values) < _FEWEST:
         return "nearly all values are clipped or masked out; expose less"
     grey = shading.values.mean(axis=-1)
@@ -106,20 +106,20 @@ def _begun(shading: Shading, centre: np.ndarray, near: bool, inverse: float) -> 
 
 
 def _start(shading: Shading, grey: np.ndarray, centre: np.ndarray, inverse: float) -> np.ndarray | None:
-    """Return the best of 400 directions, each with strength and ambient by least squares; None without shading.
+    """Return the best of 400 directions, with strength and ambient by least squares; None if none fits.
 
-    The best has the least sum of absolute residuals: a cast shadow must not win.
+    The best has the least sum of absolute residuals, which is robust against cast shadows.
     """
     every = max(1, len(grey) // _GRID_VALUES)
-    some, value = replace(shading, points=shading.points[::every], normals=shading.normals[::every]), grey[::every]
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(_GRID)
+    sparse, value = replace(shading, points=shading.points[::every], normals=shading.normals[::every]), grey[::every]
+    azimuth = np.pi * (3 - np.sqrt(5)) * np.arange(_GRID)
     height = 1 - 1.9 * (np.arange(_GRID) + 0.5) / _GRID
-    flat = np.sqrt(1 - height**2)
-    directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=-1)
-    shapes = np.stack([shade.direct(some, centre, np.append(d, inverse)) for d in directions])
-    spread = shapes - shapes.mean(axis=1, keepdims=True)
-    power = (spread**2).sum(axis=1)
-    strength = (spread @ value) / np.maximum(power, 1e-12)
+    sine = np.sqrt(1 - height**2)
+    directions = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), height], axis=-1)
+    shapes = np.stack([shade.direct(sparse, centre, np.append(d, inverse)) for d in directions])
+    centred = shapes - shapes.mean(axis=1, keepdims=True)
+    power = (centred**2).sum(axis=1)
+    strength = (centred @ value) / np.maximum(power, 1e-12)
     ambient = np.maximum(value.mean() - strength * shapes.mean(axis=1), 0)
     cost = np.abs(value - ambient[:, None] - strength[:, None] * shapes).sum(axis=1)
     cost[(strength <= 0) | (power < 1e-9)] = np.inf
@@ -132,7 +132,7 @@ def _start(shading: Shading, grey: np.ndarray, centre: np.ndarray, inverse: floa
 def _refine(
     state: _State, centre: np.ndarray, ground: np.ndarray, near: bool, iterations: int, keep: np.ndarray | None = None
 ) -> None:
-    """Improve a photograph's free parameters by Gauss–Newton with Tukey's weights; the bounce is fixed."""
+    """Refine a photograph's free parameters by Gauss–Newton with Tukey's weights; keep: (N,) bool, the values used."""
     free = _free(state, near)
     for _ in range(iterations):
         residual = state.grey - shade.radiance(state.shading, centre, state.parameters, ground)
@@ -145,15 +145,15 @@ def _refine(
 
 
 def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarray:
-    """Return the bounce after Gauss–Newton over all photographs, and improve the states.
+    """Return the bounce by Gauss–Newton over all photographs, and refine the states.
 
-    The Schur complement eliminates each photograph's parameters and leaves a system of three, or of one.
+    The Schur complement eliminates each photograph's parameters and leaves three unknowns, or one.
     """
-    known = states[0].shading.table is not None
-    ground = np.array(_ALBEDO_START if known else _BOUNCE_START)
+    table_known = states[0].shading.table is not None
+    ground = np.array(_ALBEDO_START if table_known else _BOUNCE_START)
     count = len(ground)
     for _ in range(_JOINT_ITERATIONS):
-        left, right, solved = np.zeros((count, count)), np.zeros(count), []
+        left, right, solutions = np.zeros((count, count)), np.zeros(count), []
         for state in states:
             free = _free(state, near)
             residual = state.grey - shade.radiance(state.shading, centre, state.parameters, ground)
@@ -165,18 +165,18 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarr
             projected = common - own @ by_common
             left += (projected * state.weights[:, None]).T @ common
             right += (projected * state.weights[:, None]).T @ residual
-            solved.append((state, free, by_common, by_residual))
+            solutions.append((state, free, by_common, by_residual))
         if not np.trace(left) > 0:  # no light reaches the table
             return np.zeros(count)
         left += _BOUNCE_PRIOR * np.trace(left) * np.eye(count)
         step = np.linalg.solve(left, right)
         step *= min(1.0, 0.1 / max(float(np.linalg.norm(step)), 1e-300))
-        if known:
+        if table_known:
             step = np.clip(ground + step, 0.0, 1.0) - ground
         ground = ground + step
-        if not known and np.linalg.norm(ground) < _LEAST_BOUNCE:
+        if not table_known and np.linalg.norm(ground) < _LEAST_BOUNCE:
             return np.zeros(count)
-        for state, free, by_common, by_residual in solved:
+        for state, free, by_common, by_residual in solutions:
             state.parameters[free] += by_residual - by_common @ step
         if np.linalg.norm(step) < 1e-4:
             break
@@ -206,20 +206,20 @@ def _fit(state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.nda
     shading, values = state.shading, state.parameters
     strength = np.linalg.norm(values[:3])
     direction = values[:3] / strength
-    apart, inverse_apart = [], []
+    turns, inverse_changes = [], []
     for sector in range(shade.SECTORS):
-        other = replace(state, parameters=values.copy())
-        _refine(other, centre, ground, near, _JACKKNIFE_ITERATIONS, shading.sector != sector)
-        apart.append(np.linalg.norm(other.parameters[:3] / np.linalg.norm(other.parameters[:3]) - direction))
-        inverse_apart.append(other.parameters[3] - values[3])
-    count = np.sqrt((shade.SECTORS - 1) / shade.SECTORS)
+        refit = replace(state, parameters=values.copy())
+        _refine(refit, centre, ground, near, _JACKKNIFE_ITERATIONS, shading.sector != sector)
+        turns.append(np.linalg.norm(refit.parameters[:3] / np.linalg.norm(refit.parameters[:3]) - direction))
+        inverse_changes.append(refit.parameters[3] - values[3])
+    factor = np.sqrt((shade.SECTORS - 1) / shade.SECTORS)
     residual = state.grey - shade.radiance(shading, centre, values, ground)
     return Fit(
         direction,
         float(values[3]),
         radiance,
-        float(count * np.linalg.norm(apart)),
-        float(count * np.linalg.norm(inverse_apart)),
+        float(factor * np.linalg.norm(turns)),
+        float(factor * np.linalg.norm(inverse_changes)),
         float(np.sqrt(np.mean(residual**2)) / strength),
         float((shade.direct(shading, centre, values) > 0).mean()),
         float((state.weights < 0.1).mean()),
@@ -227,7 +227,7 @@ def _fit(state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.nda
 
 
 def _radiances(states: Sequence[_State], centre: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (K, 3) the radiance of a surface that faces the light, fitted together with the table's colour."""
+    """Return the radiance (K, 3) of a surface that faces the light, fitted jointly with the table's colour."""
     sums = np.array([_products(state, centre, ground) for state in states])  # (K, channels, 5)
     if not len(sums):
         return np.zeros((0, 3))
@@ -243,7 +243,7 @@ def _radiances(states: Sequence[_State], centre: np.ndarray, ground: np.ndarray)
 
 
 def _products(state: _State, centre: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (3, 5) products of direct shading s, bounced shading b and values y, with the ambient removed."""
+    """Return weighted products (3, 5) ss, sb, bb, sy, by of direct shading s, bounce b and values y, less ambient."""
     shading, size = state.shading, np.linalg.norm(state.parameters[:3])
     direct = shade.direct(shading, centre, state.parameters) / size
     bounced = shading.table

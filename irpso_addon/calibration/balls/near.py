@@ -1,4 +1,4 @@
-"""Intersection of the rays from several balls: a near light's position, or a distant light."""
+"""Intersection of the rays from several balls: position of a near light or direction of a distant one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ITERATIONS = 40
 
 @dataclass(frozen=True)
 class Intersection:
-    """The light where rays meet. direction: (3,) unit, from the balls' centre. error: standard error, radians.
+    """A light from rays. direction: (3,) unit, from the balls' centre. error: its standard error, radians.
 
     inverse: 1 / distance from the centre, at most 0 where rays diverge. inverse_error: its standard error.
     misfit: root mean square angle between the rays and the light, radians.
@@ -41,22 +41,22 @@ def meet(
     near: bool,
     inverse: float = 0.0,
 ) -> Intersection:
-    """Return where rays from points (B, 3) along unit directions (B, 3) meet, by weighted least squares of angles.
+    """Return the intersection of rays from points (B, 3) along unit directions (B, 3): least squares of angles.
 
     Free parameters are the direction and 1 / distance from ``centre``: from a point P the light lies along
-    direction − inverse (P − centre), and a distant light is no special case. errors: of each direction, radians.
-    near: fit the distance; else ``inverse`` is fixed and its error is as large as itself.
+    direction − inverse (P − centre), so a distant light is no special case. errors: standard errors of the directions,
+    radians. near: fit the distance; else ``inverse`` is fixed and its standard error equals its magnitude.
     """
     weights = 1 / np.maximum(np.asarray(errors, np.float64), 1e-9) ** 2
     axis = (directions * weights[:, None]).sum(axis=0)
     axis /= np.linalg.norm(axis)
     frames = [tangents(direction) for direction in directions]
-    count, arms = 3 if near else 2, points - centre
-    small = 1e-6 * np.array([1, 1, 1 / max(np.ptp(points, axis=0).max(), 1e-9)])
+    count, offsets = 3 if near else 2, points - centre
+    steps = 1e-6 * np.array([1, 1, 1 / max(np.ptp(points, axis=0).max(), 1e-9)])
     for _ in range(_ITERATIONS):
-        residuals = _residuals(np.zeros(3), axis, inverse, arms, frames)
-        moved = [_residuals(step, axis, inverse, arms, frames) for step in np.diag(small)[:count]]
-        jacobian = np.stack([(m - residuals) / size for m, size in zip(moved, small, strict=False)], axis=-1)
+        residuals = _residuals(np.zeros(3), axis, inverse, offsets, frames)
+        moved = [_residuals(step, axis, inverse, offsets, frames) for step in np.diag(steps)[:count]]
+        jacobian = np.stack([(m - residuals) / size for m, size in zip(moved, steps, strict=False)], axis=-1)
         square = (jacobian * np.repeat(weights, 2)[:, None]).T @ jacobian
         step = np.zeros(3)
         step[:count] = -np.linalg.solve(square, (jacobian * np.repeat(weights, 2)[:, None]).T @ residuals)
@@ -65,9 +65,9 @@ def meet(
         inverse += step[2]
         if np.abs(step).max() < 1e-12:
             break
-    # An error is of the whole angle: each of two axes has half of its square.
-    chance = (residuals**2 * np.repeat(weights, 2)).sum() * 2 / max(2 * len(points) - count, 1)
-    covariance = np.linalg.inv(square) / 2 * max(chance, 1.0)
+    # ``errors`` are of the whole angle: each of its two axes has half the variance.
+    chi_squared = (residuals**2 * np.repeat(weights, 2)).sum() * 2 / max(2 * len(points) - count, 1)
+    covariance = np.linalg.inv(square) / 2 * max(chi_squared, 1.0)
     error = np.sqrt(covariance[0, 0] + covariance[1, 1])
     inverse_error = np.sqrt(covariance[2, 2]) if near else abs(inverse)
     misfit = np.sqrt((residuals**2).sum() / len(points))
@@ -80,11 +80,11 @@ def _turned(axis: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def _residuals(
-    step: np.ndarray, axis: np.ndarray, inverse: float, arms: np.ndarray, frames: list[tuple[np.ndarray, np.ndarray]]
+    step: np.ndarray, axis: np.ndarray, inverse: float, offsets: np.ndarray, frames: list[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Return (2B,) angles from the rays to the light a step away, along both tangents of each ray. arms: (B, 3)."""
+    """Return the angles (2B,) between rays and light after a step, along both tangents of each ray. offsets: (B, 3)."""
     light = _turned(axis, step)
-    toward = light / np.linalg.norm(light) - (inverse + step[2]) * arms
+    toward = light / np.linalg.norm(light) - (inverse + step[2]) * offsets
     toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
     return np.array([[t @ a, t @ b] for t, (a, b) in zip(toward, frames, strict=True)]).ravel()
 

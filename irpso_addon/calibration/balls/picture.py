@@ -17,15 +17,15 @@ _COLUMNS, _MOST = 8, 64
 _DOME = 180  # radius, pixels
 _LABEL = 8.0
 _LETTERS = 13  # of a label over a tile
-_FOUND, _OUTLINE, _BAD = (1.0, 0.35, 0.30), (0.45, 0.70, 1.0), (0.98, 0.80, 0.30)
+_MARK, _OUTLINE, _BAD = (1.0, 0.35, 0.30), (0.45, 0.70, 1.0), (0.98, 0.80, 0.30)
 
 
 @dataclass(frozen=True)
 class BallTile:
-    """One ball in one photograph. image: (h, w, 3) linear, row 0 at the bottom. outline: (N, 2) places in it.
+    """One ball in one photograph. image: (h, w, 3) linear, row 0 at the bottom. doubtful: there is a warning.
 
-    Places count from the lower left corner, 0…w and 0…h. curve: (N, 2) the terminator, or None. mark: (2,) the
-    highlight, or the point of a matte ball that faces the light, or None. doubtful: there is a warning.
+    Coordinates count from the image's lower left corner, 0…w and 0…h. outline: (N, 2). curve: (N, 2) the terminator, or
+    None. mark: (2,) the highlight, or the point of a matte ball that faces the light, or None.
     """
 
     label: str
@@ -37,21 +37,21 @@ class BallTile:
 
 
 def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequence[bool], title: str) -> np.ndarray:
-    """Return (H, W, 3) display values, row 0 at the bottom.
+    """Return the contact sheet (H, W, 3), display values, row 0 at the bottom.
 
     directions: (K, 3) unit, from ball to light, in camera axes, drawn on a dome seen from the camera; rings are 30°,
     60° and 90° off it, lights behind the ball lie outside. At most 64 tiles are shown. title: one line or two.
     """
-    shown = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MOST)).astype(int))]
-    columns = min(_COLUMNS, max(4, math.ceil(math.sqrt(len(shown)))))
-    rows = -(-len(shown) // columns)
+    selected = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MOST)).astype(int))]
+    columns = min(_COLUMNS, max(4, math.ceil(math.sqrt(len(selected)))))
+    rows = -(-len(selected) // columns)
     left = _MARGIN * 2 + columns * (_TILE + _GAP)
     side = 2 * _DOME + 4 * _MARGIN
     height = _HEAD + max(rows * (_TILE + _GAP + 12), side) + _MARGIN
     canvas = Canvas(left + side, height, BACKGROUND)
     for row, line in enumerate(title.splitlines()):
         canvas.text(_MARGIN, 20 + 18 * row, line, 10.0 if row == 0 else _LABEL, FAINT if row else TEXT)
-    for number, tile in enumerate(shown):
+    for number, tile in enumerate(selected):
         row, column = divmod(number, columns)
         _draw_tile(canvas, _MARGIN + column * (_TILE + _GAP), _HEAD + row * (_TILE + _GAP + 12), tile)
     _draw_dome(canvas, left + side / 2 - _MARGIN, _HEAD + side / 2, directions, doubtful)
@@ -59,7 +59,7 @@ def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequ
 
 
 def _short(label: str) -> str:
-    """Return a number and the end of a photograph's name, which differs from one to the next."""
+    """Return a label's number and the end of its photograph's name: names differ at their ends."""
     number, _, name = label.partition(" ")
     return label if len(label) <= _LETTERS else f"{number} …{Path(name).stem[len(number) + 2 - _LETTERS :]}"
 
@@ -74,27 +74,27 @@ def _draw_tile(canvas: Canvas, x: int, y: int, tile: BallTile) -> None:
     canvas.image(x, y, small)
     bottom = y + len(rows)
 
-    def placed(places: np.ndarray) -> np.ndarray:
+    def to_canvas(places: np.ndarray) -> np.ndarray:
         return np.stack([x + places[:, 0] * scale, bottom - places[:, 1] * scale], axis=-1)
 
-    def kept(places: np.ndarray) -> list[np.ndarray]:
+    def visible_parts(places: np.ndarray) -> list[np.ndarray]:
         inside = ((places >= 0) & (places <= (width, height))).all(axis=-1)
         starts = np.flatnonzero(np.diff(inside)) + 1
-        parts = zip(np.split(placed(places), starts), np.split(inside, starts), strict=True)
-        return [part for part, there in parts if there[0]]
+        parts = zip(np.split(to_canvas(places), starts), np.split(inside, starts), strict=True)
+        return [part for part, visible in parts if visible[0]]
 
-    canvas.lines(kept(tile.outline), 1.0, _OUTLINE)
+    canvas.lines(visible_parts(tile.outline), 1.0, _OUTLINE)
     if tile.curve is not None:
-        canvas.lines(kept(tile.curve), 1.2, _FOUND)
+        canvas.lines(visible_parts(tile.curve), 1.2, _MARK)
     if tile.mark is not None:
-        px, py = placed(tile.mark[None])[0]
+        px, py = to_canvas(tile.mark[None])[0]
         canvas.lines([[(px - 6, py), (px - 2, py)], [(px + 2, py), (px + 6, py)],
-                      [(px, py - 6), (px, py - 2)], [(px, py + 2), (px, py + 6)]], 1.4, _FOUND)  # fmt: skip
+                      [(px, py - 6), (px, py - 2)], [(px, py + 2), (px, py + 6)]], 1.4, _MARK)  # fmt: skip
     canvas.text(x, y + _TILE + 10, _short(tile.label), _LABEL, _BAD if tile.doubtful or tile.mark is None else FAINT)
 
 
 def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubtful: Sequence[bool]) -> None:
-    """Draw directions by their angle to the viewer: equal radial steps are equal angles."""
+    """Draw directions; the radius is proportional to the angle from the viewer."""
     for degrees in (30, 60, 90):
         canvas.ring(x, y, _DOME * degrees / 120, 1.0, GRID)
         canvas.text(x + 3, y - _DOME * degrees / 120 - 3, f"{degrees}°", _LABEL, FAINT)
@@ -104,8 +104,8 @@ def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubt
     for number, (direction, bad) in enumerate(zip(directions, doubtful, strict=True)):
         angle = np.degrees(np.arccos(np.clip(direction[2], -1, 1)))
         flat = np.hypot(*direction[:2])
-        away = _DOME * min(angle / 120, 1.0) / max(flat, 1e-9)
-        px, py = x + direction[0] * away, y - direction[1] * away
+        radial = _DOME * min(angle / 120, 1.0) / max(flat, 1e-9)
+        px, py = x + direction[0] * radial, y - direction[1] * radial
         canvas.ring(px, py, 3.0, 2.0, _BAD if bad else TEXT)
         if len(directions) <= _MOST:
             canvas.text(px + 6, py - 3, str(number + 1), _LABEL, FAINT)

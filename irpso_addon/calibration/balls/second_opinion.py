@@ -1,4 +1,4 @@
-"""Lights of a ball that calibration does not use, against those of the balls that it does."""
+"""Comparison of the lights of the balls in use with those of a ball of the other kind."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from ...capture.camera import Camera
 from .detect.found import FoundBall
 from .lights import FoundLight
 
-_APART = 4.0  # degrees in the median; of a mirror and a matte ball that were both right, 2.3° at most, in Cycles
-_OF_PARALLAX = 0.3  # near lamps seen from two places: what their distance may be off by
+_APART = 4.0  # degrees, median; correct mirror and matte balls differ by at most 2.3° (rendered by Cycles)
+_OF_PARALLAX = 0.3  # relative error of the lamps' distance, from which the parallax follows
 
 
 def contradiction(
     used: FoundBall, lights: Sequence[FoundLight], other: FoundBall, others: Sequence[FoundLight], camera: Camera
 ) -> str | None:
-    """Return in words that two balls of different size show different lights, or None.
+    """Return a warning if two balls show different lights, else None.
 
-    lights, others: distant, of the same photographs, as seen from each ball. The direction of a near lamp differs from
-    ball to ball by the parallax that its distance gives.
+    lights, others: distant lights of the same photographs, from each ball. The directions of a near lamp differ by its
+    parallax between the balls, which is subtracted.
     """
-    inverse, away = used.inverse[0], (other.centre - used.centre) / used.radius
-    shift = inverse * np.asarray(camera.matrix, np.float64)[:3, :2] @ away
+    inverse, offset = used.inverse[0], (other.centre - used.centre) / used.radius
+    shift = inverse * np.asarray(camera.matrix, np.float64)[:3, :2] @ offset
     angles = [
         _angle(np.asarray(one.light.vector) - shift, np.asarray(two.light.vector))
         for one, two in zip(lights, others, strict=True)

@@ -1,4 +1,4 @@
-"""Shading of matte balls: Lambert's law under a point light, and the bounce of the table below."""
+"""Radiance model of matte balls: Lambert's law under a point light, ambient light and the table's bounce."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from .crops import BallView
 
 SECTORS = 8
-_RIM = 0.3  # n·v: beyond, Lambert's law holds less well
-_RIM_PIXELS = 3.0  # from the outline: nearer, blur and background dominate
+_RIM = 0.3  # n·v: at smaller values Lambert's law holds less well
+_RIM_PIXELS = 3.0  # distance from the outline: closer, blur and background dominate
 _STEP = 1e-5  # of numeric derivatives, relative
 
 
@@ -19,8 +19,8 @@ _STEP = 1e-5  # of numeric derivatives, relative
 class Shading:
     """The values of matte balls in one photograph. points, normals: (N, 3). values: (N, 3) linear radiance.
 
-    own: (N, balls) 1 in the column of the value's ball. sector: (N,) 0…SECTORS − 1, part of the ball. table: (N, 3) the
-    radiance that the table's light gives to a white ball, or None where it is unknown.
+    own: (N, balls) 1 in the column of the value's ball. sector: (N,) 0…SECTORS − 1, angle about the ball's centre.
+    table: (N, 3) radiance of a white ball under the table's light alone, or None if unknown.
     """
 
     points: np.ndarray
@@ -37,11 +37,11 @@ class Shading:
 
 
 def shading_of(views: Sequence[BallView], photograph: int, tables: Sequence[np.ndarray] = ()) -> Shading:
-    """Return the balls' usable values in one photograph: away from the rim, not clipped, not masked out.
+    """Return the balls' values in one photograph that are usable and not at the rim.
 
-    tables: the light of each ball's table (K, H, W, 3), see ``table.gathered``; none where it is unknown.
+    tables: (K, H, W, 3) for each ball, from ``table.gathered``; () if unknown.
     """
-    parts, light = [], []
+    parts, table_values = [], []
     for number, view in enumerate(views):
         points, normals, toward, hit = view.ball.surface(view.pixels)
         margin = max(_RIM, np.sqrt(1 - (1 - min(_RIM_PIXELS / view.ball.radius_px, 1)) ** 2))
@@ -50,15 +50,15 @@ def shading_of(views: Sequence[BallView], photograph: int, tables: Sequence[np.n
         sector = np.floor((around / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
         own = np.broadcast_to(np.eye(len(views))[number], (len(sector), len(views)))
         parts.append((points[keep], normals[keep], np.float64(view.values[photograph][keep]), own, sector))
-        light += [tables[number][photograph][keep]] if len(tables) else []
+        table_values += [tables[number][photograph][keep]] if len(tables) else []
     points, normals, values, own, sector = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Shading(points, normals, values, own, sector, np.concatenate(light) if light else None)
+    return Shading(points, normals, values, own, sector, np.concatenate(table_values) if table_values else None)
 
 
 def direct(shading: Shading, centre: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """Return (N,) k max(n·L, 0) / |L|³ with L = direction − inverse (point − centre).
+    """Return k max(n·L, 0) / |L|³ (N,) with L = direction − inverse (point − centre).
 
-    Lambert's law under a point light; inverse = 0 is a distant one. parameters: k times the unit direction from
+    This is Lambert's law under a point light; inverse = 0 is a distant one. parameters: k times the unit direction from
     ``centre`` to the light (3), inverse distance (1), ambient radiance of each ball (see ``radiance``).
     """
     if parameters[3] == 0:
@@ -70,10 +70,10 @@ def direct(shading: Shading, centre: np.ndarray, parameters: np.ndarray) -> np.n
 
 
 def bounced(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N,) radiance by the light of the table.
+    """Return the radiance (N,) by the light of the table.
 
-    Where the photographs show that light, ``ground`` (1,) is the balls' albedo. Else it is (3,) g, the normal of an
-    infinite lit plane times its albedo, which sends k max(l·g, 0) (1 − n·g/|g|) / 2. k includes the balls' albedo.
+    With a known table, ``ground`` (1,) is the balls' albedo. Else it is g (3,), the normal of an infinite lit plane
+    times its albedo; the radiance is k max(l·g, 0) (1 − n·g/|g|) / 2, where k includes the balls' albedo.
     """
     if shading.table is not None:
         return ground[0] * shading.table.mean(axis=-1)
@@ -84,12 +84,12 @@ def bounced(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.
 
 
 def radiance(shading: Shading, centre: np.ndarray, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N,) the radiance of balls. ``parameters`` ends with the ambient radiance of each ball."""
+    """Return the radiance (N,) of balls. ``parameters`` ends with the ambient radiance of each ball."""
     return shading.own @ parameters[4:] + direct(shading, centre, parameters) + bounced(shading, parameters, ground)
 
 
 def jacobian(shading: Shading, centre: np.ndarray, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N, 4 + balls) the derivatives of ``radiance`` by the free parameters."""
+    """Return the derivatives (N, 4 + balls) of ``radiance`` with respect to ``parameters``."""
     size, value = np.linalg.norm(parameters[:3]), direct(shading, centre, parameters)
     result = np.zeros((len(value), len(parameters)))
     result[:, 4:] = shading.own
@@ -106,6 +106,6 @@ def jacobian(shading: Shading, centre: np.ndarray, parameters: np.ndarray, groun
 
 
 def ground_jacobian(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N, len(ground)) the derivatives of ``radiance`` by the bounce."""
+    """Return the derivatives (N, len(ground)) of ``radiance`` with respect to ``ground``."""
     value, moves = bounced(shading, parameters, ground), _STEP * np.eye(len(ground))
     return np.stack([(bounced(shading, parameters, ground + d) - value) / _STEP for d in moves], axis=-1)

@@ -1,4 +1,4 @@
-"""The table below a ball, and the light that it sends onto the ball, gathered from the photographs."""
+"""The table below a ball, and the ball's irradiance from that table, integrated from the photographs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from .ball import Ball, to_pixels
 from .crops import BallView, Surroundings
 
-_RAYS = 96  # from each place of the ball
-_LEAST_FALL = 0.02  # cosine to the table's normal: a flatter ray meets it too far away
-_BESIDE = 1.06  # radii from the ball's middle: nearer pixels show the ball, or its blur
+_RAYS = 96  # per point of the ball
+_LEAST_FALLING = 0.02  # cosine between a ray and the table's downward normal: flatter rays meet the table too far away
+_BESIDE = 1.06  # radii from the outline's centre: nearer pixels show the ball or its blur
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class Table:
 
 
 def gathered(view: BallView, around: Surroundings, table: Table) -> np.ndarray:
-    """Return (K, H, W, 3) the radiance that a white ball would have by the table's light alone, 0 beside the ball.
+    """Return the radiance (K, H, W, 3) of a white matte ball under the table's light alone; 0 outside the ball.
 
-    Each place of the ball sends rays, dense as the cosine to its normal. Where a ray meets the table, the photograph
-    itself shows the table's radiance, which a matte table sends in all directions: with its pattern, the fall-off of a
-    near lamp, and the shadows of all things (Nayar, Ikeuchi and Kanade 1991, with photographs in place of a model).
-    What the ball hides takes the value beside it.
+    Rays from each point of the ball are distributed as the cosine to its normal. Where a ray meets the table, the
+    photograph shows the table's radiance, which a matte table sends in all directions, with its pattern, the fall-off
+    of near lamps and all shadows (Nayar, Ikeuchi and Kanade 1991, with photographs in place of a model). Points of the
+    table behind the ball take the value beside it.
     """
     _, normals, _, inside = view.ball.surface(view.pixels)
     result = np.zeros((len(around.values), *inside.shape, 3), np.float32)
@@ -41,30 +41,30 @@ def gathered(view: BallView, around: Surroundings, table: Table) -> np.ndarray:
 def _places(
     ball: Ball, around: Surroundings, table: Table, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return row and column in ``around`` (R, N) of what rays from normals (N, 3) meet, and bool: the table."""
+    """Return rows and columns (R, N) in ``around`` where rays from normals (N, 3) end, and whether on the table."""
     rays = _rays(normals)
-    fall = -(rays @ table.up)
-    meets = fall > _LEAST_FALL
-    length = (table.height + normals @ table.up) / np.where(meets, fall, 1.0)
+    falling = -(rays @ table.up)
+    meets = falling > _LEAST_FALLING
+    length = (table.height + normals @ table.up) / np.where(meets, falling, 1.0)
     points = ball.centre + ball.radius * (normals + length[..., None] * rays)
     if ball.camera.perspective:
         meets &= points[..., 2] < 0
     pixels = to_pixels(ball.camera, np.where(meets[..., None], points, ball.centre))
     middle = ball.outline[:-1].mean(axis=0)
-    away = pixels - middle
-    least = _BESIDE * ball.radius_px + around.block
-    pixels = middle + away * np.maximum(least / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9), 1)
+    offset = pixels - middle
+    nearest = _BESIDE * ball.radius_px + around.block
+    pixels = middle + offset * np.maximum(nearest / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9), 1)
     size = np.array(around.values.shape[2:0:-1])
-    at = np.clip(np.floor((pixels - around.origin) / around.block), 0, size - 1).astype(int)
-    return at[..., 1], at[..., 0], meets
+    index = np.clip(np.floor((pixels - around.origin) / around.block), 0, size - 1).astype(int)
+    return index[..., 1], index[..., 0], meets
 
 
 def _rays(normals: np.ndarray) -> np.ndarray:
-    """Return unit rays (R, N, 3) from normals (N, 3), as dense as the cosine to the normal."""
+    """Return unit rays (R, N, 3) about normals (N, 3), distributed as the cosine to the normal."""
     number = np.arange(_RAYS) + 0.5
     flat, turn = np.sqrt(number / _RAYS), np.pi * (3 - np.sqrt(5)) * number
     x, y, z = (part[:, None, None] for part in (flat * np.cos(turn), flat * np.sin(turn), np.sqrt(1 - flat**2)))
-    # A frame of each normal (Duff et al. 2017).
+    # Orthonormal basis about each normal (Duff et al. 2017).
     nx, ny, nz = normals.T
     sign = np.where(nz < 0, -1.0, 1.0)
     scale = -1 / (sign + nz)

@@ -1,1 +1,1 @@
-"""The 24-patch colour chart found in photographs, in any turn and in perspective. OpenCV finds outlines."""
+"""Search for the 24-patch colour chart and the grey card in photographs, in any orientation; needs OpenCV."""

@@ -1,4 +1,4 @@
-"""Even quadrilaterals in a picture: regions without edges whose outline has four corners."""
+"""Even quadrilaterals in an image: regions without edges whose outline has four corners."""
 
 from __future__ import annotations
 
@@ -9,43 +9,43 @@ import numpy as np
 
 from ...core.opencv import opencv
 
-_SIZES = (1.0, 0.5, 0.25)  # of the picture: large patches of a sharp photograph have edges inside, small ones do not
-_EDGES = (5.0, 9.0, 16.0, 30.0)  # codes a pixel: above, a pixel is part of an edge
-_LEAST, _MOST = 5.0, 0.2  # of a quadrilateral's side: pixels, and part of the picture's longer side
-_SMALLEST = 300  # pixels: longer side of a picture that is still looked at
-_FILLED = 0.85  # of the convex hull, by the region
-_QUAD = (0.85, 1.2)  # area of four corners over that of the hull
-_OBLONG = 4.0  # longer side over shorter
+_SIZES = (1.0, 0.5, 0.25)  # of the image: reduction removes edges inside large patches of sharp photographs
+_EDGES = (5.0, 9.0, 16.0, 30.0)  # codes per pixel: steeper pixels are edges
+_LEAST, _MOST = 5.0, 0.2  # of a quadrilateral's side: pixels, and fraction of the image's longer side
+_SMALLEST = 300  # pixels: least longer side of a reduced image
+_FILLED = 0.85  # area of the region over that of its convex hull
+_QUAD = (0.85, 1.2)  # area of the quadrilateral over that of the hull
+_OBLONG = 4.0  # most longer side over shorter
 
 
 def quads_of(picture: np.ndarray, most: float = _MOST) -> np.ndarray:
-    """Return (N, 4, 2) corners, clockwise on the screen, of even quadrilaterals in an (H, W, 3) uint8 picture.
+    """Return the corners (N, 4, 2), clockwise on the screen, of even quadrilaterals in an image (H, W, 3) uint8.
 
-    Pixels count from the upper left corner of the picture, whose row 0 is at the top; the same patch may be found
-    several times. most: of their longer side, as a part of the picture's.
+    Pixels count from the upper left corner; row 0 is at the top. A patch may be found several times. most: largest
+    longer side, as a fraction of the image's.
     """
     cv = opencv("the search for charts")
-    found = []
+    quads = []
     for size in _SIZES:
         height, width = (round(side * size) for side in picture.shape[:2])
         if size < 1 and max(height, width) < _SMALLEST:
             break
-        small = picture if size == 1 else cv.resize(picture, (width, height), interpolation=cv.INTER_AREA)
-        steep = _steepness(cv, small)
+        resized = picture if size == 1 else cv.resize(picture, (width, height), interpolation=cv.INTER_AREA)
+        steep = _steepness(cv, resized)
         for edge in _EDGES:
-            found += [corners / size for corners in _even_quads(cv, steep <= edge, most)]
-    return np.array(found).reshape(-1, 4, 2)
+            quads += [corners / size for corners in _even_quads(cv, steep <= edge, most)]
+    return np.array(quads).reshape(-1, 4, 2)
 
 
 def _steepness(cv: ModuleType, picture: np.ndarray) -> np.ndarray:
-    """Return (H, W) the largest slope of the three channels, in codes a pixel."""
+    """Return the largest slope (H, W) of the three channels, in codes per pixel."""
     smooth = cv.GaussianBlur(picture, (3, 3), 0).astype(np.float32)
     slopes = [cv.Sobel(smooth, cv.CV_32F, *axis, ksize=3, scale=1 / 8) for axis in ((1, 0), (0, 1))]
     return np.hypot(*slopes).max(axis=-1)
 
 
 def _even_quads(cv: ModuleType, even: np.ndarray, most: float) -> Iterator[np.ndarray]:
-    """Yield (4, 2) corners of connected even regions that are quadrilaterals; edges take a pixel off each side."""
+    """Yield corners (4, 2) of connected even regions that are quadrilaterals; edges shorten each by about a pixel."""
     largest = most * max(even.shape)
     outlines, _ = cv.findContours(even.astype(np.uint8), cv.RETR_CCOMP, cv.CHAIN_APPROX_NONE)
     for outline in outlines:
@@ -57,9 +57,9 @@ def _even_quads(cv: ModuleType, even: np.ndarray, most: float) -> Iterator[np.nd
         area = cv.contourArea(hull)
         if cv.contourArea(outline) < _FILLED * area:
             continue
-        around = cv.arcLength(hull, True)
-        for part in (0.03, 0.05, 0.08, 0.12):
-            corners = cv.approxPolyDP(hull, part * around, True)
+        perimeter = cv.arcLength(hull, True)
+        for tolerance in (0.03, 0.05, 0.08, 0.12):
+            corners = cv.approxPolyDP(hull, tolerance * perimeter, True)
             if len(corners) <= 4:
                 break
         if len(corners) == 4 and _QUAD[0] < cv.contourArea(corners) / area < _QUAD[1]:

@@ -1,4 +1,4 @@
-"""Finds a 24-patch chart in a linear photograph: even patches, their lattice, and the colours as the test."""
+"""Search for a 24-patch chart in a linear photograph: even patches, their lattice, and a test of the colours."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ..radiometry.colour_fit import Chart, ColourFit, Mirrored, recognised
 from .lattice import Lattice, lattices, windows
 from .quads import quads_of
 
-_LONGEST = 1400  # pixels: longer side of the picture that is searched
-_BRIGHT = 99.5  # percentile of the brightness that becomes white
-EXPOSURES = (1.0, 4.0)  # the second shows a chart that is far darker than the rest
+_LONGEST = 1400  # pixels: most longer side of the searched image
+_BRIGHT = 99.5  # percentile of the radiance that is displayed as white
+EXPOSURES = (1.0, 4.0)  # the second is for a chart that is far darker than the rest
 _HALF = 0.45  # of the pitch: from a patch's centre to its edge, as ``sample_chart`` has it
 _MOST_LATTICES = 12
-_FALL = 0.99  # of a grey patch's brightness, at most that of the next one; 0.65 without shading
-_TINTED = 0.4  # by how much the grey row's tints, of mean 1, may differ: a patch that clips, or colours of light around
-_SURE = 8.0  # mean ΔE2000 after the fit: what is left of a wrong order is 24 or more
+_FALL = 0.99  # most brightness of a grey patch over that of the one before; 0.65 without shading
+_TINTED = 0.4  # most range of the grey row's tints, of mean 1: by a clipped patch, or coloured stray light
+_SURE = 8.0  # most mean ΔE2000 after the fit; wrong orders of the patches leave 24 or more
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,17 @@ class FoundChart:
 def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
     """Return the chart in a linear photograph (H, W, 4), row 0 at the bottom; None if there is none.
 
-    Any turn, perspective and tint; patches of 6 pixels or more in a picture of 1400. Raises InputError where the chart
-    is mirrored or OpenCV is not installed.
+    It may have any orientation, perspective and tint, and needs patches of 6 pixels or more in an image of 1400. Raises
+    InputError if the chart is mirrored or OpenCV is not installed.
     """
     small, factor = reduced(rgba, "the search for a colour chart")
     mirrored: Mirrored | None = None
     best: tuple[float, np.ndarray] | None = None
     for exposure in EXPOSURES:
-        found = lattices(quads_of(as_shown(small, exposure)))
-        for corners in _corners_of(found[:_MOST_LATTICES], small):
+        candidates = lattices(quads_of(as_shown(small, exposure)))
+        for corners in _corners_of(candidates[:_MOST_LATTICES], small):
             try:
-                turned, _, fit = recognised(small, corners, where)
+                ordered, _, fit = recognised(small, corners, where)
             except Mirrored as error:
                 mirrored = error
                 continue
@@ -55,7 +55,7 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
                 continue
             mean = float(np.nanmean(fit.after))
             if mean <= _SURE and (best is None or mean < best[0]):
-                best = mean, turned
+                best = mean, ordered
         if best is not None:
             break
     if best is None:
@@ -66,30 +66,30 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
 
 
 def reduced(rgba: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return a photograph of _LONGEST pixels at most, and the factors (2,) from its pixels to the photograph's.
+    """Return a photograph of at most _LONGEST pixels, and the factors (2,) from its pixels to those of ``rgba``.
 
-    what: the work, for the InputError where OpenCV is not installed.
+    what: names the work in the InputError if OpenCV is not installed.
     """
     cv = opencv(what)
     height, width = rgba.shape[:2]
-    share = min(1.0, _LONGEST / max(height, width))
-    if share == 1.0:
+    scale = min(1.0, _LONGEST / max(height, width))
+    if scale == 1.0:
         return rgba, np.ones(2)
-    size = round(width * share), round(height * share)
+    size = round(width * scale), round(height * scale)
     small = cv.resize(rgba, size, interpolation=cv.INTER_AREA)
     small[..., 3] = small[..., 3] > 0.999  # clipped where one of the pixels is
     return small, np.array((width, height)) / size
 
 
 def as_shown(rgba: np.ndarray, exposure: float) -> np.ndarray:
-    """Return (H, W, 3) uint8 as a screen shows it, row 0 at the top. Each channel is scaled, which undoes a tint."""
-    light = np.nan_to_num(rgba[::-1, :, :3])
-    white = np.maximum(np.percentile(light.reshape(-1, 3), _BRIGHT, axis=0), 1e-9)
-    return np.rint(255 * srgb_from_linear(np.clip(exposure * light / white, 0, 1))).astype(np.uint8)
+    """Return display codes (H, W, 3) uint8, row 0 at the top. Each channel has its own white, which removes a tint."""
+    radiance = np.nan_to_num(rgba[::-1, :, :3])
+    white = np.maximum(np.percentile(radiance.reshape(-1, 3), _BRIGHT, axis=0), 1e-9)
+    return np.rint(255 * srgb_from_linear(np.clip(exposure * radiance / white, 0, 1))).astype(np.uint8)
 
 
 def _corners_of(found: Sequence[Lattice], rgba: np.ndarray) -> list[np.ndarray]:
-    """Return corners (4, 2) of all fields of 6 × 4 patches with a grey row that lattices may show in a photograph."""
+    """Return the corners (4, 2) of all fields of 6 × 4 patches of lattices, in the photograph, with a grey row."""
     size, result = rgba.shape[1::-1], []
     for lattice in found:
         for columns, rows in ((COLUMNS, ROWS), (ROWS, COLUMNS)):
@@ -106,16 +106,16 @@ def _corners_of(found: Sequence[Lattice], rgba: np.ndarray) -> list[np.ndarray]:
 
 
 def _colours(rgba: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return (…, 3) means of 3 × 3 pixels about places (…, 2) of a photograph, whose row 0 is at the bottom."""
+    """Return means (…, 3) of 3 × 3 pixels at positions (…, 2) from the upper left corner; row 0 at the bottom."""
     height, width = rgba.shape[:2]
     x = np.clip(places[..., 0].astype(int), 1, width - 2)
     y = np.clip(height - 1 - places[..., 1].astype(int), 1, height - 2)
-    around = [rgba[y + down, x + right, :3] for down in (-1, 0, 1) for right in (-1, 0, 1)]
-    return np.mean(around, axis=0)
+    neighbours = [rgba[y + down, x + right, :3] for down in (-1, 0, 1) for right in (-1, 0, 1)]
+    return np.mean(neighbours, axis=0)
 
 
 def _has_grey_row(colours: np.ndarray) -> bool:
-    """Return whether one of the long sides of a field (rows, columns, 3) darkens from patch to patch, in one tint."""
+    """Return whether one of the long sides of a field (rows, columns, 3) darkens from patch to patch in one tint."""
     field = colours if colours.shape[1] == COLUMNS else colours.swapaxes(0, 1)
     for row in (field[0], field[0, ::-1], field[-1], field[-1, ::-1]):
         if not (row[1:].mean(axis=-1) < _FALL * row[:-1].mean(axis=-1)).all():

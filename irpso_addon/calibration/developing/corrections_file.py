@@ -34,9 +34,9 @@ _KEYS = {"format", "colour_space", "saturated", "reference", "gains", "matrix", 
 
 @dataclass(frozen=True)
 class Photograph:
-    """What a photograph was taken with. image: its file in the capture. file: the camera's own, or a bracket's name.
+    """Source of an image. image: its file in the capture. file: name of the camera's file, or of the bracket.
 
-    lens: EXIF's camera, lens and focal length, those that the file has. exposure: EXIF's, None without one.
+    lens: camera, lens and focal length, as far as EXIF states them. exposure: by EXIF, or None.
     """
 
     image: str
@@ -45,22 +45,22 @@ class Photograph:
     exposure: Exposure | None = None
 
     def keys(self) -> dict[str, Any]:
-        """Return its table."""
+        """Return its keys in corrections.toml, without those that are None."""
         exposure = self.exposure
-        found: dict[str, Any] = {"image": self.image, "file": self.file, **self.lens}
+        table: dict[str, Any] = {"image": self.image, "file": self.file, **self.lens}
         if exposure is not None:
-            found |= {"seconds": exposure.seconds, "f_number": exposure.f_number, "iso": exposure.iso}
-        return {key: value for key, value in found.items() if value is not None}
+            table |= {"seconds": exposure.seconds, "f_number": exposure.f_number, "iso": exposure.iso}
+        return {key: value for key, value in table.items() if value is not None}
 
 
 def photograph_of(image: str, shot: Shot) -> Photograph:
-    """Return what a shot was taken with; an EXR tells nothing. Raises InputError if its file cannot be read."""
-    found = photograph_at(image, shot.images[0].path)
-    return found if len(shot.images) == 1 else replace(found, file=shot.name + shot.images[0].path.suffix)
+    """Return the source of a shot; an EXR has no EXIF. Raises InputError if its file cannot be read."""
+    photograph = photograph_at(image, shot.images[0].path)
+    return photograph if len(shot.images) == 1 else replace(photograph, file=shot.name + shot.images[0].path.suffix)
 
 
 def photograph_at(image: str, path: Path) -> Photograph:
-    """Return what the photograph in a file was taken with; an EXR tells nothing."""
+    """Return the source of an image from a file; an EXR has no EXIF."""
     if is_exr(path):
         return Photograph(image, path.name)
     data = read_bytes(path)
@@ -68,7 +68,7 @@ def photograph_at(image: str, path: Path) -> Photograph:
 
 
 def photograph_of_keys(row: dict[str, Any], where: str) -> Photograph:
-    """Return a photograph of its table. Raises CaptureError at unknown keys."""
+    """Return a Photograph from its table. Raises CaptureError at unknown keys."""
     known_keys(row, {"image", "file", *LENS_KEYS, "seconds", "f_number", "iso"}, where)
     seconds, f_number, iso = (number(row, key, where) if key in row else None for key in ("seconds", "f_number", "iso"))
     lens = {key: row[key] for key in LENS_KEYS if key in row}
@@ -77,7 +77,7 @@ def photograph_of_keys(row: dict[str, Any], where: str) -> Photograph:
 
 
 def write_corrections(folder: Path, measured: Measured, photographs: Sequence[Photograph]) -> None:
-    """Write corrections into a new folder, whole or not at all. Raises InputError where writing fails."""
+    """Write corrections into a new folder, atomically. Raises InputError if writing fails."""
     corrections = measured.corrections
     with new_folder(folder) as partial:
         if corrections.response is not None:
@@ -118,9 +118,9 @@ def _lines(measured: Measured, photographs: Sequence[Photograph]) -> Iterator[st
 
 
 def read_corrections(folder: Path) -> tuple[Measured, tuple[Photograph, ...]]:
-    """Return the corrections in a folder, for one camera, and the photographs that they were measured for.
+    """Return the corrections in a folder, for one camera, and the photographs for which they were measured.
 
-    Raises InputError where a file is missing or damaged.
+    Raises InputError if a file is missing or damaged.
     """
     path = folder / _TABLE
     table, where = load_toml(path), str(path)
@@ -168,7 +168,7 @@ def _channels(frame: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _frame(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return (H, W, 3) and alpha (H, W), 1 without one."""
+    """Return colours (H, W, 3) and alpha (H, W), 1 without one."""
     (channels,) = read_exr(path).values()
     frame = np.stack([channels[name] for name in "RGB"], axis=-1)
     return frame, channels.get("A", np.ones(frame.shape[:2], np.float32))

@@ -1,4 +1,4 @@
-"""Response curves of greys in one photograph: patches whose places are given, or the grey row of a chart."""
+"""Response curves from greys in one photograph: given patches, or the grey row of a colour chart."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..radiometry.frames import Patch, patch_mean, read_frame
 from ..radiometry.response import Response, measurable, response_from_patches
 
 AUTO = "auto"
-# Of greys alone gloss and curve cannot be told apart: base colours by a varnished chart were off by ΔE2000 4.7.
+# Greys alone do not separate gloss from the curve: base colours by a varnished chart were off by ΔE2000 4.7.
 MATT_ONLY = (
     "the curve is right only if the chart is matt, which its greys do not show; if it is varnished, use brackets"
 )
 
 
 def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...]) -> Response:
-    """Return the response curve of grey patches in one photograph. Raises InputError."""
+    """Return the response curve by grey patches of known reflectance in one photograph. Raises InputError."""
     if any(patch.reflectance is None for patch in patches):
         raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
     rgb = _codes(store, image)
@@ -30,21 +30,21 @@ def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...
 
 
 def grey_row_response(store: ImageStore, image: ImageRef) -> Response | None:
-    """Return the response curve of the grey row of the 24-patch chart in a photograph; None if it shows no chart.
+    """Return the response curve by the grey row of the 24-patch chart in a photograph; None if it shows no chart.
 
-    The chart is found, and its uneven light is measured, as if the file had its stated curve. Raises InputError where
-    fewer than two greys are neither clipped nor black.
+    The search for the chart and its uneven illumination assume the file's stated curve. Raises InputError if fewer than
+    two greys are neither clipped nor black.
     """
     codes, frame = _codes(store, image), read_frame(store, image)
     where = f"--grey-card auto: {image}"
     found = find_chart(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), where)
     if found is None:
         return None
-    weighed = np.concatenate([codes, frame.weight[..., None]], axis=-1)
-    seen = sample_chart(weighed, found.corners, where)
-    light = np.exp(seen.places @ found.fit.shading) * patch_colours().reshape(-1, 3).mean(axis=-1)
-    usable = np.flatnonzero((seen.usable & measurable(seen.values))[GREY]) + GREY.start
-    return response_from_patches(seen.values[usable], light[usable].tolist())
+    coded = np.concatenate([codes, frame.weight[..., None]], axis=-1)
+    chart = sample_chart(coded, found.corners, where)
+    radiance = np.exp(chart.places @ found.fit.shading) * patch_colours().reshape(-1, 3).mean(axis=-1)
+    usable = np.flatnonzero((chart.usable & measurable(chart.values))[GREY]) + GREY.start
+    return response_from_patches(chart.values[usable], radiance[usable].tolist())
 
 
 def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:

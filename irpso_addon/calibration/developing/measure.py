@@ -1,4 +1,4 @@
-"""Measures the corrections of photographs: response curve, dark frame, flat field, colours, in this order."""
+"""Measurement of corrections: response curve, dark frame, flat field, then colours."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from ..radiometry.response import Response
 from ..radiometry.source import Exposing, Source
 from .greys import AUTO, MATT_ONLY, grey_row_response, patch_response
 
-_GOOD = 3.0  # mean ΔE2000 of a chart that ends the search; above, the other photographs are searched too
+_GOOD = 3.0  # mean ΔE2000 of a chart that ends the search; above, other photographs are searched, too
 
 
 class Progress(NamedTuple):
-    """The share of the work that is done, 0…1, and what is done now."""
+    """The fraction of the work done, 0…1, and the name of the current step."""
 
     done: float
     what: str
@@ -47,9 +47,9 @@ class Progress(NamedTuple):
 
 @dataclass(frozen=True)
 class Output:
-    """How images are written. register: shifted onto the one named ``reference``, or onto the first. half: 16 bits.
+    """How images are written. register: onto the image named ``reference``, or the first. half: 16-bit floats.
 
-    corrections: whether they are written too, for a rig.
+    corrections: write these, too, for a rig.
     """
 
     register: bool = False
@@ -64,18 +64,18 @@ class Output:
 
 @dataclass(frozen=True)
 class SearchedCard:
-    """A grey card that is found in a photograph. reflectance: for the scale; None for white balance alone."""
+    """A grey card to be searched. reflectance: sets the scale; None for white balance alone."""
 
     reflectance: float | None = None
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is measured and corrected. chart: the photograph with the patches or the chart; None for the capture's own.
+    """Options of the measurement. chart: photograph of the patches or the chart; None for those of the capture.
 
-    greys: patches that give the curve; or "auto", the grey row of the colour chart. white: a grey patch, a card that is
-    searched, or three gains. colour_chart: corners (4, 2); or "auto", to find it. The other fields are as the options
-    of ``develop``.
+    greys: patches for the response curve, or "auto" for the grey row of the colour chart. white: a grey patch, a card
+    to be searched, or three gains. colour_chart: corners (4, 2), or "auto" to search it. Other fields are options of
+    ``develop``.
     """
 
     response: Path | None = None
@@ -105,7 +105,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Measured:
-    """Corrections, what the report says of them, and warnings. exposing, colour_space: how the files are read."""
+    """Corrections, their figures for the report, and warnings. exposing, colour_space: how the files are read."""
 
     corrections: Corrections
     figures: dict = field(default_factory=dict)
@@ -115,7 +115,7 @@ class Measured:
 
 
 def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generator[Progress, None, Measured]:
-    """Yield before each measurement; return the corrections. Raises InputError where one cannot be measured."""
+    """Yield before each measurement; return the corrections. Raises InputError if one cannot be measured."""
     work = _Work(store, source, wanted)
     shots = source.shots
     cameras = 1 + max(shot.camera for shot in shots)
@@ -139,8 +139,8 @@ def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generato
         gains = yield from work.gains(corrections, wanted.white)
         corrections = replace(corrections, gains=gains)
     if isinstance(wanted.colour_chart, str):
-        found = yield from work.searched(corrections)
-        corrections = replace(corrections, matrix=found)
+        matrix = yield from work.searched(corrections)
+        corrections = replace(corrections, matrix=matrix)
     elif wanted.colour_chart is not None:
         corrections = replace(corrections, matrix=work.matrix(corrections, wanted.colour_chart))
     return Measured(corrections, work.figures, tuple(work.warnings), wanted.exposing, wanted.colour_space)
@@ -170,7 +170,7 @@ class _Work:
         return response
 
     def _grey_row(self) -> Generator[Progress, None, Response]:
-        """Return the curve of the colour chart's grey row, in the chart's photograph or the first that shows it."""
+        """Return the curve by the colour chart's grey row, in ``chart`` or the first photograph that shows it."""
         shots = self._shots("")
         for k, shot in enumerate(shots):
             yield Progress(0.1 * k / len(shots), f"grey row: {shot.name}")
@@ -212,7 +212,7 @@ class _Work:
     def gains(
         self, corrections: Corrections, white: Patch | SearchedCard | tuple[float, float, float]
     ) -> Generator[Progress, None, tuple[float, float, float]]:
-        """Return the factors of a white balance: as given, or measured on a patch or on the card that is found."""
+        """Return the gains of a white balance: as given, or measured on a patch or on the grey card."""
         shot = self.source.shots[0]
         if isinstance(white, Patch):
             shot = self._chart_shot(white.reflectance is not None, "omit =…")
@@ -231,7 +231,7 @@ class _Work:
     def _searched_card(
         self, corrections: Corrections, reflectance: float | None
     ) -> Generator[Progress, None, tuple[Shot, Patch]]:
-        """Return the grey card of the chart's photograph, else of the first that shows it."""
+        """Search the grey card in ``chart``, or else in the shots; return the first shot that shows it, and a patch."""
         shots = self._shots("omit =…" if reflectance is not None else "")
         for k, shot in enumerate(shots):
             yield Progress(0.2 * k / len(shots), f"grey card: {shot.name}")
@@ -246,7 +246,7 @@ class _Work:
         )
 
     def matrix(self, corrections: Corrections, corners: np.ndarray) -> np.ndarray:
-        """Return the matrix of a chart at given corners, which includes white balance and scale."""
+        """Return the colour matrix by a chart at given corners; it includes white balance and scale."""
         shot = self._chart_shot(True, "give one that has it, as the other photographs do")
         where = f"--colour-chart: {shot.images[0]}"
         order, chart, fit = recognised(developed(self.store, shot, corrections).rgba, corners, where)
@@ -255,7 +255,7 @@ class _Work:
         return fit.matrix
 
     def searched(self, corrections: Corrections) -> Generator[Progress, None, np.ndarray]:
-        """Return the matrix of the chart that is found: in the chart's photograph, else in the first that shows it."""
+        """Search the colour chart in ``chart``, or else in the shots; return the colour matrix of the best fit."""
         shots = self._shots("give one that has it")
         best = None
         for k, shot in enumerate(shots):
@@ -281,7 +281,7 @@ class _Work:
         return found.fit.matrix
 
     def _shots(self, remedy: str) -> list[Shot]:
-        """Return the chart's photograph, or all. remedy: where it needs an exposure and has none."""
+        """Return ``chart`` as a shot, or all shots. remedy: in the error if ``chart`` lacks a needed exposure."""
         return [self._chart_shot(bool(remedy), remedy)] if self.wanted.chart else list(self.source.shots)
 
     @staticmethod
@@ -292,14 +292,14 @@ class _Work:
         return ImageRef(path, colour_space=self.wanted.colour_space)
 
     def _amount(self, path: Path) -> float | None:
-        """Return the exposure of a file beside the shots; None if it has none or exposures are not used."""
+        """Return the exposure of a file that is not a shot; None if it has none or exposures are not used."""
         exposing = self.wanted.exposing
         if exposing is None:
             return None
         if exposing.by == "exif":
             return exif_amount(path) if exposure_of(read_bytes(path)) else None
-        found = None if exposing.given else name_amount(path.stem)
-        return found[1] if found else None
+        parsed = None if exposing.given else name_amount(path.stem)
+        return parsed[1] if parsed else None
 
     def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
         first, chart = self.source.shots[0], self.wanted.chart
@@ -317,5 +317,5 @@ def _many(shots: list[Shot]) -> str:
 
 
 def finite(value: float) -> float | None:
-    """Return a number as a report has it: rounded, None for one that is not finite."""
+    """Return a number for a report: rounded to 6 decimals, None if it is not finite."""
     return round(value, 6) if np.isfinite(value) else None

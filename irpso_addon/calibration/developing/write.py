@@ -1,4 +1,4 @@
-"""Writes developed photographs: a capture's images and lists, the corrections, and a report. Whole or not at all."""
+"""Atomic output of developed photographs: a capture's images and lists, the corrections, and a report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .corrections_file import FOLDER, photograph_of, write_corrections
 from .measure import Measured, Output, Progress, Wanted, finite, measure_steps
 
 _FILENAMES = "filenames.txt"
-_MEASURED, _REGISTERED = 0.2, 0.5  # the share of the work that ends there
+_MEASURED, _REGISTERED = 0.2, 0.5  # fraction of the work at the end of each step
 
 
 def develop_steps(
@@ -32,7 +32,7 @@ def develop_steps(
 ) -> Generator[Progress, None, dict]:
     """Measure the corrections of a source, develop its photographs into a new folder, and return the report.
 
-    settings: for the report. Raises InputError, and then writes nothing.
+    settings: for the report. Writes nothing if it raises InputError.
     """
     check_unused(out)
     measured = yield from measure_steps(store, source, wanted)
@@ -42,9 +42,9 @@ def develop_steps(
 def write_developed_steps(
     store: ImageStore, source: Source, measured: Measured, out: Path, settings: dict[str, Any], output: Output
 ) -> Generator[Progress, None, dict]:
-    """Develop a source with corrections that are known into a new folder, and return the report.
+    """Develop a source with known corrections into a new folder, and return the report.
 
-    Raises InputError, and then writes nothing.
+    Writes nothing if it raises InputError.
     """
     work = _Work(store, source, measured, output.half)
     if output.register:
@@ -60,7 +60,7 @@ def write_developed_steps(
 
 
 class _Work:
-    """Develops one source: reads, corrects, moves and writes each image."""
+    """Development of one source: reads, corrects, registers and writes each image."""
 
     def __init__(self, store: ImageStore, source: Source, measured: Measured, half: bool):
         self.store, self.source, self.measured, self.half = store, source, measured, half
@@ -69,14 +69,14 @@ class _Work:
         self.figures: list[dict] = [{} for _ in source.shots]
         self.names: list[str] = []
 
-    def register_steps(self, wanted: str | None) -> Generator[Progress, None, None]:
-        """Measure each image's shift against the reference, by name, or the first."""
+    def register_steps(self, reference: str | None) -> Generator[Progress, None, None]:
+        """Yield the progress; measure each image's shift from the image named ``reference``, or from the first."""
         shots, capture = self.source.shots, self.source.capture
         names = [shot.name for shot in shots]
-        if wanted and wanted not in names:
-            raise InputError(f"--reference {wanted}: there is no such image; give a name, as {names[0]}")
+        if reference and reference not in names:
+            raise InputError(f"--reference {reference}: there is no such image; give a name, as {names[0]}")
         masks = capture.masks if capture else [np.ones((shots[0].size or (1, 1))[::-1], bool)]
-        number = names.index(wanted) if wanted else 0
+        number = names.index(reference) if reference else 0
         steps = registration_steps(self.store, shots, masks, self.measured.corrections, number)
         span = _REGISTERED - _MEASURED
         self.shifts = yield from map_steps(steps, lambda part: Progress(_MEASURED + span * part, "looking for shifts"))
@@ -94,15 +94,15 @@ class _Work:
 
     def write_steps(self, folder: Path) -> Generator[Progress, None, None]:
         """Yield before each image; write all images and the lists into a folder."""
-        begun = _MEASURED if self.shifts is None else _REGISTERED
+        start = _MEASURED if self.shifts is None else _REGISTERED
         shots, capture = self.source.shots, self.source.capture
         if capture is not None:
             observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
             steps = write_steps(replace(capture, observations=tuple(observations)), folder, half=self.half)
-            self.names = yield from map_steps(steps, lambda part: Progress(begun + (1 - begun) * part, "developing"))
+            self.names = yield from map_steps(steps, lambda part: Progress(start + (1 - start) * part, "developing"))
             return
         for k, shot in enumerate(shots):
-            yield Progress(begun + (1 - begun) * k / len(shots), shot.name)
+            yield Progress(start + (1 - start) * k / len(shots), shot.name)
             rgba = self._read(k)
             channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
             if (rgba[..., 3] != 1).any():
@@ -115,10 +115,10 @@ class _Work:
     def _read(self, index: int) -> np.ndarray:
         """Return one image to write, (H, W, 4), and store its figures."""
         shots = self.source.shots
-        found = developed(self.store, shots[index], self.measured.corrections)
-        rgba, figures = found.rgba, {"name": shots[index].name, **found.figures}
+        image = developed(self.store, shots[index], self.measured.corrections)
+        rgba, figures = image.rgba, {"name": shots[index].name, **image.figures}
         if self.shifts is not None:
-            (right, up), agreement, trusted = (part[index] for part in self.shifts)
+            (right, up), agreement, trusted = (values[index] for values in self.shifts)
             moved = bool(max(abs(right), abs(up)) >= SMALLEST_MOVE)
             figures |= {"shift": [round(float(right), 4), round(float(up), 4)], "agreement": finite(float(agreement)),
                         "trusted": bool(trusted), "moved": moved}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Bundle adjustment: poses, lens and points that explain where photographs show the points (Triggs et al. 2000).
+"""Bundle adjustment: poses, lens and points of least reprojection error (Triggs et al. 2000).
 
 Levenberg–Marquardt with a robust (Cauchy) loss; points are eliminated by the Schur complement. Axes and poses are those
 of ``poses``.
@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-_SCALE = 1.0  # pixels, of the Cauchy loss
+_SCALE = 1.0  # pixels: scale of the Cauchy loss
 _ITERATIONS = 60
-_LIKELY_RADIAL = 0.1  # standard deviation of k1: cameras correct most of it themselves
-_ENOUGH = 1e-7  # relative decrease of the loss
+_LIKELY_RADIAL = 0.1  # standard deviation of k1: cameras correct most of the distortion
+_CONVERGED = 1e-7  # relative decrease of the loss that ends the iteration
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """rotations: (K, 3, 3), shifts: (K, 3) of the photographs. points: (P, 3). focal: pixels. radial: k1 of the lens.
+    """rotations: (K, 3, 3) and shifts: (K, 3), the poses. points: (P, 3). focal: pixels. radial: k1 of the lens.
 
     centres: (K, 2) principal points, pixels from the upper left corner.
     """
@@ -33,7 +33,7 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Views:
-    """Where photographs show points: (M,) photograph, (M,) point, (M, 2) pixels from the upper left corner."""
+    """Observations of points: (M,) photograph, (M,) point, (M, 2) pixels from the upper left corner."""
 
     photograph: np.ndarray
     point: np.ndarray
@@ -41,14 +41,14 @@ class Views:
 
 
 def seen(bundle: Bundle, views: Views) -> np.ndarray:
-    """Return (M, 2) the pixels at which a bundle predicts the views."""
+    """Return the pixels (M, 2) at which a bundle predicts the views."""
     return _projected(bundle, views)[0]
 
 
 def turn_errors(bundle: Bundle, views: Views) -> np.ndarray:
-    """Return (K,) standard errors, in degrees, of the photographs' rotations about their least certain axes.
+    """Return the standard errors (K,), in degrees, of the photographs' rotations about their least certain axes.
 
-    From the pose's normal equations, with lens and points as they are, and the weighted mean of all squared errors.
+    They follow from each pose's normal equations, with lens and points fixed, and the weighted mean of squared errors.
     """
     left, _, _ = _normal_equations(bundle, views, 0.0, None, bundle)
     square = ((seen(bundle, views) - views.pixels) ** 2).sum(axis=1)
@@ -60,11 +60,10 @@ def turn_errors(bundle: Bundle, views: Views) -> np.ndarray:
 
 
 def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) -> Bundle:
-    """Return the bundle of the least robust reprojection error.
+    """Return the bundle of least robust reprojection error.
 
-    lens: standard deviation of the focal length from that of ``bundle``, a share; then k1 is free, too; 0 keeps both.
-    relief: standard deviation of the points' heights above z = 0, whose
-    places are then free, too; None keeps all points.
+    lens: relative standard deviation of the focal length about that of ``bundle``; k1 is then free, too; 0 fixes both.
+    relief: standard deviation of the points' heights about z = 0; their positions are then free; None fixes all points.
     """
     first = bundle
     loss, damping = _loss(bundle, views, lens, relief, first), 1e-4
@@ -72,31 +71,31 @@ def adjusted(bundle: Bundle, views: Views, lens: float, relief: float | None) ->
         left, right, eliminated = _normal_equations(bundle, views, lens, relief, first)
         for _ in range(8):
             new = _stepped(bundle, left, right, eliminated, damping, lens)
-            new = new if relief is None else _as_large(new, first)
-            tried = _loss(new, views, lens, relief, first)
-            if tried < loss:
+            new = new if relief is None else _rescaled(new, first)
+            new_loss = _loss(new, views, lens, relief, first)
+            if new_loss < loss:
                 break
             damping *= 6
         else:
             return bundle
-        gain, bundle, loss, damping = (loss - tried) / loss, new, tried, max(damping / 6, 1e-9)
-        if gain < _ENOUGH:
+        gain, bundle, loss, damping = (loss - new_loss) / loss, new, new_loss, max(damping / 6, 1e-9)
+        if gain < _CONVERGED:
             break
     return bundle
 
 
-def _as_large(bundle: Bundle, first: Bundle) -> Bundle:
-    """Return the bundle with its points as far apart as the first one's: no picture tells the size of the world.
+def _rescaled(bundle: Bundle, first: Bundle) -> Bundle:
+    """Scale a bundle to the size of the first one's points, which photographs do not determine.
 
-    Without this the prior on the relief would shrink the world.
+    Without this the prior on the relief would shrink the scene.
     """
-    was, now = (np.linalg.norm(one.points[:, :2] - one.points[:, :2].mean(axis=0)) for one in (first, bundle))
-    scale = float(was / now)
+    target, size = (np.linalg.norm(one.points[:, :2] - one.points[:, :2].mean(axis=0)) for one in (first, bundle))
+    scale = float(target / size)
     return replace(bundle, points=scale * bundle.points, shifts=scale * bundle.shifts)
 
 
 def _projected(bundle: Bundle, views: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return pixels (M, 2), places in the camera's axes (M, 3), in the picture (M, 2), and points turned (M, 3)."""
+    """Return pixels (M, 2), points in camera axes (M, 3), on the plane at depth 1 (M, 2), and rotated only (M, 3)."""
     k = views.photograph
     turned = np.einsum("mij,mj->mi", bundle.rotations[k], bundle.points[views.point])
     local = turned + bundle.shifts[k]
@@ -117,7 +116,7 @@ def _loss(bundle: Bundle, views: Views, lens: float, relief: float | None, first
 def _normal_equations(
     bundle: Bundle, views: Views, lens: float, relief: float | None, first: Bundle
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray] | None]:
-    """Return the left and right side for poses (6 each) and lens, and what belongs to the points, if they are free."""
+    """Return left and right side for poses (6 each) and lens, and the blocks of the points, or None if fixed."""
     pixels, local, plane, turned = _projected(bundle, views)
     error = pixels - views.pixels
     weight = 1 / (1 + (error**2).sum(axis=1) / _SCALE**2)
@@ -147,28 +146,28 @@ def _normal_equations(
     left[6 * count :, 6 * count :] = np.einsum("mai,m,maj->ij", by_lens, weight, by_lens)
     right[: 6 * count], right[6 * count :] = sides.ravel(), np.einsum("mai,m,ma->i", by_lens, weight, error)
     if lens:
-        for place, spread, off in (
+        for index, sigma, deviation in (
             (-2, lens * first.focal, bundle.focal - first.focal),
             (-1, _LIKELY_RADIAL, bundle.radial - first.radial),
         ):
-            left[place, place] += 1 / spread**2
-            right[place] += off / spread**2
+            left[index, index] += 1 / sigma**2
+            right[index] += deviation / sigma**2
     if relief is None:
         return left, right, None
     by_point = by_local @ bundle.rotations[k]
     total = len(bundle.points)
-    own, side = np.zeros((total, 3, 3)), np.zeros((total, 3))
-    np.add.at(own, views.point, np.einsum("mai,m,maj->mij", by_point, weight, by_point))
-    np.add.at(side, views.point, np.einsum("mai,m,ma->mi", by_point, weight, error))
-    own[:, 2, 2] += 1 / relief**2
-    side[:, 2] += bundle.points[:, 2] / relief**2
-    shared = np.zeros((size, total, 3))
+    point_blocks, point_sides = np.zeros((total, 3, 3)), np.zeros((total, 3))
+    np.add.at(point_blocks, views.point, np.einsum("mai,m,maj->mij", by_point, weight, by_point))
+    np.add.at(point_sides, views.point, np.einsum("mai,m,ma->mi", by_point, weight, error))
+    point_blocks[:, 2, 2] += 1 / relief**2
+    point_sides[:, 2] += bundle.points[:, 2] / relief**2
+    pose_point = np.zeros((size, total, 3))
     rows = 6 * k[:, None] + np.arange(6)
-    np.add.at(shared, (rows, views.point[:, None]), np.einsum("mai,m,maj->mij", by_pose, weight, by_point))
+    np.add.at(pose_point, (rows, views.point[:, None]), np.einsum("mai,m,maj->mij", by_pose, weight, by_point))
     for part in range(free):
         by_part = np.einsum("ma,m,maj->mj", by_lens[..., part], weight, by_point)
-        np.add.at(shared[6 * count + part], views.point, by_part)
-    return left, right, (own, side, shared)
+        np.add.at(pose_point[6 * count + part], views.point, by_part)
+    return left, right, (point_blocks, point_sides, pose_point)
 
 
 def _stepped(
@@ -179,38 +178,38 @@ def _stepped(
     damping: float,
     lens: float,
 ) -> Bundle:
-    """Return the bundle after one damped step."""
+    """Return the bundle after one damped step; the Schur complement eliminates free points."""
     damped = left + damping * np.diag(np.diag(left) + 1e-9)
-    moved = bundle.points
+    points = bundle.points
     if eliminated is None:
         step = -np.linalg.solve(damped, right)
     else:
-        own, side, shared = eliminated
-        own = own + damping * own * np.eye(3) + 1e-12 * np.eye(3)
-        inverse = np.linalg.inv(own)
-        held = np.einsum("cpi,pij->cpj", shared, inverse)
-        flat, held_flat = shared.reshape(len(left), -1), held.reshape(len(left), -1)
-        step = -np.linalg.solve(damped - held_flat @ flat.T, right - held_flat @ side.ravel())
-        back = -np.einsum("pij,pj->pi", inverse, side + np.einsum("c,cpi->pi", step, shared))
-        moved = bundle.points + back
+        point_blocks, point_sides, pose_point = eliminated
+        point_blocks = point_blocks + damping * point_blocks * np.eye(3) + 1e-12 * np.eye(3)
+        inverse = np.linalg.inv(point_blocks)
+        reduced = np.einsum("cpi,pij->cpj", pose_point, inverse)
+        flat, reduced_flat = pose_point.reshape(len(left), -1), reduced.reshape(len(left), -1)
+        step = -np.linalg.solve(damped - reduced_flat @ flat.T, right - reduced_flat @ point_sides.ravel())
+        point_steps = -np.einsum("pij,pj->pi", inverse, point_sides + np.einsum("c,cpi->pi", step, pose_point))
+        points = bundle.points + point_steps
     count = len(bundle.shifts)
     poses = step[: 6 * count].reshape(count, 6)
     rotations = _turns(poses[:, :3]) @ bundle.rotations
-    new = replace(bundle, rotations=rotations, shifts=bundle.shifts + poses[:, 3:], points=moved)
+    new = replace(bundle, rotations=rotations, shifts=bundle.shifts + poses[:, 3:], points=points)
     if not lens:
         return new
     return replace(new, focal=bundle.focal + float(step[-2]), radial=bundle.radial + float(step[-1]))
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Return (N, 3, 3) matrices of cross products with vectors (N, 3)."""
+    """Return the matrices (N, 3, 3) of cross products with vectors (N, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=1)
 
 
 def _turns(vectors: np.ndarray) -> np.ndarray:
-    """Return (N, 3, 3) rotations by vectors (N, 3) (Rodrigues)."""
+    """Return the rotations (N, 3, 3) by vectors (N, 3) (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     cross = _cross(vectors)
     safe = np.maximum(angle, 1e-12)

@@ -1,4 +1,4 @@
-"""Cameras and lens of photographs by the points of a card that they show. Pixels are those of the reduced pictures."""
+"""Poses and lens of photographs from points of a card. Pixels are those of the reduced photographs."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .bundle import Bundle, Views, adjusted, seen, turn_errors
 from .poses import camera_matrix, focal_of, plane_of, pose_of
 from .tracks import Tracks
 
-_SPREAD = {"known": 0.5, "likely": 0.06, "unknown": 0.5}  # of the focal length where it is solved: a share
+_FOCAL_SPREAD = {"known": 0.5, "likely": 0.06, "unknown": 0.5}  # lens → relative deviation of the focal length
 _RELIEF = 0.01  # of the cameras' distance: standard deviation of the heights of features
-_MOST_ERROR = 2.5  # pixels of _WORKING, median, above which no lens and no poses explain the photographs
-_STRAY = 4.0  # times the median error of all photographs, from which one is left out
-_UNSURE = 0.7  # degrees: standard error of a photograph's rotation from which it is left out
-_LEAST_ERROR = 0.3  # pixels, that no lens is blamed for
-_OTHER_LENS = 1.5  # times the error with a free lens, above which a given lens is wrong
+_MOST_ERROR = 2.5  # pixels of the reduced photographs, median: larger errors are refused
+_OUTLIER = 4.0  # times the median error of all photographs: above, one is excluded
+_UNSURE = 0.7  # degrees: standard error of the rotation above which a photograph is excluded
+_LEAST_ERROR = 0.3  # pixels: errors below never refute a stated lens
+_OTHER_LENS = 1.5  # times the error with a free lens: above, a stated lens is wrong
 
 
 @dataclass(frozen=True)
 class Placed:
-    """cameras: with pose and lens, of the photographs that ``tracks`` uses.
+    """cameras: with pose and lens, of ``tracks.used``. points: (P, 3) of the card.
 
-    points: (P, 3) of the card. error: median reprojection error, in pixels of the photographs.
+    error: median reprojection error, in pixels of the full photographs.
     """
 
     cameras: tuple[Camera, ...]
@@ -37,17 +37,17 @@ class Placed:
 
 
 def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str) -> Placed:
-    """Return the cameras that explain the tracks, and leave out photographs that none explains or that show too few
-    points for their angle: those from straight above, whose tilt changes the picture least.
+    """Return the cameras of least reprojection error, without photographs of large errors or uncertain rotations.
 
-    seen_by: a camera without pose for each photograph. factor: of the reduced pictures' size. lens: as in
-    ``handheld_steps``. Raises InputError where a known lens is wrong, or no cameras explain the points.
+    Rotations are least certain straight above the card, where tilt changes the image least. seen_by: a camera without
+    pose for each photograph. factor: reduced over full size. lens: as in ``handheld_steps``. Raises InputError if a
+    known lens is wrong, or the points do not fit.
     """
     bundle, errors, turns = _solved(tracks, seen_by, factor, lens)
-    off = (turns > _UNSURE) | (errors > max(_STRAY * float(np.median(errors)), 1.0))
-    stray = tuple(number for number, far in zip(tracks.used, off.tolist(), strict=True) if far)
-    if stray:
-        tracks = tracks.without(stray)
+    excluded = (turns > _UNSURE) | (errors > max(_OUTLIER * float(np.median(errors)), 1.0))
+    outliers = tuple(number for number, bad in zip(tracks.used, excluded.tolist(), strict=True) if bad)
+    if outliers:
+        tracks = tracks.without(outliers)
         bundle, errors, _ = _solved(tracks, seen_by, factor, lens)
     error = float(np.median(errors)) / factor
     if error * factor > _MOST_ERROR:
@@ -67,54 +67,53 @@ def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, len
 def _solved(
     tracks: Tracks, seen_by: Sequence[Camera], factor: float, lens: str
 ) -> tuple[Bundle, np.ndarray, np.ndarray]:
-    """Return poses, lens and points, and for each photograph used the median reprojection error, in pixels of codes,
-    and the standard error of its rotation, in degrees.
+    """Return the bundle, and of each photograph used the median reprojection error and rotation's standard error.
 
-    Raises InputError where a known lens is wrong.
+    Units: pixels of the reduced photographs, degrees. Raises InputError if a known lens is wrong.
     """
     order = {number: k for k, number in enumerate(tracks.used)}
     views = Views(np.array([order[n] for n in tracks.photograph.tolist()]), tracks.point, tracks.pixels)
     cameras = [seen_by[n] for n in tracks.used]
-    # In pixels of the codes, from the upper left corner.
+    # In pixels of the reduced photographs, from the upper left corner.
     centres = np.array([(c.centre[0], c.height - c.centre[1]) for c in cameras]) * factor
     start = _start(tracks, cameras, centres, factor, lens)
     relief = None if tracks.board else _RELIEF * float(np.median(np.linalg.norm(start.shifts, axis=1)))
-    free = adjusted(start, views, _SPREAD[lens], relief)
+    free = adjusted(start, views, _FOCAL_SPREAD[lens], relief)
     if lens != "known":
         return free, _errors(free, views), turn_errors(free, views)
-    kept = adjusted(start, views, 0.0, relief)
-    error, best = (float(np.median(_errors(bundle, views))) for bundle in (kept, free))
+    fixed = adjusted(start, views, 0.0, relief)
+    error, best = (float(np.median(_errors(bundle, views))) for bundle in (fixed, free))
     if error > max(_OTHER_LENS * best, _LEAST_ERROR):
         angle = np.degrees(2 * np.arctan(cameras[0].width * factor / 2 / free.focal))
         raise InputError(
             f"points are off by {error / factor:.2f} pixels with the given focal length, and by"
             f" {best / factor:.2f} with one of {angle:.1f}° over the width; correct --fov, or leave it out"
         )
-    return kept, _errors(kept, views), turn_errors(kept, views)
+    return fixed, _errors(fixed, views), turn_errors(fixed, views)
 
 
 def _errors(bundle: Bundle, views: Views) -> np.ndarray:
-    off = np.linalg.norm(seen(bundle, views) - views.pixels, axis=1)
-    return np.array([np.median(off[views.photograph == k]) for k in range(len(bundle.shifts))])
+    distances = np.linalg.norm(seen(bundle, views) - views.pixels, axis=1)
+    return np.array([np.median(distances[views.photograph == k]) for k in range(len(bundle.shifts))])
 
 
 def _start(tracks: Tracks, cameras: Sequence[Camera], centres: np.ndarray, factor: float, lens: str) -> Bundle:
-    """Return poses by homographies alone, before the adjustment."""
+    """Return the start of the adjustment: poses by homographies alone."""
     maps = [np.array([(1, 0, -x), (0, 1, -y), (0, 0, 1)]) @ tracks.homography(n)
             for n, (x, y) in zip(tracks.used, centres, strict=True)]  # fmt: skip
-    given = cameras[0].scale[0] * factor
+    stated = cameras[0].scale[0] * factor
     size = max(cameras[0].width, cameras[0].height) * factor
     if tracks.board is not None:
-        focal = given if lens != "unknown" else focal_of(maps) or given
+        focal = stated if lens != "unknown" else focal_of(maps) or stated
         plane = np.insert(tracks.plane, 2, 0.0, axis=1)
-        seen_from = np.eye(3)
+        to_reference = np.eye(3)
     else:
         k = tracks.used.index(tracks.reference) if tracks.reference in tracks.used else 0
         centre = centres[k]
-        off = np.array([(1, 0, centre[0]), (0, 1, centre[1]), (0, 0, 1)])
-        shape, focal, _ = plane_of([matrix @ off for matrix in maps], given if lens != "unknown" else None, size)
-        seen_from = off @ np.diag([focal, focal, 1.0]) @ shape
-        plane = np.insert(mapped(np.linalg.inv(seen_from), tracks.plane), 2, 0.0, axis=1)
-    poses = [pose_of(np.diag([1 / focal, 1 / focal, 1.0]) @ matrix @ seen_from) for matrix in maps]
+        offset = np.array([(1, 0, centre[0]), (0, 1, centre[1]), (0, 0, 1)])
+        shape, focal, _ = plane_of([matrix @ offset for matrix in maps], stated if lens != "unknown" else None, size)
+        to_reference = offset @ np.diag([focal, focal, 1.0]) @ shape
+        plane = np.insert(mapped(np.linalg.inv(to_reference), tracks.plane), 2, 0.0, axis=1)
+    poses = [pose_of(np.diag([1 / focal, 1 / focal, 1.0]) @ matrix @ to_reference) for matrix in maps]
     rotations, shifts = (np.stack(part) for part in zip(*poses, strict=True))
     return Bundle(rotations, shifts, plane, focal, 0.0, centres)

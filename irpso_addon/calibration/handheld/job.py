@@ -1,4 +1,4 @@
-"""One hand-held calibration, from photographs to cameras and lights."""
+"""Hand-held calibration: cameras and flash positions from photographs of a card, by a moving camera with its flash."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from .tracks import Tracks, feature_tracks, marker_tracks
 
 Box = tuple[float, float, float, float]
 ENOUGH, FEWEST = 30, 8  # photographs
-_GRID = 28  # places along a side of the card, for the flash
+_GRID = 28  # points along a side of the card, for the fit of the flash
 _BLURRED = 0.6  # of the median sharpness
-_ONE_PLACE = 6.0  # degrees between views, seen from the card: root mean square
+_LEAST_VIEW_ANGLE = 6.0  # degrees: least root mean square angle between views
 _WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a board
-_UNEVEN = 0.08  # standard deviation of the logarithm of the strengths above which exposures differ
-_CONTRADICTS, _FAR_SURER = 2.5, 0.5  # standard errors; of the other's
-_LEAST_PAPER = 10  # places of bare paper that each photograph must show unclipped
-_UNSURE = 0.02  # of the distance: standard error of the flash's place that makes it useless
-_TRIMMED = 0.5  # percent of the features at each side that do not count for the extent of the card
-_SHOWN = 0.6  # of the photographs that must show a place of a card without a board
-_SIDE = 96  # samples along a side of the square in which positions of a card are compared
+_UNEVEN = 0.08  # standard deviation of the strengths' logarithm: above, exposures differ
+_CONTRADICTS, _MUCH_SURER = 2.5, 0.5  # standard errors; of the other fit's standard error
+_LEAST_PAPER = 10  # points of bare paper that each photograph must show unclipped
+_UNSURE = 0.02  # of the distance: largest usable standard error of the flash's position
+_TRIM = 0.5  # percent of the features at each side, excluded from the extent of the card
+_LEAST_IN_VIEW = 0.6  # of the photographs that must show a point of a card without a board
+_SIDE = 96  # samples along a side of the square for the test of ambiguous positions
 _ALIKE = "the card looks the same after a turn or a shift, so its position is uncertain in"
 _BOARD = "lay a marker board (`irpso markers`) around it"
 
 
 @dataclass(frozen=True)
 class Handheld:
-    """cameras: of the photographs ``numbers``; the card lies in z = 0. field: (x0, y0, x1, y1) what is recovered.
+    """cameras: of the photographs ``numbers``; the card lies in z = 0. field: (x0, y0, x1, y1), the recovered area.
 
     error: median reprojection error in pixels of the photographs. intensities: (K,) of the flash, at distance 1.
     views: root mean square angle between the views, in degrees. board: of the markers, None for features.
@@ -55,19 +55,19 @@ class Handheld:
 
     @property
     def lamps(self) -> np.ndarray:
-        """(K, 3) places of the flash."""
+        """(K, 3) positions of the flash."""
         return np.stack([camera.matrix[:3, :3] @ self.flash.offset + camera.position for camera in self.cameras])
 
 
 def handheld_steps(
     capture: Capture, lens: str = "likely", flash_offset: np.ndarray | None = None
 ) -> Generator[float, None, Handheld]:
-    """Yield the share that is done; return cameras and flash of photographs, each of its own camera.
+    """Yield the fraction done; return the cameras and the flash of photographs.
 
-    capture: its cameras have the size and the focal length of the photographs and no pose; all focal lengths are one.
-    lens: "known" keeps the focal length; "likely" (EXIF's, which is rounded) and "unknown" solve it. flash_offset:
-    (3,) millimetres, with markers only.
-    Raises InputError where photographs are too few, blurred, without points, from one place or of another lens.
+    capture: one camera per photograph, with its size and focal length, without pose; all have one focal length. lens:
+    "known" fixes the focal length; "likely" (EXIF's, which is rounded) and "unknown" fit it. flash_offset: (3,)
+    millimetres from lens to flash, with markers only; None to fit it. Raises InputError if photographs are too few,
+    blurred, without points, from one viewpoint or of another lens.
     """
     _check_count(len(capture.observations), "")
     _check_size(capture)
@@ -82,45 +82,45 @@ def handheld_steps(
     yield 0.75
     seen_by, radiance = ([side[n] for n in sharp] for side in (capture.cameras, pictures.radiance))
     placed = placed_cameras(tracks, seen_by, pictures.factor, lens)
-    lost = _listed(np.delete(names[sharp], placed.tracks.used))
-    _check_count(len(placed.cameras), f"; the card is not recognised well in {lost}")
-    doubt: tuple[int, ...] = ()
+    failed = _listed(np.delete(names[sharp], placed.tracks.used))
+    _check_count(len(placed.cameras), f"; the card is not recognised well in {failed}")
+    ambiguous: tuple[int, ...] = ()
     if tracks.board is None:
         yield 0.8
-        doubt = _in_doubt(placed, radiance)
-    alike = f"{_ALIKE} {_listed(names[sharp[list(doubt)]])}; {_BOARD}" if doubt else ""
-    if doubt:
-        _check_count(len(placed.cameras) - len(doubt), f"; {alike}")
-        placed = placed_cameras(placed.tracks.without(doubt), seen_by, pictures.factor, lens)
-        lost = _listed(np.delete(names[sharp], [*placed.tracks.used, *doubt]))
-        _check_count(len(placed.cameras), f"; the card is not recognised well in {lost}")
+        ambiguous = _ambiguous(placed, radiance)
+    reason = f"{_ALIKE} {_listed(names[sharp[list(ambiguous)]])}; {_BOARD}" if ambiguous else ""
+    if ambiguous:
+        _check_count(len(placed.cameras) - len(ambiguous), f"; {reason}")
+        placed = placed_cameras(placed.tracks.without(ambiguous), seen_by, pictures.factor, lens)
+        failed = _listed(np.delete(names[sharp], [*placed.tracks.used, *ambiguous]))
+        _check_count(len(placed.cameras), f"; the card is not recognised well in {failed}")
     numbers = sharp[list(placed.tracks.used)]
     field, cameras = _in_unit(_field(tracks.board, placed), placed.cameras, tracks.board)
     angle = _view_angle(cameras)
-    if angle < _ONE_PLACE:
+    if angle < _LEAST_VIEW_ANGLE:
         raise InputError(
             f"the photographs are all from one place: their views differ by {angle:.1f}°; the flash moves with the"
             " lens, so go around the card, from straight above to 50° from the side"
         )
     yield 0.85
     places = _places(field, tracks.board)
-    seen = [_sampled(radiance[k], camera, places) for k, camera in zip(placed.tracks.used, cameras, strict=True)]
-    samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(seen))
-    flash, intensities, more = _flash(samples, flash_offset, tracks.board)
-    told = (
+    sampled = [_sampled(radiance[k], camera, places) for k, camera in zip(placed.tracks.used, cameras, strict=True)]
+    samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(sampled))
+    flash, intensities, flash_warnings = _flash(samples, flash_offset, tracks.board)
+    notes = (
         f"left out as blurred: {blurred}" if blurred else "",
-        f"left out, because the card is not recognised well in it: {lost}" if lost else "",
-        f"left out, because {alike}" if doubt else "",
+        f"left out, because the card is not recognised well in it: {failed}" if failed else "",
+        f"left out, because {reason}" if ambiguous else "",
         f"{len(numbers)} photographs are used; {ENOUGH} or more are better" if len(numbers) < ENOUGH else "",
     )
     return Handheld(
         tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.board,
-        (*filter(None, told), *warnings, *more),
+        (*filter(None, notes), *warnings, *flash_warnings),
     )  # fmt: skip
 
 
 def _check_size(capture: Capture) -> None:
-    """Raise InputError where photographs differ in size; some may be turned."""
+    """Raise InputError if photographs differ in size; portrait and landscape may mix."""
     first = capture.cameras[0]
     for shot in capture.observations:
         camera = capture.cameras[shot.camera]
@@ -141,38 +141,38 @@ def _listed(names: np.ndarray) -> str:
 
 
 def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[str]]:
-    """Return points by markers, else by features, and warnings. Raises InputError where there are neither."""
+    """Return tracks of markers, else of features, and warnings. Raises InputError if there are neither."""
     tracks = marker_tracks(codes)
     if tracks is not None and len(tracks.used) >= max(FEWEST, len(codes) // 2):
         return tracks, []
     if needs_markers:
         raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
-    found = feature_tracks(codes)
-    if found is None or len(found.used) < 2:
+    features = feature_tracks(codes)
+    if features is None or len(features.used) < 2:
         raise InputError(f"the photographs show neither printed markers nor enough features of one flat card; {_BOARD}")
     if tracks is None:
-        return found, []
-    return found, [
+        return features, []
+    return features, [
         f"three printed markers or more show in only {len(tracks.used)} of {len(codes)} photographs, so the"
         " features of the card are used, and lengths have no unit"
     ]
 
 
 def _field(board: Board | None, placed: Placed) -> Box:
-    """Return what is recovered: the board's field, or the box around the features that most photographs show."""
+    """Return the recovered area: the board's field, or the box around the features that most photographs show."""
     if board is not None:
         width, height = board.field
         return -width / 2, -height / 2, width / 2, height / 2
-    shown = np.stack([_shows(camera, placed.points[:, :2]) for camera in placed.cameras])
-    there = shown.mean(axis=0) >= _SHOWN
-    if there.sum() < FEWEST:
+    in_view = np.stack([_in_view(camera, placed.points[:, :2]) for camera in placed.cameras])
+    covered = in_view.mean(axis=0) >= _LEAST_IN_VIEW
+    if covered.sum() < FEWEST:
         raise InputError("no part of the card is in most of the photographs; keep it in the middle of all of them")
-    (x0, y0), (x1, y1) = np.percentile(placed.points[there, :2], [_TRIMMED, 100 - _TRIMMED], axis=0)
+    (x0, y0), (x1, y1) = np.percentile(placed.points[covered, :2], [_TRIM, 100 - _TRIM], axis=0)
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def _in_doubt(placed: Placed, radiance: Sequence[np.ndarray]) -> tuple[int, ...]:
-    """Return the photographs, numbered as in ``tracks.used``, that fit the card as well in another position."""
+def _ambiguous(placed: Placed, radiance: Sequence[np.ndarray]) -> tuple[int, ...]:
+    """Return the photographs, numbered as in ``tracks.used``, that match the card as well in another position."""
     x0, y0, x1, y1 = _field(None, placed)
     along = (min(x1 - x0, y1 - y0) / _SIDE) * (np.arange(_SIDE) + 0.5 - _SIDE / 2)
     square = np.stack(np.meshgrid((x0 + x1) / 2 + along, (y0 + y1) / 2 + along), axis=-1).reshape(-1, 2)
@@ -183,21 +183,21 @@ def _in_doubt(placed: Placed, radiance: Sequence[np.ndarray]) -> tuple[int, ...]
     return tuple(k for k, doubt in zip(placed.tracks.used, alike.tolist(), strict=True) if doubt)
 
 
-def _shows(camera: Camera, places: np.ndarray) -> np.ndarray:
+def _in_view(camera: Camera, places: np.ndarray) -> np.ndarray:
     pixels, depth = camera.project(np.concatenate([places, np.zeros((*places.shape[:-1], 1))], axis=-1))
     return (depth > 0) & (pixels > 0).all(axis=-1) & (pixels < (camera.width, camera.height)).all(axis=-1)
 
 
 def _in_unit(field: Box, cameras: tuple[Camera, ...], board: Board | None) -> tuple[Box, tuple[Camera, ...]]:
-    """Return field and cameras, without a board with the field around the origin and 1 wide."""
+    """Return field and cameras; without a board, moved and scaled to a field about the origin of width 1."""
     if board is not None:
         return field, cameras
     x0, y0, x1, y1 = field
-    scale, middle = 1 / (x1 - x0), np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    scale, centre = 1 / (x1 - x0), np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     moved = []
     for camera in cameras:
         matrix = camera.matrix.copy()
-        matrix[:3, 3] = (matrix[:3, 3] - middle) * scale
+        matrix[:3, 3] = (matrix[:3, 3] - centre) * scale
         moved.append(replace(camera, matrix=matrix))
     half = (y1 - y0) / 2 * scale
     return (-0.5, -half, 0.5, half), tuple(moved)
@@ -205,13 +205,13 @@ def _in_unit(field: Box, cameras: tuple[Camera, ...], board: Board | None) -> tu
 
 def _view_angle(cameras: Sequence[Camera]) -> float:
     """Return the root mean square angle, in degrees, of the directions to the cameras from their mean."""
-    away = np.stack([camera.position / np.linalg.norm(camera.position) for camera in cameras])
-    mean = away.mean(axis=0) / np.linalg.norm(away.mean(axis=0))
-    return float(np.degrees(np.sqrt((np.arccos(np.clip(away @ mean, -1, 1)) ** 2).mean())))
+    directions = np.stack([camera.position / np.linalg.norm(camera.position) for camera in cameras])
+    mean = directions.mean(axis=0) / np.linalg.norm(directions.mean(axis=0))
+    return float(np.degrees(np.sqrt((np.arccos(np.clip(directions @ mean, -1, 1)) ** 2).mean())))
 
 
 def _places(field: Box, board: Board | None) -> np.ndarray:
-    """Return (P, 2) places of the card, a grid; before it those of bare paper, with a board."""
+    """Return points (P, 2) of the card: those of bare paper, if there is a board, then a grid."""
     x0, y0, x1, y1 = field
     share = (np.arange(_GRID) + 0.5) / _GRID
     grid = np.stack(np.meshgrid(x0 + share * (x1 - x0), y0 + share * (y1 - y0)), axis=-1).reshape(-1, 2)
@@ -219,32 +219,32 @@ def _places(field: Box, board: Board | None) -> np.ndarray:
 
 
 def _sampled(radiance: np.ndarray, camera: Camera, places: np.ndarray) -> np.ndarray:
-    """Return (P,) values of a reduced picture at places of the plane; NaN where it does not show them."""
+    """Return the values (P,) of a reduced photograph at points of the plane; NaN outside of it."""
     pixels, _ = camera.project(np.insert(places, 2, 0.0, axis=1))
     height, width = radiance.shape
     with np.errstate(invalid="ignore"):
-        inside = _shows(camera, places) & np.isfinite(pixels).all(axis=1)
-    at = np.where(inside[:, None], pixels * (width / camera.width, height / camera.height), 0.5)
-    column, row = np.clip(at.astype(int), 0, [width - 1, height - 1]).T
+        inside = _in_view(camera, places) & np.isfinite(pixels).all(axis=1)
+    position = np.where(inside[:, None], pixels * (width / camera.width, height / camera.height), 0.5)
+    column, row = np.clip(position.astype(int), 0, [width - 1, height - 1]).T
     return np.where(inside, radiance[row, column], np.nan)
 
 
 def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> tuple[Flash, np.ndarray, list[str]]:
     """Return the flash, its intensities (K,), and warnings.
 
-    A card that shines bends what its brightness says of the flash, by more than the errors know. The paper around it
-    is matt: it counts alone where it is far surer or both contradict each other.
+    A glossy card biases the fit by more than its standard errors. The paper around it is matt: its samples are used
+    alone if their fit is far more certain, or contradicts that of all samples.
     """
     flash, warnings = flash_of(samples, offset), []
     if board is not None and offset is None:
         count = len(board.white)
         paper = Samples(samples.places[:count], samples.cameras, samples.radiance[:, :count])
         if (usable_samples(paper).sum(axis=1) >= _LEAST_PAPER).all():
-            told = flash_of(paper)
-            apart = np.abs(told.offset - flash.offset)[:2]
-            surer = np.linalg.norm(told.error) < _FAR_SURER * np.linalg.norm(flash.error)
-            if surer or (apart > _CONTRADICTS * np.hypot(told.error, flash.error)).any():
-                flash = told
+            by_paper = flash_of(paper)
+            difference = np.abs(by_paper.offset - flash.offset)[:2]
+            surer = np.linalg.norm(by_paper.error) < _MUCH_SURER * np.linalg.norm(flash.error)
+            if surer or (difference > _CONTRADICTS * np.hypot(by_paper.error, flash.error)).any():
+                flash = by_paper
     distance = float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
     if offset is None and (flash.error > _UNSURE * distance).any():
         warnings.append(

@@ -1,4 +1,4 @@
-"""Photographs reduced for the search of points and for the brightness of the card, and how sharp they are."""
+"""Reduced photographs: codes for the search for points, radiance for the fit of the flash, and sharpness."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ...capture.frame.find import display_codes
 from ...capture.types import Capture
 from ...core.filters import block_means
 
-_WORKING = 1600  # pixels of the longer side in which points are searched
+_WORKING = 1600  # pixels: largest longer side of codes
 
 
 @dataclass(frozen=True)
 class Pictures:
     """codes: (h, w) uint8 of each photograph, row 0 at the TOP. radiance: (h, w) grey, smaller, row 0 at the bottom.
 
-    NaN where it is clipped. factor: of the size of codes. sharp: (K,) sharpness.
+    NaN where it is clipped. factor: size of codes over that of the photographs. sharp: (K,) sharpness.
     """
 
     codes: list[np.ndarray]
@@ -28,10 +28,10 @@ class Pictures:
 
 
 def picture_steps(capture: Capture) -> Generator[float, None, Pictures]:
-    """Yield the share that is done; return the reduced photographs, read once."""
+    """Yield the fraction done; return the reduced photographs. Each is read once."""
     longer = max(capture.cameras[0].width, capture.cameras[0].height)
     factor = max(1, int(np.ceil(longer / _WORKING)))
-    codes, small, sharp = [], [], []
+    codes, radiance, sharp = [], [], []
     for number, shot in enumerate(capture.observations):
         yield number / len(capture.observations)
         rgba = shot.read()
@@ -41,19 +41,19 @@ def picture_steps(capture: Capture) -> Generator[float, None, Pictures]:
         sharp.append(_sharpness(codes[-1]))
         known = (rgba[..., 3] > 0) & (grey > 0)
         part = _reduced(np.where(known, grey, np.nan), 2 * factor)
-        small.append(part)
-    return Pictures(codes, small, 1 / factor, np.array(sharp))
+        radiance.append(part)
+    return Pictures(codes, radiance, 1 / factor, np.array(sharp))
 
 
 def _reduced(image: np.ndarray, factor: int) -> np.ndarray:
-    """Return means over blocks of factor × factor pixels from the upper left corner; what is left over is left out."""
+    """Return means over blocks of factor × factor pixels from the upper left corner, without partial blocks."""
     return block_means(image[image.shape[0] % factor :], factor)
 
 
 def _sharpness(codes: np.ndarray) -> float:
-    """Return the energy of the finest details over that of larger ones, in the direction in which it is least.
+    """Return the energy of the finest details over that of larger ones, in the direction of its minimum.
 
-    A shaken photograph is sharp across its motion.
+    A photograph with motion blur is sharp across the motion.
     """
     image = codes.astype(np.float32)
 

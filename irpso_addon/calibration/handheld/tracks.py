@@ -1,4 +1,4 @@
-"""Points of a card that several photographs show: corners of printed markers, or features matched by OpenCV.
+"""Points of a card tracked over photographs: corners of printed markers, or features matched by OpenCV.
 
 Pixels count from the UPPER left corner of a photograph, to the right and down.
 """
@@ -19,22 +19,22 @@ from ...core.opencv import opencv
 
 _FEATURES = 2500  # of a photograph
 _RATIO = 0.8  # best over second-best distance of descriptors (Lowe 2004)
-_PARALLAX = 0.006  # of the diagonal: how far a point of the card's relief may be from its plane's homography
+_PARALLAX = 0.006  # of the diagonal: deviation from the plane's homography by the card's relief
 _FEWEST = 25  # matches that follow one homography
-_HUBS = 2  # photographs that are tried as the one that all others are matched to
-_TRACKS = 500  # points that are kept, those that most photographs show
+_HUBS = 2  # photographs that are tried as the hub
+_TRACKS = 500  # most points, those that most photographs show
 _LEAST_VIEWS = 3
-_LEAST_MARKERS = 3  # of a photograph: two, side by side, tell no tilt
-_VIAS = 10  # photographs that one which does not match the hub is matched to
-_SMALL = 900  # pixels of the longer side below which pictures are enlarged
+_LEAST_MARKERS = 3  # of a photograph: two, side by side, do not determine the tilt
+_VIAS = 10  # photographs to which one that does not match the hub is matched
+_SMALL = 900  # pixels: photographs with a shorter longer side are enlarged
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Points seen in photographs. One row for each time that a photograph shows a point.
+    """M observations of P points in photographs.
 
-    photograph, point: (M,) numbers. pixels: (M, 2). plane: (P, 2) places of the points in one plane: millimetres on a
-    board, y up, or pixels of the photograph ``reference``. used: photographs in which points were found.
+    photograph, point: (M,) numbers. pixels: (M, 2). plane: (P, 2) coordinates of the points in one plane: millimetres
+    on a board, y up, or pixels of the photograph ``reference``. used: photographs with observations.
     """
 
     photograph: np.ndarray
@@ -54,16 +54,18 @@ class Tracks:
         )  # fmt: skip
 
     def homography(self, number: int) -> np.ndarray:
-        """Return (3, 3) from ``plane`` to the pixels of a photograph."""
-        own = self.photograph == number
-        return homography(self.plane[self.point[own]], self.pixels[own])
+        """Return the homography (3, 3) from ``plane`` to the pixels of a photograph."""
+        rows = self.photograph == number
+        return homography(self.plane[self.point[rows]], self.pixels[rows])
 
 
 def marker_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
-    """Return the corners of the markers that photographs (H, W) uint8 show, row 0 at the TOP; None for fewer than two
-    photographs with a board. Raises InputError without OpenCV."""
-    found = [seen_markers(picture) for picture in codes]
-    seen = {n: one for n, one in enumerate(found) if one is not None and len(one.numbers) >= _LEAST_MARKERS}
+    """Return the corners of the markers in photographs (H, W) uint8, row 0 at the TOP.
+
+    None for fewer than two photographs with a board. Raises InputError without OpenCV.
+    """
+    detections = [seen_markers(picture) for picture in codes]
+    seen = {n: one for n, one in enumerate(detections) if one is not None and len(one.numbers) >= _LEAST_MARKERS}
     if len(seen) < 2:
         return None
     boards = [one.board for one in seen.values()]
@@ -81,40 +83,40 @@ def marker_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
 
 
 def feature_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
-    """Return SIFT features (Lowe 2004) of photographs (H, W) uint8, matched along homographies; None without any.
+    """Return SIFT features (Lowe 2004) of photographs (H, W) uint8, matched by homographies; None if none match.
 
-    One photograph is the hub that others are matched to; those that do not match it are matched to those that do.
+    One photograph, the hub, is matched to all others; those that do not match it are matched to those that do.
     """
     cv2 = opencv("finding features of the card")
-    places, marks = _features(cv2, codes)
-    reach, count = _PARALLAX * math.hypot(*codes[0].shape), len(codes)
+    places, descriptors = _features(cv2, codes)
+    tolerance, count = _PARALLAX * math.hypot(*codes[0].shape), len(codes)
 
     def matched(number: int, vias: Sequence[int], plane: Sequence[np.ndarray]) -> _Match | None:
-        """Match a photograph to others; plane: for each of them, where its features lie in the hub's picture."""
-        pairs = [_alike(marks[via], marks[number]) for via in vias]
+        """Match a photograph to others. plane: of each of them, its features' pixels in the hub."""
+        pairs = [_best_matches(descriptors[via], descriptors[number]) for via in vias]
         via = np.repeat(vias, [len(first) for first, _ in pairs])
         first, second = (np.concatenate(side) for side in zip(*pairs, strict=True))
         if len(first) < _FEWEST:
             return None
-        there = np.concatenate([at[own] for at, (own, _) in zip(plane, pairs, strict=True)])
-        matrix, near = cv2.findHomography(there, places[number][second], cv2.USAC_MAGSAC, reach, maxIters=2000)
+        expected = np.concatenate([at[own] for at, (own, _) in zip(plane, pairs, strict=True)])
+        matrix, near = cv2.findHomography(expected, places[number][second], cv2.USAC_MAGSAC, tolerance, maxIters=2000)
         if matrix is None or near.sum() < _FEWEST:
             return None
         near = near.ravel().astype(bool)
-        return _Match(number, via[near], first[near], second[near], there[near])
+        return _Match(number, via[near], first[near], second[near], expected[near])
 
     hubs = [(2 * k + 1) * count // (2 * _HUBS) for k in range(_HUBS)]
-    tried = [
+    candidates = [
         (hub, [found for n in range(count) if n != hub and (found := matched(n, [hub], [places[hub]])) is not None])
         for hub in hubs
     ]
-    hub, matches = max(tried, key=lambda one: len(one[1]))
+    hub, matches = max(candidates, key=lambda one: len(one[1]))
     if not matches:
         return None
     in_plane = {hub: places[hub]}
     for match in matches:
-        back = np.linalg.inv(homography(match.plane, places[match.number][match.second]))
-        in_plane[match.number] = mapped(back, places[match.number])
+        inverse = np.linalg.inv(homography(match.plane, places[match.number][match.second]))
+        in_plane[match.number] = mapped(inverse, places[match.number])
     vias = [match.number for match in sorted(matches, key=lambda match: -len(match.second))[:_VIAS]]
     for number in sorted(set(range(count)) - set(in_plane)):
         found = matched(number, vias, [in_plane[via] for via in vias])
@@ -124,7 +126,7 @@ def feature_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
 
 @dataclass(frozen=True)
 class _Match:
-    """Features of a photograph that lie where others say. via: (M,) photographs. first: (M,) features of these.
+    """Matches that satisfy one homography. via: (M,) photographs. first: (M,) their features.
 
     second: (M,) features of the photograph ``number``. plane: (M, 2) pixels of the hub.
     """
@@ -137,36 +139,36 @@ class _Match:
 
 
 def _features(cv2: Any, codes: Sequence[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return places (N, 2) and descriptors (N, 128) of each photograph's features."""
+    """Return pixels (N, 2) and square-rooted descriptors (N, 128) of each photograph's features."""
     detector = cv2.SIFT_create(nfeatures=_FEATURES, contrastThreshold=0.02)
     factor = 2 if max(codes[0].shape) < _SMALL else 1
-    places, marks = [], []
+    places, descriptors = [], []
     for picture in codes:
         height, width = picture.shape
-        larger = cv2.resize(picture, (width * factor, height * factor), interpolation=cv2.INTER_CUBIC)
-        keys, found = detector.detectAndCompute(larger, None)
+        enlarged = cv2.resize(picture, (width * factor, height * factor), interpolation=cv2.INTER_CUBIC)
+        keys, found = detector.detectAndCompute(enlarged, None)
         places.append((np.array([key.pt for key in keys], float).reshape(-1, 2) + 0.5) / factor)
         found = np.zeros((0, 128), np.float32) if found is None else found
-        marks.append(np.sqrt(found / np.maximum(found.sum(axis=1, keepdims=True), 1e-9)))
-    return places, marks
+        descriptors.append(np.sqrt(found / np.maximum(found.sum(axis=1, keepdims=True), 1e-9)))
+    return places, descriptors
 
 
-def _alike(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return numbers of features that are each other's best match, clearly better than the second best."""
+def _best_matches(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of features that match mutually and pass the ratio test (Lowe 2004)."""
     if min(len(first), len(second)) < _FEWEST:
         return np.zeros(0, int), np.zeros(0, int)
-    likeness = first @ second.T  # of square-rooted descriptors: 1 − d² / 2 (Arandjelović & Zisserman 2012)
-    nearest = likeness.argmax(axis=1)
-    best = likeness[np.arange(len(first)), nearest]
-    mutual = likeness.argmax(axis=0)[nearest] == np.arange(len(first))
-    likeness[np.arange(len(first)), nearest] = -1
-    far, farther = (np.sqrt(np.maximum(2 - 2 * values, 0)) for values in (best, likeness.max(axis=1)))
-    good = np.flatnonzero((far < _RATIO * farther) & mutual)
-    return good, nearest[good]
+    similarity = first @ second.T  # of square-rooted descriptors: 1 − d² / 2 (Arandjelović & Zisserman 2012)
+    nearest = similarity.argmax(axis=1)
+    best = similarity[np.arange(len(first)), nearest]
+    mutual = similarity.argmax(axis=0)[nearest] == np.arange(len(first))
+    similarity[np.arange(len(first)), nearest] = -1
+    distance, runner_up = (np.sqrt(np.maximum(2 - 2 * values, 0)) for values in (best, similarity.max(axis=1)))
+    matches = np.flatnonzero((distance < _RATIO * runner_up) & mutual)
+    return matches, nearest[matches]
 
 
 def _merged(matches: Sequence[_Match], places: Sequence[np.ndarray], hub: int) -> Tracks:
-    """Return the points of all matches: features that match each other are one."""
+    """Return the tracks of all matches: features that match each other are one point."""
     ids: dict[tuple[int, int], int] = {}
     plane: list[np.ndarray] = []
     for match in matches:
@@ -177,22 +179,22 @@ def _merged(matches: Sequence[_Match], places: Sequence[np.ndarray], hub: int) -
                 ids[via, a] = len(plane)
                 plane.append(at)
             ids.setdefault((match.number, b), ids[via, a])
-    return _kept(ids, places, np.array(plane), hub)
+    return _longest(ids, places, np.array(plane), hub)
 
 
-def _kept(ids: dict[tuple[int, int], int], places: Sequence[np.ndarray], plane: np.ndarray, hub: int) -> Tracks:
-    """Return the points that most photographs show, numbered anew."""
-    once = {(number, point): key for (number, key), point in ids.items()}
-    rows = np.array([(number, point, *places[number][key]) for (number, point), key in once.items()])
+def _longest(ids: dict[tuple[int, int], int], places: Sequence[np.ndarray], plane: np.ndarray, hub: int) -> Tracks:
+    """Return the tracks of the points with the most observations, renumbered."""
+    keypoints = {(number, point): key for (number, key), point in ids.items()}
+    rows = np.array([(number, point, *places[number][key]) for (number, point), key in keypoints.items()])
     photograph, point = rows[:, 0].astype(int), rows[:, 1].astype(int)
     views = np.bincount(point, minlength=len(plane))
-    most = np.argsort(-views, kind="stable")[:_TRACKS]
-    chosen = most[views[most] >= _LEAST_VIEWS]
-    new = np.full(len(plane), -1)
-    new[chosen] = np.arange(len(chosen))
-    keep = new[point] >= 0
+    longest = np.argsort(-views, kind="stable")[:_TRACKS]
+    chosen = longest[views[longest] >= _LEAST_VIEWS]
+    numbers = np.full(len(plane), -1)
+    numbers[chosen] = np.arange(len(chosen))
+    keep = numbers[point] >= 0
     used = [n for n in np.unique(photograph[keep]) if (photograph[keep] == n).sum() >= _FEWEST // 2]
     keep &= np.isin(photograph, used)
     return Tracks(
-        photograph[keep], new[point[keep]], rows[keep, 2:], plane[chosen], tuple(int(n) for n in used), None, hub
+        photograph[keep], numbers[point[keep]], rows[keep, 2:], plane[chosen], tuple(int(n) for n in used), None, hub
     )

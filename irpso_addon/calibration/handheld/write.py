@@ -1,4 +1,4 @@
-"""Output of a hand-held calibration: a capture.toml with a camera and a near light a photograph, and a report."""
+"""Output of a hand-held calibration: a capture.toml with a camera and a near light per photograph, and a report."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ def table_text(spec: CaptureSpec, found: Handheld, folder: Path) -> str:
         lines += [f"width = {camera.width}", f"height = {camera.height}"]
         lines += [f"matrix = {toml_value(camera.matrix.round(9).ravel())}", f"focal_length_px = {camera.scale[0]:.9g}"]
         lines += [f"distortion = {toml_value(list(camera.distortion))}"] if camera.distortion else []
-    for place, camera, number, intensity in zip(
+    for position, camera, number, intensity in zip(
         found.lamps, found.cameras, found.numbers, found.intensities.tolist(), strict=True
     ):
         shot = spec.observations[number]
         lines += ["", "[[observation]]", f"image = {toml_value(relative_path(shot.image.path, folder))}"]
         if shot.image.colour_space != "auto":
             lines.append(f"colour_space = {toml_value(shot.image.colour_space)}")
-        lines += [f"camera = {toml_value(shot.name)}", f"light_position = {toml_value(place.round(9))}"]
+        lines += [f"camera = {toml_value(shot.name)}", f"light_position = {toml_value(position.round(9))}"]
         lines += [f"light_intensity = {intensity:.9g}", f"light_axis = {toml_value((-camera.backward).round(9))}"]
         lines.append(f"light_cosine = {found.flash.beam:.4g}")
     return "\n".join(lines) + "\n"
 
 
 def report_of(spec: CaptureSpec, found: Handheld) -> dict[str, Any]:
-    """Return what was found, for a report. Lengths are millimetres with a board, else widths of the recovered part."""
+    """Return the report. The unit of length is the millimetre with a board, else the width of the recovered area."""
     used = [spec.observations[number].name for number in found.numbers]
     camera = found.cameras[0]
     return {

@@ -26,9 +26,9 @@ _INDEX = re.compile(r"^(?P<stem>.*?)[ _-]+e?(?P<index>\d+)$", re.I)
 
 @dataclass(frozen=True)
 class Bracket:
-    """The photographs of one light. name: common part of their names. amounts: (F,) exposures, above 0.
+    """The photographs of one light. name: common part of their names. paths: F files, shortest exposure first.
 
-    paths: F files, shortest exposure first.
+    amounts: (F,) exposures, above 0.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Bracket:
 
 
 def exif_amount(path: Path) -> float:
-    """Return a photograph's seconds · ISO / 100 / N². Raises InputError where its EXIF has no exposure time."""
+    """Return a photograph's exposure, seconds · ISO / 100 / N². Raises InputError if its EXIF has no exposure time."""
     exposure = exposure_of(read_bytes(path))
     if exposure is None:
         raise InputError(
@@ -48,9 +48,9 @@ def exif_amount(path: Path) -> float:
 
 
 def name_amount(stem: str, exposures: Sequence[float] = ()) -> tuple[str, float, str] | None:
-    """Return (rest of the name, exposure, kind) of a file name without suffix, or None where it has no exposure.
+    """Parse a file name without suffix; return (rest of the name, exposure, kind), or None if it has no exposure.
 
-    kind: "seconds", "stops" (exposure is 2 to their power), or "index" into ``exposures``, from 0 or from 1.
+    kind: "seconds", "stops" (the exposure is 2 to this power), or "index" into ``exposures``, from 0 or from 1.
     """
     if exposures:
         match = _INDEX.match(stem)
@@ -68,7 +68,7 @@ def name_amount(stem: str, exposures: Sequence[float] = ()) -> tuple[str, float,
 def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) -> list[tuple[str, float]]:
     """Return (name without exposure, exposure) of each file. by: "exif" or "names".
 
-    Raises InputError where a file has no exposure, or names mix seconds and stops.
+    Raises InputError if a file has no exposure, or names mix seconds and stops.
     """
     if by == "exif":
         return [(path.stem, exif_amount(path)) for path in paths]
@@ -99,10 +99,10 @@ def _indexed(
 def brackets_of(
     paths: Sequence[Path], by: str, exposures: Sequence[float] = (), amount: Callable[[Path], float] = exif_amount
 ) -> tuple[list[Bracket], list[str]]:
-    """Return photographs, sorted by name, as brackets, and warnings.
+    """Sort photographs by name and group them; return the brackets, and warnings.
 
-    by "names": names of one bracket differ in the exposure alone; their common part is its name. by "exif": a bracket
-    ends where an exposure repeats. Raises InputError where an exposure is unknown or no bracket has two photographs.
+    by "names": names in a bracket differ only in the exposure; their common part is its name. by "exif": a bracket ends
+    before an exposure repeats. Raises InputError if an exposure is unknown or no bracket has two photographs.
     """
     paths = sorted(paths, key=natural)
     if by == "exif":
@@ -133,8 +133,8 @@ def brackets_of(
 def _runs(shots: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
     groups: list[list[tuple[Path, float]]] = []
     for path, amount in shots:
-        again = not groups or any(abs(np.log2(amount / other)) < SAME_STOPS for _, other in groups[-1])
-        if again or groups[-1][0][0].parent != path.parent:
+        repeated = not groups or any(abs(np.log2(amount / other)) < SAME_STOPS for _, other in groups[-1])
+        if repeated or groups[-1][0][0].parent != path.parent:
             groups.append([])
         groups[-1].append((path, amount))
     return groups

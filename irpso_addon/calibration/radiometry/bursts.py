@@ -1,4 +1,4 @@
-"""Bursts: several photographs of one light, found by their time or their likeness, and averaged."""
+"""Bursts: several photographs of one light, grouped by time or similarity, and averaged."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .brackets import Bracket
 from .frames import SAME_STOPS, Frame
 
 KINDS = ("exif", "pictures")
-_PAUSE = 1.0  # seconds: the longest between photographs of one burst; EXIF often has whole seconds
-_SIDE, _CROP = 48, 384  # pixels: the longest side of a small picture; of what is registered
+_PAUSE = 1.0  # seconds: longest pause within a burst; EXIF often has whole seconds
+_SIDE, _CROP = 48, 384  # pixels: longest side of the images that are compared, and of the crop that is registered
 # Relative RMS of the square roots of normalised radiance, as in ``calibration.video``: lights 2° apart differ by 0.005.
 _ALIKE, _DIFFERENT = 0.003, 0.01
-_AS_BRIGHT = 0.02  # relative: a flat card under two lamps looks the same but for its brightness
+_SAME_BRIGHTNESS = 0.02  # relative: under two lamps, images of a flat card may differ only in brightness
 _MOVED = 0.5  # pixels
 _FEWEST = 3  # lights of a capture
 
@@ -31,11 +31,11 @@ _FEWEST = 3  # lights of a capture
 def bursts_of(paths: Sequence[Path], by: str, store: ImageStore) -> tuple[list[Bracket], list[str]]:
     """Return photographs, sorted by name, as bursts (exposures 1), and warnings.
 
-    by "exif": a burst is of one exposure, without a pause above a second. by "pictures": its photographs look the same.
-    Raises InputError where a time is missing, a camera moved within a burst, or there is no burst.
+    by "exif": a burst has one exposure and no pause above a second. by "pictures": its photographs look the same.
+    Raises InputError if a time is missing, the camera moved within a burst, or there is no burst.
     """
     paths = sorted(paths, key=natural)
-    groups = list(_by_time(paths) if by == "exif" else _by_likeness(paths, store))
+    groups = list(_by_time(paths) if by == "exif" else _by_similarity(paths, store))
     sizes = [len(group) for group in groups]
     if max(sizes, default=0) < 2:
         raise InputError(f"{paths[0].parent}: no two photographs make a burst; omit --bursts")
@@ -56,28 +56,28 @@ def bursts_of(paths: Sequence[Path], by: str, store: ImageStore) -> tuple[list[B
 def averaged(
     read: Callable[[int], Frame], images: Sequence[ImageRef], align: bool
 ) -> tuple[np.ndarray, list[list[float]]]:
-    """Return the mean (H, W, 4) of a burst, and the shifts of its frames in pixels; reads the frames one by one.
+    """Read a burst frame by frame; return its mean (H, W, 4), and the shifts of its frames in pixels.
 
-    Where one frame clips, the weight is 0 and the mean a lower bound. align: shifted frames are moved back. Raises
-    InputError where their lights differ, or the camera moved and frames are not aligned.
+    Where a frame clips, the weight is 0 and the mean a lower bound. align: move shifted frames back. Raises InputError
+    if their lights differ, or the camera moved and ``align`` is False.
     """
     rgba, crops = None, []
     for k in range(len(images)):
         frame = read(k)
         crops.append(_crop(frame.rgb.mean(axis=-1)))
-        rgba = _added(rgba, frame.rgb, frame.weight)
+        rgba = _accumulated(rgba, frame.rgb, frame.weight)
     middle = len(images) // 2
     shifts = find_shifts(np.stack(crops), middle).pixels
-    far = np.abs(shifts).max(axis=1)
-    moved = far > _MOVED
+    distances = np.abs(shifts).max(axis=1)
+    moved = distances > _MOVED
     if moved.any() and not align:
-        worst = int(far.argmax())
+        worst = int(distances.argmax())
         raise InputError(
-            f"{images[worst]}: the camera moved by {far[worst]:.1f} pixels within its burst; leave it out, or add"
+            f"{images[worst]}: the camera moved by {distances[worst]:.1f} pixels within its burst; leave it out, or add"
             " --register"
         )
     for k, image in enumerate(images):
-        if _apart(crops[middle], crops[k], *shifts[k]) > _DIFFERENT:
+        if _difference(crops[middle], crops[k], *shifts[k]) > _DIFFERENT:
             raise InputError(
                 f"{image}: its light differs from that of {images[middle].path.name}, which is in its burst by the"
                 " time; leave one of them out, or group by --bursts pictures"
@@ -87,19 +87,19 @@ def averaged(
         for k, (right, up) in enumerate(shifts):
             frame = read(k)
             back = moved_back(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), right, up)
-            rgba = _added(rgba, back[..., :3], back[..., 3])
+            rgba = _accumulated(rgba, back[..., :3], back[..., 3])
     assert rgba is not None
     rgba[..., :3] /= len(images)
     return rgba, shifts.round(4).tolist()
 
 
-def _added(rgba: np.ndarray | None, rgb: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the sum of radiances and the least weight, with one frame more."""
-    more = np.concatenate([rgb, weight[..., None]], axis=-1).astype(np.float32)
+def _accumulated(rgba: np.ndarray | None, rgb: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Add a frame: radiances are summed, of weights the least is used."""
+    added = np.concatenate([rgb, weight[..., None]], axis=-1).astype(np.float32)
     if rgba is None:
-        return more
-    rgba[..., :3] += more[..., :3]
-    rgba[..., 3] = np.minimum(rgba[..., 3], more[..., 3])
+        return added
+    rgba[..., :3] += added[..., :3]
+    rgba[..., 3] = np.minimum(rgba[..., 3], added[..., 3])
     return rgba
 
 
@@ -112,27 +112,27 @@ def _by_time(paths: Sequence[Path]) -> Iterator[list[Path]]:
         if seconds is None:
             raise InputError(f"{path}: has no time in its EXIF; use --bursts pictures")
         amount = exposure.amount if exposure else 1.0
-        now = seconds, amount
+        current = seconds, amount
         if last and 0 <= seconds - last[0] <= _PAUSE and abs(np.log2(amount / last[1])) < SAME_STOPS:
             group.append(path)
         else:
             if group:
                 yield group
             group = [path]
-        last = now
+        last = current
     if group:
         yield group
 
 
-def _by_likeness(paths: Sequence[Path], store: ImageStore) -> Iterator[list[Path]]:
-    """Yield runs of photographs that look like the first of the run. Raises InputError where only a shift differs."""
+def _by_similarity(paths: Sequence[Path], store: ImageStore) -> Iterator[list[Path]]:
+    """Yield runs of photographs similar to the first of the run. Raises InputError if only a shift separates runs."""
     group: list[Path] = []
     first: np.ndarray | None = None
     for path in paths:
         grey = store.samples(ImageRef(path)).rgba[..., :3].mean(axis=-1)
         if first is not None and first.shape == grey.shape:
-            as_bright = abs(grey.mean() - first.mean()) <= _AS_BRIGHT * first.mean()
-            if as_bright and _apart(first, grey) <= _ALIKE:
+            as_bright = abs(grey.mean() - first.mean()) <= _SAME_BRIGHTNESS * first.mean()
+            if as_bright and _difference(first, grey) <= _ALIKE:
                 group.append(path)
                 continue
             _refuse_shift(first, grey, group[0], path)
@@ -144,10 +144,10 @@ def _by_likeness(paths: Sequence[Path], store: ImageStore) -> Iterator[list[Path
 
 
 def _refuse_shift(first: np.ndarray, grey: np.ndarray, name: Path, path: Path) -> None:
-    """Raise InputError if a photograph is another one of the same light, shifted."""
+    """Raise InputError if a photograph shows the same light, shifted."""
     crops = np.stack([_crop(first), _crop(grey)])
     right, up = find_shifts(crops).pixels[1]
-    if max(abs(right), abs(up)) > _MOVED and _apart(crops[0], crops[1], right, up) <= _DIFFERENT:
+    if max(abs(right), abs(up)) > _MOVED and _difference(crops[0], crops[1], right, up) <= _DIFFERENT:
         raise InputError(
             f"{path}: shows the light of {name.name}, but the camera moved by {np.hypot(right, up):.1f} pixels; leave"
             " it out"
@@ -158,18 +158,18 @@ def _crop(grey: np.ndarray) -> np.ndarray:
     return grey[middle_window(np.ones(grey.shape, bool), _CROP)]
 
 
-def _apart(grey: np.ndarray, other: np.ndarray, right: float = 0.0, up: float = 0.0) -> float:
-    """Return the RMS difference of the square roots of two pictures / their means, in blocks, without noise.
+def _difference(grey: np.ndarray, other: np.ndarray, right: float = 0.0, up: float = 0.0) -> float:
+    """Return the RMS difference, over blocks, of the square roots of two images over their means, less noise.
 
-    The other picture is shifted by (right, up). The noise of a block's mean is that within the blocks over their size.
+    The second image is first moved back by (right, up). The variance within blocks gives the noise of their means.
     """
     if max(abs(right), abs(up)) > _MOVED:
         back = moved_back(np.dstack([other] * 3 + [np.ones_like(other)]), right, up)
         grey, other = np.where(back[..., 3] > 0, grey, 0), np.where(back[..., 3] > 0, back[..., 0], 0)
     roots = [np.sqrt(np.maximum(one, 0, dtype=np.float64) / max(float(one.mean()), 1e-9)) for one in (grey, other)]
-    apart = roots[1] - roots[0]
-    factor = -(-max(apart.shape) // _SIDE)
-    block = min(factor, apart.shape[0]), min(factor, apart.shape[1])
-    means = shrunk(apart, block) ** 2
-    noise = (shrunk(apart**2, block) - means) / max(block[0] * block[1] - 1, 1)
+    difference = roots[1] - roots[0]
+    factor = -(-max(difference.shape) // _SIDE)
+    block = min(factor, difference.shape[0]), min(factor, difference.shape[1])
+    means = shrunk(difference, block) ** 2
+    noise = (shrunk(difference**2, block) - means) / max(block[0] * block[1] - 1, 1)
     return float(np.sqrt(max(float((means - noise).mean()), 0.0)))

@@ -25,5 +25,5 @@ PATCHES = {
 
 
 def patch_colours() -> np.ndarray:
-    """Return (ROWS, COLUMNS, 3) float64, the linear Rec. 709 reflectance of the patches, the upper row first."""
+    """Return the patches' linear Rec. 709 reflectance (ROWS, COLUMNS, 3) float64, upper row first."""
     return linear_from_srgb(np.array(list(PATCHES.values()), np.float64) / 255).reshape(ROWS, COLUMNS, 3)

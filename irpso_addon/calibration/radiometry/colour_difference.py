@@ -8,11 +8,11 @@ import numpy as np
 _XYZ = np.array([(0.4124, 0.3576, 0.1805), (0.2126, 0.7152, 0.0722), (0.0193, 0.1192, 0.9505)])
 _WHITE = _XYZ.sum(axis=1)
 _CHROMA = 25.0**7  # constant of G and R_C
-_HALF_TURN = 180 + 1e-9  # degrees: hues exactly opposite count as not beyond it, however arctan2 rounds
+_HALF_TURN = 180 + 1e-9  # degrees: tolerates rounding of arctan2 at exactly opposite hues
 
 
 def lab_of_linear(rgb: np.ndarray) -> np.ndarray:
-    """Return CIELAB (…, 3), white D65, of linear Rec. 709 (…, 3); negative XYZ continues along the linear part."""
+    """Return CIELAB (…, 3), white D65, of linear Rec. 709 (…, 3); the linear part is extended to negative XYZ."""
     ratio = np.asarray(rgb, np.float64) @ _XYZ.T / _WHITE
     low = (6 / 29) ** 3
     x, y, z = np.moveaxis(np.where(ratio > low, np.cbrt(ratio), ratio * (29 / 6) ** 2 / 3 + 4 / 29), -1, 0)

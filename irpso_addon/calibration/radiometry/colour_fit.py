@@ -1,4 +1,4 @@
-"""A colour matrix from a photographed 24-patch chart: sampling, recognition of its orientation, fit. Plain numpy."""
+"""Colour matrix from a photographed 24-patch chart: sampling, recognition of the orientation, fit."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from .colour_difference import delta_e_2000, lab_of_linear
 NAMES = tuple(PATCHES)
 COUNT = ROWS * COLUMNS
 GREY = slice(COUNT - COLUMNS, COUNT)  # white to black
-_GAP = 0.1  # of the pitch, between patches; a printed chart's may differ by 0.1, which moves no sample off its patch
+_GAP = 0.1  # of the pitch, between patches; an error of 0.1 moves no sample off its patch
 _INNER = 0.5  # of a patch's side
 _LEAST_PIXELS = 9  # in a patch
 _CLIPPED = 0.02  # of a patch's pixels
 _LEAST_PATCHES, _LEAST_GREYS = 12, 3
-# Mean ΔE2000 after the fit. Of 60 random cameras and lamps every wrong order of the patches leaves 24 or more; a gamma
-# that was not undone leaves 6.8 if it is 2.2, and 3.4 if it is 1.4.
-_IS_A_CHART, _POOR = 12.0, 3.0
+# Mean ΔE2000 after the fit. For 60 random cameras and lamps, wrong orders of the patches leave 24 or more; an
+# uncorrected gamma of 2.2 leaves 6.8, of 1.4 3.4.
+_MOST_ERROR, _POOR = 12.0, 3.0
 _ROUNDS, _SETTLED = 60, 1e-5
-_MOST_GLOSS = 0.1  # reflectance: a chart that shines more is to be lit from another side
-_SHINES = 0.8  # of the mean ΔE2000 without gloss: with it, a chart that shines has less
+_MOST_GLOSS = 0.1  # reflectance: bound of the fit
+_GLOSS_GAIN = 0.8  # of the mean ΔE2000 without gloss: gloss is used if it lowers the mean below
 
 
 class Mirrored(InputError):
@@ -37,8 +37,8 @@ class Mirrored(InputError):
 class Chart:
     """Sampled patches in the order of ``PATCHES``. values: (24, 3) linear medians. usable: (24,) bool.
 
-    left_out: names of patches that are not usable, by reason. places: (24, 2), x to the right and y down the chart,
-    −1…1 over its longer side.
+    left_out: reason → names of unusable patches. places: (24, 2), x to the right and y down the chart, −1…1 over its
+    longer side.
     """
 
     values: np.ndarray
@@ -54,11 +54,11 @@ class Chart:
 
 @dataclass(frozen=True)
 class ColourFit:
-    """matrix: (3, 3), camera's linear RGB to linear Rec. 709 reflectance as lit in the chart's middle.
+    """matrix: (3, 3), camera's linear RGB to linear Rec. 709 reflectance, at the illumination of the chart's centre.
 
-    shading: (2,) slopes of the log illumination over ``Chart.places``. gloss: reflectance that the chart's shine adds
-    to all patches. before, after: (24,) ΔE2000, NaN where a patch is not usable; before: brightness and shading
-    corrected, colours and gloss not.
+    shading: (2,) slopes of the log illumination over ``Chart.places``. gloss: reflectance that specular reflection adds
+    to all patches. before, after: (24,) ΔE2000, NaN for unusable patches; before: brightness and shading corrected,
+    colours and gloss not.
     """
 
     matrix: np.ndarray
@@ -69,17 +69,17 @@ class ColourFit:
 
 
 def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
-    """Return the patches of a chart in a linear image (H, W, 4), row 0 at the bottom.
+    """Measure the patches of a chart in a linear image (H, W, 4), row 0 at the bottom.
 
     corners: (4, 2) pixels from the upper left corner, from the outer corner of the dark skin patch toward that of the
-    bluish green one. Raises InputError where they leave the image or cross.
+    bluish green one. Raises InputError if they leave the image or cross.
     """
     corners = np.asarray(corners, np.float64)
     height, width = rgba.shape[:2]
     if not ((corners >= 0) & (corners <= (width, height))).all():
         raise InputError(f"{where}: a corner lies outside the photograph's {width}×{height} pixels")
-    ways = turns(corners)
-    if not ((ways > 0).all() or (ways < 0).all()):
+    orientation = turns(corners)
+    if not ((orientation > 0).all() or (orientation < 0).all()):
         raise InputError(f"{where}: the corners do not go around the chart; give them in order, clockwise")
     low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
     x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
@@ -87,22 +87,22 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
     # Patch n of a side reaches from n to n + 1 − gap, in pitches.
     cell = chart * (COLUMNS - _GAP, ROWS - _GAP)
     index = np.floor(cell).astype(int)
-    off = np.abs(cell - index - (1 - _GAP) / 2)
-    inner = (off < _INNER * (1 - _GAP) / 2).all(axis=-1) & (index >= 0).all(axis=-1)
+    offset = np.abs(cell - index - (1 - _GAP) / 2)
+    inner = (offset < _INNER * (1 - _GAP) / 2).all(axis=-1) & (index >= 0).all(axis=-1)
     inner &= (index < (COLUMNS, ROWS)).all(axis=-1)
     number = index[..., 1] * COLUMNS + index[..., 0]
     pixels = rgba[height - high[1] : height - low[1], low[0] : high[0]][::-1]
     values = np.zeros((COUNT, 3))
     left_out: dict[str, list[str]] = {"clipped": [], "black": [], "too small": []}
     usable = np.ones(COUNT, bool)
-    # The pixels of each patch, one after the other.
+    # Pixels grouped by patch.
     order = np.argsort(number[inner], kind="stable")
     ends = np.cumsum(np.bincount(number[inner], minlength=COUNT))
-    owned = np.split(pixels[inner][order], ends[:-1])
-    for n, (name, own) in enumerate(zip(NAMES, owned, strict=True)):
-        seen = own[:, 3] > 0
-        values[n] = np.median(own[seen, :3], axis=0) if seen.any() else 0
-        small, clipped = len(own) < _LEAST_PIXELS, (~seen).sum() > _CLIPPED * len(own)
+    patches = np.split(pixels[inner][order], ends[:-1])
+    for n, (name, patch) in enumerate(zip(NAMES, patches, strict=True)):
+        unclipped = patch[:, 3] > 0
+        values[n] = np.median(patch[unclipped, :3], axis=0) if unclipped.any() else 0
+        small, clipped = len(patch) < _LEAST_PIXELS, (~unclipped).sum() > _CLIPPED * len(patch)
         if small or clipped or not (values[n] > 0).all():
             usable[n] = False
             left_out["too small" if small else "clipped" if clipped else "black"].append(name)
@@ -112,32 +112,32 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
 
 
 def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
-    """Return the corners (4, 2) in the chart's own order, its patches and their fit.
+    """Try all eight orders of the corners; return them (4, 2) in the chart's order, its patches and their fit.
 
-    All eight orders of the corners are tried. Raises InputError where none gives a chart or too few patches are usable,
-    Mirrored where the photograph shows the chart mirrored.
+    Raises InputError if no order gives a chart or too few patches are usable, Mirrored if the photograph shows the
+    chart mirrored.
     """
     corners = np.asarray(corners, np.float64)
     best: tuple[np.ndarray, Chart, ColourFit] | None = None
     least, given = np.inf, None
     for order in (corners, corners[::-1]):
         for first in range(4):
-            turned = np.roll(order, -first, axis=0)
-            chart = sample_chart(rgba, turned, where)
+            rotated = np.roll(order, -first, axis=0)
+            chart = sample_chart(rgba, rotated, where)
             given = given or chart
             if chart.usable.sum() < _LEAST_PATCHES or chart.usable[GREY].sum() < _LEAST_GREYS:
                 continue
             fit = fitted(chart)
             error = float(np.nanmean(fit.after))
             if error < least:
-                best, least = (turned, chart, fit), error
+                best, least = (rotated, chart, fit), error
     if best is None:
         assert given is not None
         raise InputError(
             f"{where}: only {given.usable.sum()} of {COUNT} patches can be measured ({given.left_out_text}), needed are"
             f" {_LEAST_PATCHES}, {_LEAST_GREYS} of them grey"
         )
-    if not least <= _IS_A_CHART or not _falls(best[1], best[2]):
+    if not least <= _MOST_ERROR or not _greys_darken(best[1], best[2]):
         raise InputError(
             f"{where}: the corners enclose no 24-patch chart (ΔE2000 {least:.0f} after the best matrix); check their"
             " places, and that the photograph is linear (--response)"
@@ -148,62 +148,62 @@ def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.nd
 
 
 def fitted(chart: Chart) -> ColourFit:
-    """Return the white-preserving matrix, planar log shading and gloss that bring the patches nearest to their colours.
+    """Fit a white-preserving matrix, planar log shading and gloss to the published colours of a chart's patches.
 
     Minimises Σ |J (M m exp(−p·x) − g − t)|² over M, p and g ≥ 0: m and t are a patch's measured and published colour, x
-    its place. J is the Jacobian of CIELAB at t, in the axes and tolerances of CIE94, so the sum is one of squared
-    perceived differences. M w = 1 for the mean white w of the grey row (Finlayson & Drew 1997), so greys stay neutral.
-    A varnish reflects the lamp's own colour (Shafer 1985), which adds g to all channels; g stays 0 where it hardly
-    lowers ΔE2000, because noise of the dark patches looks like it.
+    its place. J is the Jacobian of CIELAB at t, in the axes and tolerances of CIE94, so the terms are squared perceived
+    differences. M w = 1 for the mean white w of the grey row (Finlayson & Drew 1997), so greys stay neutral. A varnish
+    reflects the lamp's colour (Shafer 1985), which adds g to all channels. g is 0 unless it lowers the mean ΔE2000 by
+    20 %, because noise of the dark patches resembles gloss.
     """
     matt = _fit(chart, 0.0)
-    if (mean := np.nanmean(matt.after)) > 2 * _IS_A_CHART:
+    if (mean := np.nanmean(matt.after)) > 2 * _MOST_ERROR:
         return matt
     shiny = _fit(chart, _MOST_GLOSS)
-    return shiny if np.nanmean(shiny.after) < _SHINES * mean else matt
+    return shiny if np.nanmean(shiny.after) < _GLOSS_GAIN * mean else matt
 
 
 def _fit(chart: Chart, most_gloss: float) -> ColourFit:
-    """Return the fit of a chart whose gloss is at most a reflectance."""
-    known, use = patch_colours().reshape(COUNT, 3), chart.usable
-    measured, target, x = chart.values[use], known[use], chart.places[use]
+    """Return the fit with a gloss from 0 to ``most_gloss``."""
+    published, use = patch_colours().reshape(COUNT, 3), chart.usable
+    measured, target, x = chart.values[use], published[use], chart.places[use]
     grey = np.flatnonzero(use[GREY]) + GREY.start
     tolerance = _tolerances(target)
     matrix, slopes, gloss = np.eye(3), np.zeros(2), 0.0
     for _ in range(_ROUNDS):
-        evened = measured * np.exp(-x @ slopes)[:, None]
-        white = _white(chart.values[grey] * np.exp(-chart.places[grey] @ slopes)[:, None], known[grey] + gloss)
+        unshaded = measured * np.exp(-x @ slopes)[:, None]
+        white = _white(chart.values[grey] * np.exp(-chart.places[grey] @ slopes)[:, None], published[grey] + gloss)
         fixed = np.outer(np.ones(3), white) / (white @ white)
         free = np.linalg.svd(white[None])[2][1:]  # (2, 3), orthogonal to white
         # Unknown: P (3, 2) of M = fixed + P free, row by row, the change of the slopes, and the gloss.
-        columns = np.einsum("ij,nk->nijk", np.eye(3), evened @ free.T).reshape(-1, 3, 6)
-        fall = -(target + gloss)[:, :, None] * x[:, None, :]
-        left = (tolerance @ np.concatenate([columns, fall, -np.ones((len(x), 3, 1))], axis=-1)).reshape(-1, 9)
-        right = (tolerance @ (target - evened @ fixed.T)[..., None]).ravel()
+        columns = np.einsum("ij,nk->nijk", np.eye(3), unshaded @ free.T).reshape(-1, 3, 6)
+        by_slope = -(target + gloss)[:, :, None] * x[:, None, :]
+        left = (tolerance @ np.concatenate([columns, by_slope, -np.ones((len(x), 3, 1))], axis=-1)).reshape(-1, 9)
+        right = (tolerance @ (target - unshaded @ fixed.T)[..., None]).ravel()
         solution = np.linalg.lstsq(left, right, rcond=None)[0]
-        former, gloss = gloss, float(np.clip(solution[8], 0, most_gloss))
+        previous, gloss = gloss, float(np.clip(solution[8], 0, most_gloss))
         if gloss != solution[8]:
             solution = np.linalg.lstsq(left[:, :8], right - gloss * left[:, 8], rcond=None)[0]
         matrix = fixed + solution[:6].reshape(3, 2) @ free
         slopes = np.clip(slopes + solution[6:8], -3, 3)
-        if max(abs(gloss - former), *np.abs(solution[6:8])) < _SETTLED:
+        if max(abs(gloss - previous), *np.abs(solution[6:8])) < _SETTLED:
             break
-    evened = chart.values * np.exp(-chart.places @ slopes)[:, None]
-    # The green of the white: brightness as a photographer would set it, colours as the file has them.
-    before = _differences(evened / white[1], known, use)
-    return ColourFit(matrix, slopes, gloss, before, _differences(evened @ matrix.T - gloss, known, use))
+    unshaded = chart.values * np.exp(-chart.places @ slopes)[:, None]
+    # Scaled by the green of white: brightness corrected, colours of the file.
+    before = _differences(unshaded / white[1], published, use)
+    return ColourFit(matrix, slopes, gloss, before, _differences(unshaded @ matrix.T - gloss, published, use))
 
 
 def chart_report(corners: np.ndarray, chart: Chart, fit: ColourFit) -> dict:
-    """Return what a report says of a chart: corners as read, matrix, shading, ΔE2000, patches left out."""
+    """Return the report of a chart: corners, matrix, shading, gloss, ΔE2000, patches left out."""
 
     def figures(differences: np.ndarray) -> dict:
         return {"mean": round(float(np.nanmean(differences)), 3), "largest": round(float(np.nanmax(differences)), 3)}
 
-    reach = np.ptp(chart.places, axis=0)
+    extent = np.ptp(chart.places, axis=0)
     return {"corners": corners.ravel().round(3).tolist(), "matrix": fit.matrix.round(6).tolist(),
-            "brightness_right_over_left": round(float(np.exp(reach[0] * fit.shading[0])), 4),
-            "brightness_bottom_over_top": round(float(np.exp(reach[1] * fit.shading[1])), 4),
+            "brightness_right_over_left": round(float(np.exp(extent[0] * fit.shading[0])), 4),
+            "brightness_bottom_over_top": round(float(np.exp(extent[1] * fit.shading[1])), 4),
             "gloss": round(fit.gloss, 4),
             "delta_e_2000": {"before": figures(fit.before), "after": figures(fit.after)},
             "delta_e_2000_of_patches": {name: round(float(value), 2)
@@ -212,7 +212,7 @@ def chart_report(corners: np.ndarray, chart: Chart, fit: ColourFit) -> dict:
 
 
 def chart_warnings(where: str, given: np.ndarray, corners: np.ndarray, chart: Chart, fit: ColourFit) -> Iterator[str]:
-    """Yield what a person should check: the order of the corners, patches left out, a poor fit."""
+    """Yield warnings: corrected order of the corners, patches left out, gloss, a poor fit."""
     if not np.array_equal(given, corners):
         first = ",".join(f"{value:g}" for value in corners[0])
         yield f"{where}: the corners were not given clockwise from the dark skin patch, which is at {first}: corrected"
@@ -235,31 +235,31 @@ def _from_square(corners: np.ndarray) -> np.ndarray:
     return np.append(np.linalg.solve(np.array(rows, np.float64), corners.ravel()), 1).reshape(3, 3)
 
 
-def _white(greys: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return (3,) what a reflectance of 1 would measure, from grey patches (N, 3); glare lightens the dark ones."""
-    weight = known.mean(axis=1) / (known.mean(axis=1) + 0.05)
-    return np.exp((weight[:, None] * np.log(greys / known)).sum(axis=0) / weight.sum())
+def _white(greys: np.ndarray, published: np.ndarray) -> np.ndarray:
+    """Return the values (3,) of a reflectance of 1, from grey patches (N, 3); dark ones weigh less: glare."""
+    weight = published.mean(axis=1) / (published.mean(axis=1) + 0.05)
+    return np.exp((weight[:, None] * np.log(greys / published)).sum(axis=0) / weight.sum())
 
 
 def _tolerances(target: np.ndarray) -> np.ndarray:
-    """Return (N, 3, 3): a small difference of linear RGB in lightness, chroma and hue, over CIE94's tolerances."""
+    """Return the Jacobian (N, 3, 3) of lightness, chroma and hue, over CIE94's tolerances, by linear RGB."""
     step = 1e-4
     lab = lab_of_linear(target)
     slope = np.stack([(lab_of_linear(target + step * axis) - lab) / step for axis in np.eye(3)], axis=-1)
     chroma = np.maximum(np.hypot(lab[:, 1], lab[:, 2]), 1e-9)
     across, along = lab[:, 1] / chroma, lab[:, 2] / chroma
-    turn = np.zeros((len(target), 3, 3))
-    turn[:, 0, 0] = 1
-    turn[:, 1, 1:] = np.stack([across, along], axis=-1) / (1 + 0.045 * chroma)[:, None]
-    turn[:, 2, 1:] = np.stack([-along, across], axis=-1) / (1 + 0.015 * chroma)[:, None]
-    return turn @ slope
+    rotation = np.zeros((len(target), 3, 3))
+    rotation[:, 0, 0] = 1
+    rotation[:, 1, 1:] = np.stack([across, along], axis=-1) / (1 + 0.045 * chroma)[:, None]
+    rotation[:, 2, 1:] = np.stack([-along, across], axis=-1) / (1 + 0.015 * chroma)[:, None]
+    return rotation @ slope
 
 
-def _differences(found: np.ndarray, known: np.ndarray, use: np.ndarray) -> np.ndarray:
-    return np.where(use, delta_e_2000(lab_of_linear(found), lab_of_linear(known)), np.nan)
+def _differences(measured: np.ndarray, published: np.ndarray, use: np.ndarray) -> np.ndarray:
+    return np.where(use, delta_e_2000(lab_of_linear(measured), lab_of_linear(published)), np.nan)
 
 
-def _falls(chart: Chart, fit: ColourFit) -> bool:
-    """Return True if the grey row darkens from patch to patch."""
-    evened = (chart.values * np.exp(-chart.places @ fit.shading)[:, None])[GREY][chart.usable[GREY]]
-    return bool((np.diff(evened.mean(axis=1)) < 0).all())
+def _greys_darken(chart: Chart, fit: ColourFit) -> bool:
+    """Return whether each grey patch is darker than the one before."""
+    unshaded = (chart.values * np.exp(-chart.places @ fit.shading)[:, None])[GREY][chart.usable[GREY]]
+    return bool((np.diff(unshaded.mean(axis=1)) < 0).all())

@@ -20,7 +20,7 @@ _REMEDY = "write one line for each code: code red green blue, or code linear, al
 
 
 def write_response(path: Path | str, response: Response) -> None:
-    """Write a curve as TOML, complete or not at all. Raises InputError where writing fails."""
+    """Write a curve as TOML, atomically. Raises InputError if writing fails."""
     lines = [
         "# Linear light of code values, both 0 to 1: the response curve of a camera, channel by channel.",
         f"format = {_FORMAT}",
@@ -36,7 +36,7 @@ def write_response(path: Path | str, response: Response) -> None:
 def read_response(path: Path | str) -> Response:
     """Read a curve: a .toml from ``write_response``, or lines "code red green blue" or "code linear".
 
-    Raises InputError where the file is missing or damaged, or the curve does not rise from 0 to 1.
+    Raises InputError if the file is missing or damaged, or the curve does not rise from 0 to 1.
     """
     path = Path(path)
     if path.suffix.lower() == ".toml":

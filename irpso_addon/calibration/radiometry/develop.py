@@ -1,7 +1,7 @@
-"""Camera photographs to linear images, one per light.
+"""Development of camera photographs to linear images, one per light.
 
-Order: response curve, dark frame, flat field, exposure or merged brackets, white balance or colour
-matrix, registration.
+Order: response curve, dark frame, flat field, exposure or merged brackets, white balance or colour matrix,
+registration.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CROP = 384  # pixels: longest side of the crop for registration
 class Shot:
     """The photographs of one light. name: for reports. images: one, a bracket, or a burst. camera: index.
 
-    amounts: exposures of the images, or None without exposure correction: then several are a burst. size: their
+    amounts: exposures of the images, or None without exposure correction; several images are then a burst. size:
     required (width, height).
     """
 
@@ -77,7 +77,7 @@ def corrected(store: ImageStore, shot: Shot, index: int, corrections: Correction
 
 
 def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Developed:
-    """Return one light's image from its photographs. Raises InputError where one of them is unusable."""
+    """Return one light's image from its photographs. Raises InputError if one of them is unusable."""
     figures: dict = {"files": [image.path.name for image in shot.images]}
     if shot.amounts is None and len(shot.images) > 1:
         read = partial(corrected, store, shot, corrections=corrections)
@@ -97,18 +97,18 @@ def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Develo
         rgba[..., :3] = rgba[..., :3] @ corrections.matrix.T.astype(np.float32)
     not_finite = ~np.isfinite(rgba).all(axis=-1)
     rgba[not_finite] = 0
-    seen = rgba[..., 3] > 0
-    figures["without_weight"] = round(float(1 - seen.mean()), 6)
-    # Noise about black, or with a matrix colours outside Rec. 709; else the dark frame is too bright.
-    figures["negative"] = round(float((seen & (rgba[..., :3] < 0).any(axis=-1)).mean()), 6)
-    if not seen.any():
+    weighted = rgba[..., 3] > 0
+    figures["without_weight"] = round(float(1 - weighted.mean()), 6)
+    # By noise about black or, with a matrix, colours outside Rec. 709; otherwise the dark frame is too bright.
+    figures["negative"] = round(float((weighted & (rgba[..., :3] < 0).any(axis=-1)).mean()), 6)
+    if not weighted.any():
         raise InputError(f"{shot.images[0]}: all pixels are clipped in all exposures; expose less")
     rgba[..., :3] = np.maximum(rgba[..., :3], 0)
     return Developed(rgba.astype(np.float32), figures)
 
 
 def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame], list[list[float]]]:
-    """Return the frames of a bracket, moved onto the middle one, and their shifts."""
+    """Return the frames of a bracket, registered to the middle one, and their shifts, pixels."""
     window = middle_window(np.ones(frames[0].weight.shape, bool), _CROP)
     greys = [np.minimum(f.rgb.mean(axis=-1)[window], 1.0) / a for f, a in zip(frames, amounts, strict=True)]
     shifts = find_shifts(np.stack(greys), len(frames) // 2)
@@ -129,8 +129,8 @@ def registration_steps(
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield the fraction done, 0…1; return shifts (K, 2), agreement (K,) and trusted (K,) of all shots.
 
-    A camera's shots are registered to shot ``reference`` where it is one of them, else to their first. masks: (H, W)
-    bool, one per camera.
+    The reference of a camera's shots is shot ``reference`` if it is one of them, else their first. masks: (H, W) bool,
+    one per camera.
     """
     count = len(shots)
     pixels, agreement, trusted = np.zeros((count, 2)), np.full(count, np.nan), np.ones(count, bool)

@@ -1,4 +1,4 @@
-"""Linear photographs, and their corrections: dark frames, flat fields, white balance."""
+"""Linear photographs and their corrections: dark frames, flat fields, white balance."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ...core.errors import InputError
 from .response import Response
 
 SAME_STOPS = 1 / 6  # stops: exposures that differ by less than half of a third-stop are the same setting
-FLAT_FLOOR = 0.1  # of the flat's mean: below, the division would multiply noise tenfold
-_LIT = 99.0  # percentile of a frame that must be above its dark frame
+FLAT_FLOOR = 0.1  # of the flat's mean: division by less would amplify noise more than tenfold
+_LIT_PERCENTILE = 99.0  # percentile of frame − dark frame that must be positive
 _CLIPPED_PATCH = 0.02  # of a patch's pixels
 
 
@@ -41,10 +41,10 @@ class Frame:
 def read_frame(
     store: ImageStore, image: ImageRef, response: Response | None = None, size: tuple[int, int] | None = None
 ) -> Frame:
-    """Return a photograph, linear by a response curve, or without one by its colour space or profile.
+    """Read a photograph, linearised by a response curve, or without one by its colour space or profile.
 
-    size: required (width, height). Raises InputError where the file is unreadable, has another size, or holds floats
-    while a response is given.
+    size: required (width, height). Raises InputError if the file is unreadable, has another size, or holds floats and
+    ``response`` is not None.
     """
     profile = None
     if is_exr(image.path):
@@ -80,10 +80,10 @@ class Dark:
     scaled: bool = False
 
     def of(self, amount: float | None, where: str) -> np.ndarray:
-        """Return (H, W, 3), the dark frame of this exposure (None: unknown).
+        """Return the dark frame (H, W, 3) of an exposure (None: unknown).
 
-        Scaled, it lies on the straight line through the dark frames of the two nearest exposures, or is proportional
-        to the exposure where there is one. ``where`` names the photograph. Raises InputError where no dark frame fits.
+        If ``scaled``, it is interpolated linearly between the dark frames of the two nearest exposures, or proportional
+        to the exposure if there is only one. where: names the photograph. Raises InputError if no dark frame fits.
         """
         levels = sorted(((a, level) for a, level in self.levels if a is not None), key=lambda pair: pair[0])
         if amount is None or not levels:
@@ -100,7 +100,7 @@ class Dark:
 
 
 def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = False) -> Dark:
-    """Return the mean of dark frames (exposure or None, (H, W, 3) linear) per exposure; reads them one by one."""
+    """Return the mean dark frame of each exposure. frames: (exposure or None, (H, W, 3) linear), read one by one."""
     groups: list[tuple[float | None, list[Any]]] = []  # exposure, [sum, count]
     for amount, rgb in frames:
         for other, total in groups:
@@ -114,9 +114,9 @@ def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = 
 
 
 def without_dark(frame: Frame, dark: np.ndarray, where: str) -> Frame:
-    """Return a frame minus its dark frame. Raises TooDark where less than 1 % of it is brighter."""
+    """Return a frame minus its dark frame. Raises TooDark if less than 1 % of its pixels are brighter."""
     rgb = frame.rgb - dark
-    if np.percentile(rgb.max(axis=-1), _LIT) <= 0:
+    if np.percentile(rgb.max(axis=-1), _LIT_PERCENTILE) <= 0:
         raise TooDark(f"{where}: is no brighter than the dark frame; check which files --dark names")
     return Frame(rgb, frame.weight, frame.high, frame.low, frame.bits)
 
@@ -130,19 +130,19 @@ class Flat:
 
 
 def mean_flat(frames: Iterable[Frame], floor: float = FLAT_FLOOR) -> Flat:
-    """Return the flat field of photographs of an even white surface, minus their dark frames; reads them one by one.
+    """Return the flat field by photographs, less dark frames, of an even white surface; ``frames`` is read one by one.
 
-    Each is divided by its own mean, so exposures may differ. A pixel is unusable where one photograph clips or the
-    mean is below ``floor``. Raises InputError where more than half is unusable.
+    Each frame is divided by its mean, so exposures may differ. A pixel is unusable where one frame clips or the mean is
+    below ``floor``. Raises InputError if more than half of the pixels are unusable.
     """
     field: np.ndarray = np.zeros(3, np.float32)
     usable = np.ones((), bool)
     for frame in frames:
-        seen = frame.weight > 0
-        usable = usable & seen
+        unclipped = frame.weight > 0
+        usable = usable & unclipped
         if usable.mean() < 0.5:
             raise InputError(f"{1 - usable.mean():.0%} of the flat field is clipped; photograph it with less exposure")
-        mean = frame.rgb[seen].mean(axis=0, dtype=np.float64)
+        mean = frame.rgb[unclipped].mean(axis=0, dtype=np.float64)
         if not (mean > 0).all():
             raise InputError("the flat field is black in a channel; check which files --flat names")
         field = field + frame.rgb / mean.astype(np.float32)
@@ -174,26 +174,26 @@ class Patch:
 
 
 def patch_mean(image: np.ndarray, weight: np.ndarray, patch: Patch, where: str) -> np.ndarray:
-    """Return the mean (3,) of a patch of (H, W, 3), row 0 at the bottom, over pixels with a weight.
+    """Return the mean (3,) of a patch of an image (H, W, 3), row 0 at the bottom, over pixels with weight.
 
-    Raises InputError where the patch leaves the image or more than 2 % of it are clipped.
+    Raises InputError if the patch leaves the image or more than 2 % of it are clipped.
     """
     height, width = image.shape[:2]
     if patch.width < 1 or patch.height < 1 or not (0 <= patch.x <= width - patch.width):
         raise InputError(f"{where}: the patch {patch} is not inside its {width}×{height} pixels; write X,Y,W,H")
     if not 0 <= patch.y <= height - patch.height:
         raise InputError(f"{where}: the patch {patch} is not inside its {width}×{height} pixels; write X,Y,W,H")
-    part = np.s_[height - patch.y - patch.height : height - patch.y, patch.x : patch.x + patch.width]
-    good = weight[part] > 0
-    if (~good).mean() > _CLIPPED_PATCH:
-        raise InputError(f"{where}: {(~good).mean():.0%} of the patch {patch} are clipped; expose it shorter")
-    return image[part][good].mean(axis=0, dtype=np.float64)
+    window = np.s_[height - patch.y - patch.height : height - patch.y, patch.x : patch.x + patch.width]
+    unclipped = weight[window] > 0
+    if (~unclipped).mean() > _CLIPPED_PATCH:
+        raise InputError(f"{where}: {(~unclipped).mean():.0%} of the patch {patch} are clipped; expose it shorter")
+    return image[window][unclipped].mean(axis=0, dtype=np.float64)
 
 
 def white_gains(mean: np.ndarray, reflectance: float | None, where: str) -> np.ndarray:
-    """Return factors (3,) that make a grey patch's mean (3,) neutral: as bright as its green, or as its reflectance.
+    """Return gains (3,) that map a grey patch's mean (3,) to its green channel, or to its reflectance.
 
-    Raises InputError where a channel is black.
+    Raises InputError if a channel is black.
     """
     if not (mean > 0).all():
         raise InputError(f"{where}: the white patch is black in a channel; choose a lit grey patch")

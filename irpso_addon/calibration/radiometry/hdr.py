@@ -1,4 +1,4 @@
-"""Brackets merged to one image of linear radiance.
+"""Merge of exposure brackets to one image of linear radiance.
 
 Each frame's x = t·X + noise gives x / t with a variance of (t·X + k) / t², from shot noise and read noise; the optimal
 weights are the inverse variances (Granados et al. 2010; Hasinoff, Durand and Freeman 2010). X in the weights is the
@@ -15,18 +15,18 @@ from .frames import Frame
 
 # Read noise² / gain, with the largest code as 1: 5 electrons of read noise at a full well of 30 000 electrons.
 _READ = 5.0**2 / 30_000
-SATURATED = 0.98  # of the largest code: sensors bend before they clip, and JPEG rings around clipped areas
-# Of the largest code, by bits: one or two steps of the file. A choice by noisy values would favour bright noise; files
+SATURATED = 0.98  # of the largest code: sensors become nonlinear before they clip, and JPEG rings around clipped areas
+# Of the largest code, by bits: one or two code steps. A threshold on noisy values would favour bright noise, so files
 # of 16 bits and more use the weights alone, which are near zero for such pixels.
 _BLACK = {8: 2.5 / 255}
 
 
 def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = SATURATED) -> np.ndarray:
-    """Return a bracket merged to (H, W, 4) float32: radiance at an exposure of 1, and weight.
+    """Merge a bracket to (H, W, 4) float32: radiance at an exposure of 1, and weight.
 
-    amounts: exposures, above 0. saturated: code / largest code from which a pixel is left out; the shortest frame
-    keeps all unclipped pixels. Nearly black pixels of 8-bit files are left out where a longer frame shows them. A pixel
-    without a usable frame has weight 0 and the shortest frame's value, a lower bound.
+    amounts: exposures, above 0. saturated: code / largest code from which pixels are excluded; the shortest frame keeps
+    all unclipped pixels. Nearly black pixels of 8-bit files are excluded if a longer frame shows them. A pixel without
+    a usable frame has weight 0 and the shortest frame's value, a lower bound.
     """
     order = np.argsort(amounts)
     usable = np.stack([_usable(frames[i], saturated if rank else np.inf) for rank, i in enumerate(order)])
@@ -38,21 +38,21 @@ def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = 
     for i, use in zip(order, usable, strict=True):
         light = light + np.where(use[..., None], frames[i].rgb, 0)
         time = time + use[..., None] * np.float32(amounts[i])
-    first = np.maximum(light / np.where(time > 0, time, 1), 0)
+    estimate = np.maximum(light / np.where(time > 0, time, 1), 0)
     light = np.zeros(3, np.float32)
     for i, use in zip(order, usable, strict=True):
-        weight = np.where(use[..., None], 1 / (first + np.float32(_READ / amounts[i])), 0)
+        weight = np.where(use[..., None], 1 / (estimate + np.float32(_READ / amounts[i])), 0)
         light = light + np.where(use[..., None], frames[i].rgb, 0) * weight
         total = total + np.float32(amounts[i]) * weight
     shortest = frames[order[0]]
-    unseen = ~usable.any(axis=0)
+    unusable = ~usable.any(axis=0)
     bound = np.nan_to_num(shortest.rgb, posinf=0, neginf=0) / np.float32(amounts[order[0]])
-    merged = np.where(unseen[..., None], bound, light / np.where(total > 0, total, 1))
+    merged = np.where(unusable[..., None], bound, light / np.where(total > 0, total, 1))
     weight = np.max([np.where(u, f.weight, 0) for u, f in zip(usable, (frames[i] for i in order), strict=True)], axis=0)
     return np.concatenate([merged, weight[..., None]], axis=-1).astype(np.float32)
 
 
 def _usable(frame: Frame, saturated: float) -> np.ndarray:
-    """Return (H, W) bool: pixels with a weight, below saturation. Floats above 1 are not clipped."""
+    """Return bool (H, W): pixels with weight, below saturation. Float files with values above 1 do not saturate."""
     unlimited = frame.bits == 32 and frame.high.max(initial=0) > 1 + 1e-4
     return (frame.weight > 0) & (unlimited | (frame.high < saturated))

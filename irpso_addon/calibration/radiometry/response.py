@@ -2,9 +2,8 @@
 
 The method is Debevec and Malik's (1997): free values at many codes with a penalty on roughness. It fits any curve and
 is linear, so it has one solution. The polynomial of Mitsunaga and Nayar (1999) also refines exposures, which EXIF
-makes needless, and a low order cannot follow the toe and shoulder of a picture profile. Two changes: roughness is
-measured between the logarithms of code and light, where a gamma curve is straight and costs nothing; residuals are
-reweighted.
+makes unnecessary, and a low order cannot follow the toe and shoulder of a picture profile. Two changes: roughness is
+that of log light over log code, where a gamma curve is straight and has no penalty; residuals are reweighted.
 """
 
 from __future__ import annotations
@@ -17,22 +16,22 @@ import numpy as np
 from ...core.errors import InputError
 
 TABLE = 256  # rows of a curve
-_KNOTS, _FIRST = 64, 0.015  # free values of a curve, evenly over the logarithm of the code, from this code to 1
-_ENDS = 10  # knots whose slope extends the curve below the first
+_KNOTS, _FIRST = 64, 0.015  # free values of a curve, at even steps of the logarithm of the code, from this code to 1
+_ENDS = 10  # knots whose slope extrapolates the curve below the first
 _SMOOTH = 0.1  # weight of roughness at a knot over the data's mean weight, times the cube of the step in stops
 _ROUNDS, _OUTLIER = 8, 0.05  # reweightings; logarithm of light: the Cauchy scale, about 5 %
-_LOW, _HIGH = 0.03, 0.98  # codes outside are left out: clipped black, and white
+_LOW, _HIGH = 0.03, 0.98  # codes outside are excluded: clipped black and white
 _LEAST_FRAMES, _LEAST_SAMPLES = 2, 64
-_LEAST_RATIO = 1.5  # between the longest and the shortest exposure
-_CURVE_PATCHES = 6  # fewer patches give a gamma
+_LEAST_RATIO = 1.5  # longest over shortest exposure
+_CURVE_PATCHES = 6  # with fewer patches the curve is a gamma
 
 
 @dataclass(frozen=True)
 class Response:
     """A response curve. codes: (N,) rising from 0 to 1, code value / largest code. linear: (N, 3) rising from 0 to 1.
 
-    used: (3, 2) lowest and highest measured code of each channel; beyond, the curve is extended.
-    residual: RMS relative error of the data, or NaN where unknown.
+    used: (3, 2) lowest and highest measured code of each channel; beyond, the curve is extrapolated.
+    residual: RMS relative error of the data, or NaN if unknown.
     """
 
     codes: np.ndarray
@@ -50,8 +49,8 @@ def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np
     """Return the curve of code values of the same pixels under several exposures (Debevec and Malik 1997).
 
     samples: (N, F, 3) per bracket, codes / largest code, 0…1: N pixels in its F frames. exposures: (F,) per bracket,
-    above 0, on any scale. Each channel's curve is 1 at the largest code; white balance is not determined. Raises
-    InputError where the exposures hardly differ or too few pixels are usable in two frames.
+    above 0, in any unit. Each channel's curve is 1 at the largest code; white balance is not determined. Raises
+    InputError if the exposures differ by less than half a stop or too few pixels are usable in two frames.
     """
     for times in exposures:
         if len(times) < _LEAST_FRAMES or max(times) < _LEAST_RATIO * min(times):
@@ -78,11 +77,11 @@ def bracket_step(exposures: Sequence[np.ndarray]) -> float:
 
 def _rows(values: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return codes, log exposures and weights, each (N, F), of pixels that are usable in at least two frames."""
-    good = (values > _LOW) & (values < _HIGH)
-    enough = good.sum(axis=1) >= _LEAST_FRAMES
-    values, good = values[enough], good[enough]
-    # The hat of Debevec and Malik: low weight at both ends.
-    weights = np.where(good, values**2 * np.minimum((_HIGH - values) / 0.2 + 0.05, 1), 0.0)
+    usable = (values > _LOW) & (values < _HIGH)
+    enough = usable.sum(axis=1) >= _LEAST_FRAMES
+    values, usable = values[enough], usable[enough]
+    # As Debevec and Malik's hat function: low weight at both ends.
+    weights = np.where(usable, values**2 * np.minimum((_HIGH - values) / 0.2 + 0.05, 1), 0.0)
     return values, np.broadcast_to(times, values.shape), weights
 
 
@@ -94,24 +93,24 @@ def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np
             f"only {count} pixels are neither black nor clipped in two frames of the {name} channel; a response curve"
             f" needs {_LEAST_SAMPLES}: bracket a subject with many tones in smaller steps"
         )
-    seen = np.concatenate([values[weights > 0] for values, _, weights in rows])
-    low, high = np.quantile(seen, (0.01, 0.99))
+    measured = np.concatenate([values[weights > 0] for values, _, weights in rows])
+    low, high = np.quantile(measured, (0.01, 0.99))
     knots = np.linspace(np.log(_FIRST), 0, _KNOTS)
-    bend = np.diff(np.eye(_KNOTS), 2, axis=0)
+    curvature = np.diff(np.eye(_KNOTS), 2, axis=0)
     robust = [np.ones(values.shape) for values, _, _ in rows]
     for _ in range(_ROUNDS):
         matrix, right, total = np.zeros((_KNOTS, _KNOTS)), np.zeros(_KNOTS), 0.0
         for (values, times, weights), factor in zip(rows, robust, strict=True):
             w = weights * factor
-            spread, wanted = _without_light(_spread(values, knots), w), _without_light(times[..., None], w)[..., 0]
-            flat = spread.reshape(-1, _KNOTS)
+            design, target = _centred(_knot_weights(values, knots), w), _centred(times[..., None], w)[..., 0]
+            flat = design.reshape(-1, _KNOTS)
             matrix += flat.T @ (flat * w.reshape(-1, 1))
-            right += flat.T @ (w * wanted).ravel()
+            right += flat.T @ (w * target).ravel()
             total += w.sum()
-        matrix += smooth * total / _KNOTS * bend.T @ bend
-        matrix += 1e-6 * total  # fixes the mean of the curve, which the data leave free
+        matrix += smooth * total / _KNOTS * curvature.T @ curvature
+        matrix += 1e-6 * total  # fixes the mean of the curve, which the data do not determine
         curve = np.linalg.solve(matrix, right)
-        errors = [_without_light((_spread(v, knots) @ curve - t)[..., None], w * r)[..., 0]
+        errors = [_centred((_knot_weights(v, knots) @ curve - t)[..., None], w * r)[..., 0]
                   for (v, t, w), r in zip(rows, robust, strict=True)]  # fmt: skip
         robust = [1 / (1 + (error / _OUTLIER) ** 2) for error in errors]
     square = sum((w * r * e**2).sum() for (_, _, w), r, e in zip(rows, robust, errors, strict=True))
@@ -122,8 +121,8 @@ def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np
     return light / light[-1], (float(low), float(high)), float(np.sqrt(square / total))
 
 
-def _spread(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return (N, F, knots): the linear interpolation factors of each code between its two knots."""
+def _knot_weights(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return the linear interpolation factors (N, F, knots) of each code between its two knots."""
     place = np.clip((np.log(np.maximum(values, _FIRST)) - knots[0]) / (knots[1] - knots[0]), 0, len(knots) - 1 - 1e-9)
     left = place.astype(int)
     result = np.zeros((*values.shape, len(knots)))
@@ -132,8 +131,8 @@ def _spread(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return result
 
 
-def _without_light(array: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return (N, F, C) minus its weighted mean over a pixel's frames: this eliminates the pixel's radiance."""
+def _centred(array: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Subtract from (N, F, C) its weighted mean over a pixel's frames, which eliminates the pixel's radiance."""
     total = np.maximum(weights.sum(axis=1), 1e-12)[:, None, None]
     return array - (array * weights[..., None]).sum(axis=1, keepdims=True) / total
 
@@ -151,34 +150,34 @@ def monotone(values: np.ndarray) -> np.ndarray:
 
 
 def measurable(values: np.ndarray) -> np.ndarray:
-    """Return (P,) bool: patches (P, 3), codes / largest code, that are neither black nor clipped."""
+    """Return bool (P,): patches (P, 3), codes / largest code, that are neither black nor clipped."""
     return ((values > _LOW / 2) & (values < _HIGH + 0.01)).all(axis=-1)
 
 
 def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> Response:
     """Return the curve from grey patches in the same light: values (P, 3), codes / largest code; reflectances (P,).
 
-    Two to five patches give the best gamma, more a monotone curve through them between logarithms. Raises InputError
-    where patches are fewer than two, black, clipped, equal or not rising.
+    Two to five patches give a least-squares gamma, more a monotone curve, piecewise linear in logarithms. Raises
+    InputError if there are fewer than two patches, or they are black, clipped, equal or not rising.
     """
-    values, known = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
+    values, reflectance = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
     if len(values) < 2:
         raise InputError(
             "one grey patch gives a scale, not a curve: add patches of other reflectance, or, where the files are"
             " linear or sRGB, use --white X,Y,W,H=REFLECTANCE"
         )
-    if not (np.isfinite(known).all() and (known > 0).all()):
+    if not (np.isfinite(reflectance).all() and (reflectance > 0).all()):
         raise InputError("a patch's reflectance must be above 0, as in X,Y,W,H=0.18")
-    order = np.argsort(known, kind="stable")
-    values, known = values[order], known[order]
+    order = np.argsort(reflectance, kind="stable")
+    values, reflectance = values[order], reflectance[order]
     if not measurable(values).all():
         raise InputError("a grey patch is black or clipped; choose an exposure in which none is")
-    if (np.diff(values, axis=0) <= 0).any() or (np.diff(known) <= 0).any():
+    if (np.diff(values, axis=0) <= 0).any() or (np.diff(reflectance) <= 0).any():
         raise InputError("grey patches of higher reflectance must have higher code values; check their positions")
     codes = np.linspace(0, 1, TABLE)
     curves, errors = [], []
     for channel in values.T:
-        x, y = np.log(channel), np.log(known)
+        x, y = np.log(channel), np.log(reflectance)
         slope, offset = np.polyfit(x, y, 1)
         errors.append(y - slope * x - offset)
         if len(x) < _CURVE_PATCHES:

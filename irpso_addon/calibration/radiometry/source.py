@@ -1,4 +1,4 @@
-"""Photographs to develop: those of a capture's lists or all of a folder, single or bracketed."""
+"""Photographs to develop: those that a capture lists, or all of a folder; single, in brackets or in bursts."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _SAME_LIGHT_DEGREES = 0.01
 
 @dataclass(frozen=True)
 class Exposing:
-    """Source of exposures. by: "exif" or "names". merged: photographs of one light are a bracket.
+    """Source of exposures. by: "exif" or "names". merged: photographs of one light form a bracket.
 
-    given: exposures that the numbers at the end of names index.
+    given: exposures, indexed by the numbers at the end of names.
     """
 
     by: str
@@ -41,7 +41,7 @@ class Exposing:
 
 @dataclass(frozen=True)
 class Source:
-    """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None without lists."""
+    """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None for a folder."""
 
     shots: tuple[Shot, ...]
     capture: Capture | None
@@ -67,19 +67,19 @@ def read_source(
 ) -> Source:
     """Return the photographs to develop of a capture or a folder.
 
-    left_out: files that do not show the subject, such as dark frames. bursts: how bursts are found, one of
-    ``bursts.KINDS``. Raises InputError where no photograph is left, or an exposure is unknown.
+    left_out: files that do not show the subject, such as dark frames. bursts: grouping, one of ``bursts.KINDS``, or
+    None. Raises InputError if no photograph is left, or an exposure is unknown.
     """
     if bursts and exposing:
         raise InputError("--bursts averages photographs of one exposure; omit --brackets and --exposure")
     path = Path(path)
-    others = {p.resolve() for p in left_out}
+    excluded = {p.resolve() for p in left_out}
     lists = (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
     if lists if path.is_dir() else path.is_file():
-        return _listed(read_spec(path, colour_space), decoder, exposing, others, bursts)
+        return _listed_source(read_spec(path, colour_space), decoder, exposing, excluded, bursts)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
-    images = [p for p in images_in(path) if p.resolve() not in others and p.stem.lower() != "mask"]
+    images = [p for p in images_in(path) if p.resolve() not in excluded and p.stem.lower() != "mask"]
     if not images:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
     brackets, warnings = _grouped(images, exposing, bursts, decoder)
@@ -96,7 +96,7 @@ def read_source(
 
 
 def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:
-    """Return photographs as brackets (of one where they are not merged), and warnings."""
+    """Return photographs as brackets, of one photograph each if they are not merged, and warnings."""
     if exposing is None:
         return [Bracket(path.stem, (path,), (1.0,)) for path in paths], []
     if exposing.merged:
@@ -111,27 +111,27 @@ def _grouped(
     return bursts_of(paths, bursts, ImageStore(decoder)) if bursts else brackets_of_images(paths, exposing)
 
 
-def _listed(
-    spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | None, others: set[Path], bursts: str | None
+def _listed_source(
+    spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | None, excluded: set[Path], bursts: str | None
 ) -> Source:
     if exposing is None and not bursts:
         capture = build_capture(spec, decoder)
         shots = [Shot(s.name, (s.image,), None, s.camera) for s in spec.observations]
         return Source(tuple(_sized(shots, capture)), capture)
-    if odd := [shot for shot in spec.observations if shot.image.part is not None]:
-        raise InputError(f"{odd[0].image}: parts of one EXR have no exposures of their own; omit the option")
+    if parts := [shot for shot in spec.observations if shot.image.part is not None]:
+        raise InputError(f"{parts[0].image}: parts of one EXR have no exposures of their own; omit the option")
     listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(spec.observations)))}
     paths = [shot.image.path for shot in spec.observations]
     if bursts or (exposing and exposing.merged):
-        paths += _beside(spec, exposing, others | set(listed))
+        paths += _unlisted(spec, exposing, excluded | set(listed))
     brackets, warnings = _grouped(list(dict.fromkeys(paths)), exposing, bursts, decoder)
     chosen: list[tuple[int, Bracket]] = []
     for bracket in brackets:
         resolved = {path.resolve() for path in bracket.paths}
-        named = [n for n, shot in enumerate(spec.observations) if shot.image.path.resolve() in resolved]
-        if named:
-            _same_light(spec, named)
-            chosen.append((named[0], bracket))
+        indices = [n for n, shot in enumerate(spec.observations) if shot.image.path.resolve() in resolved]
+        if indices:
+            _same_light(spec, indices)
+            chosen.append((indices[0], bracket))
     if len(chosen) < len(brackets):
         what = "bursts" if bursts else "brackets"
         warnings.append(f"{spec.source}: {len(brackets) - len(chosen)} {what} in its folders are not in its list")
@@ -149,11 +149,11 @@ def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:
     return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in shots]
 
 
-def _beside(spec: CaptureSpec, exposing: Exposing | None, known: set[Path]) -> list[Path]:
-    """Return the unlisted images in the folders of a list, with an exposure where exposures are read."""
+def _unlisted(spec: CaptureSpec, exposing: Exposing | None, excluded: set[Path]) -> list[Path]:
+    """Return unlisted images in the folders of a capture's images; with ``exposing``, those with an exposure."""
     masks = {view.mask.path.resolve() for view in spec.views if view.mask}
     folders = dict.fromkeys(shot.image.path.parent for shot in spec.observations)
-    unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in known | masks]
+    unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in excluded | masks]
     if exposing is None:
         return unlisted
     if exposing.by == "exif":
@@ -161,10 +161,10 @@ def _beside(spec: CaptureSpec, exposing: Exposing | None, known: set[Path]) -> l
     return [path for path in unlisted if name_amount(path.stem, exposing.given)]
 
 
-def _same_light(spec: CaptureSpec, named: Sequence[int]) -> None:
-    first = spec.observations[named[0]]
+def _same_light(spec: CaptureSpec, indices: Sequence[int]) -> None:
+    first = spec.observations[indices[0]]
     a = np.asarray(first.vector) / max(np.linalg.norm(first.vector), 1e-30)
-    for n in named[1:]:
+    for n in indices[1:]:
         other = spec.observations[n]
         b = np.asarray(other.vector) / max(np.linalg.norm(other.vector), 1e-30)
         if np.linalg.norm(a - b) > np.radians(_SAME_LIGHT_DEGREES) or other.camera != first.camera:

@@ -1,4 +1,4 @@
-"""Applies a rig to photographs: a capture with the rig's lamps and cameras, developed where it has corrections."""
+"""Application of a rig to photographs: a capture with the rig's lamps and cameras, developed if it has corrections."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from ..radiometry.source import Exposing, Source, read_source
 from .match import check_exposures, check_photographs, matched, rig_exposure
 from .rig import Rig
 
-_FAILED = 0.02  # of the median brightness over intensity: below, the lamp failed
-_BRIGHT = 99.0  # percentile of a photograph that tells its brightness
-_SEEN = 512  # pixels of the longer side that brightness is measured on
-_LOOKED = 0.4  # the share of the work that ends when all photographs are looked at
+_FAILED = 0.02  # of the median of brightness over intensity: below, the lamp failed
+_BRIGHT = 99.0  # percentile of a photograph that is its brightness
+_SAMPLED = 512  # pixels of the longer side: sampling for the brightness
+_CHECKED = 0.4  # fraction of the work when all lamps are checked
 _SPACE = "colour_space"
 
 
 @dataclass(frozen=True)
 class Applied:
-    """lamps: photograph → lamp, by file names. left_out: lamps that failed, or have no photograph, and why.
+    """lamps: photograph → lamp, by file names. left_out: lamps that failed, or have no photograph, with the reason.
 
-    developed: whether images were written; else the capture points at the photographs.
+    developed: whether images were written; else the capture refers to the photographs.
     """
 
     lamps: dict[str, str]
@@ -59,20 +59,20 @@ def apply_steps(
 ) -> Generator[Progress, None, Applied]:
     """Yield before each photograph; write a capture of photographs under a rig's lamps into a new folder.
 
-    way: as ``matched`` has it. exposure: "exif" scales photographs to the rig's exposure. Raises InputError, and then
-    writes nothing, where the photographs do not fit the rig.
+    way: see ``matched``. exposure: "exif" scales photographs to the rig's exposure. Raises InputError, and writes
+    nothing, if the photographs do not fit the rig.
     """
     check_unused(out)
     measured = _measured(rig, exposure)
-    given = None if measured is None else measured.exposing
+    exposing = None if measured is None else measured.exposing
     space = rig.spec.observations[0].image.colour_space if measured is None else measured.colour_space
-    source = read_source(photographs, decoder, given, space)
+    source = read_source(photographs, decoder, exposing, space)
     shots = source.shots
     store = ImageStore(decoder)
     lamps = matched(rig, [_name(shot) for shot in shots], way, str(photographs))
     taken = [photograph_at(_file(shot), shot.images[0].path) for shot in shots]
     check_photographs(rig, shots, taken, lamps, store)
-    if given is None:
+    if exposing is None:
         check_exposures(rig, shots, taken, lamps)
     cameras = [rig.spec.observations[lamp].camera for lamp in lamps]
     shots = tuple(replace(shot, camera=n, size=rig.spec.views[n].size) for shot, n in zip(shots, cameras, strict=True))
@@ -80,12 +80,12 @@ def apply_steps(
     corrections = Corrections(darks=(None,) * len(rig.spec.views), flats=(None,) * len(rig.spec.views))
     steps = _lit_steps(store, shots, [rig.spec.observations[lamp].intensity for lamp in lamps],
                        corrections if measured is None else measured.corrections)  # fmt: skip
-    lit = yield from map_steps(steps, lambda step: Progress(_LOOKED * step.done, step.what))
+    lit = yield from map_steps(steps, lambda step: Progress(_CHECKED * step.done, step.what))
     names = [photograph.file for photograph in rig.photographs]
     left_out = [f"{_file(shots[k])}: is black, the lamp of {names[lamps[k]]} failed" for k in np.flatnonzero(~lit)]
     left_out += [f"{name}: its lamp has no photograph" for n, name in enumerate(names) if n not in lamps]
-    kept = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(shots[k])))
-    used = [(shots[k], lamps[k]) for k in kept]
+    order = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(shots[k])))
+    used = [(shots[k], lamps[k]) for k in order]
     spec = _spec(rig, photographs, out, used)
     applied = Applied({_file(shot): names[lamp] for shot, lamp in used}, tuple(left_out), source.warnings,
                       measured is not None)  # fmt: skip
@@ -95,12 +95,12 @@ def apply_steps(
         return applied
     developing = Source(tuple(shot for shot, _ in used), build_capture(spec, decoder), source.warnings)
     writing = write_developed_steps(store, developing, measured, out, report, Output(half=half, corrections=False))
-    written = yield from map_steps(writing, lambda step: Progress(_LOOKED + (1 - _LOOKED) * step.done, step.what))
+    written = yield from map_steps(writing, lambda step: Progress(_CHECKED + (1 - _CHECKED) * step.done, step.what))
     return replace(applied, warnings=tuple(written["warnings"]))
 
 
 def _measured(rig: Rig, exposure: str | None) -> Measured | None:
-    """Return the corrections to apply, those that scale exposures included; None for none. Raises InputError."""
+    """Return the corrections to apply, with scaling by ``exposure``, or None. Raises InputError."""
     measured = rig.measured
     if exposure is None:
         return measured
@@ -115,15 +115,15 @@ def _measured(rig: Rig, exposure: str | None) -> Measured | None:
 
 
 def _for_cameras(measured: Measured, count: int) -> Measured:
-    """Return corrections of one camera as those of several."""
-    found = measured.corrections
-    return replace(measured, corrections=replace(found, darks=found.darks[:1] * count, flats=found.flats[:1] * count))
+    """Repeat the corrections of one camera for several."""
+    one = measured.corrections
+    return replace(measured, corrections=replace(one, darks=one.darks[:1] * count, flats=one.flats[:1] * count))
 
 
 def _lit_steps(
     store: ImageStore, shots: Sequence[Shot], intensities: Sequence[Sequence[float]], corrections: Corrections
 ) -> Generator[Progress, None, np.ndarray]:
-    """Yield before each photograph; return (K,) whether a lamp lit it. Raises InputError where most are black."""
+    """Yield before each photograph; return whether a lamp lit each (K,). Raises InputError if most are black."""
     bright = np.zeros(len(shots))
     for k, shot in enumerate(shots):
         yield Progress(k / len(shots), shot.name)
@@ -131,17 +131,17 @@ def _lit_steps(
             rgba = developed(store, shot, corrections).rgba
         except TooDark:
             continue
-        step = -(-max(rgba.shape[:2]) // _SEEN)
-        seen = rgba[::step, ::step]
-        bright[k] = np.percentile(seen[..., :3].max(axis=-1), _BRIGHT) / np.mean(intensities[k])
-    usual = float(np.median(bright))
-    if usual <= 0:
+        step = -(-max(rgba.shape[:2]) // _SAMPLED)
+        sampled = rgba[::step, ::step]
+        bright[k] = np.percentile(sampled[..., :3].max(axis=-1), _BRIGHT) / np.mean(intensities[k])
+    median = float(np.median(bright))
+    if median <= 0:
         raise InputError(f"{shots[0].images[0].path.parent}: most of its photographs are black; check lamps and camera")
-    return bright > _FAILED * usual
+    return bright > _FAILED * median
 
 
 def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[Shot, int]]) -> CaptureSpec:
-    """Return the spec of photographs under their lamps; a single camera takes the mask beside them."""
+    """Return the spec of photographs under their lamps; a single camera uses the mask in their folder."""
     observations = tuple(
         replace(rig.spec.observations[lamp], name=_file(shot), image=shot.images[0], where=str(shot.images[0].path))
         for shot, lamp in used
@@ -155,7 +155,7 @@ def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[Shot, int
 
 
 def _write_table(spec: CaptureSpec, out: Path, space: str, report: dict, decoder: Decoder | None) -> None:
-    """Write a capture.toml that points at the photographs, and a report, into a new folder."""
+    """Write a capture.toml that refers to the photographs, and a report, into a new folder."""
     capture = build_capture(spec, decoder)
     pictures = [{"image": relative_path(shot.image.path, out)} for shot in spec.observations]
     masks = {n: {"mask": relative_path(view.mask.path, out)} for n, view in enumerate(spec.views) if view.mask}

@@ -1,4 +1,4 @@
-"""Which lamp of a rig lit which photograph, and whether the photographs are of the rig's camera."""
+"""Assignment of photographs to a rig's lamps, and checks of their camera, lens and exposure."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ..radiometry.develop import Shot
 from ..radiometry.frames import SAME_STOPS
 from .rig import Rig
 
-_SAME_LENGTH = 0.01  # of a focal length
+_SAME_LENGTH = 0.01  # relative difference of focal lengths
 _SUFFIXES = {".jpeg": ".jpg", ".tiff": ".tif"}
 
 
 def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
-    """Return the lamp of each photograph, by its name without suffix.
+    """Return the lamp of each photograph. names: without suffixes. where: names the photographs in errors.
 
-    way: "order" of the names, as people count; equal "names"; the last "numbers" in names; or "auto": names where all
-    are equal, else order. Raises InputError where a photograph has no lamp, or the order has another number of them.
+    way: "order" of the names (natural sort); equal "names"; the last "numbers" in names; or "auto": names if all are
+    equal, else order. Raises InputError if a photograph has no lamp, or the numbers of both differ for "order".
     """
     lamps = [Path(photograph.file).stem for photograph in rig.photographs]
     keys = {"names": str.lower, "numbers": _number}
@@ -38,9 +38,9 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
         by_name = sorted(range(len(lamps)), key=lambda n: natural(lamps[n]))
         order = sorted(range(len(names)), key=lambda n: natural(names[n]))
         return [by_name[order.index(n)] for n in range(len(names))]
-    known = [keys[way](lamp) for lamp in lamps]
-    wanted = [keys[way](name) for name in names]
-    for what, owner, listed in ((lamps, rig.path, known), (names, where, wanted)):
+    lamp_keys = [keys[way](lamp) for lamp in lamps]
+    photograph_keys = [keys[way](name) for name in names]
+    for what, owner, listed in ((lamps, rig.path, lamp_keys), (names, where, photograph_keys)):
         for n, key in enumerate(listed):
             if key is None:
                 raise InputError(f"{owner}: {what[n]} has no number in its name; choose --match order")
@@ -49,12 +49,12 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
                     f"{owner}: {what[n]} and {what[listed.index(key)]} are the same by --match {way};"
                     " choose --match order"
                 )
-    for name, key in zip(names, wanted, strict=True):
-        if key not in known:
+    for name, key in zip(names, photograph_keys, strict=True):
+        if key not in lamp_keys:
             raise InputError(
                 f"{where}: {name} matches no lamp of the rig by --match {way}; the lamps are {_some(lamps)}"
             )
-    return [known.index(key) for key in wanted]
+    return [lamp_keys.index(key) for key in photograph_keys]
 
 
 def check_photographs(
@@ -62,36 +62,36 @@ def check_photographs(
 ) -> None:
     """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's.
 
-    taken: what each shot was taken with.
+    taken: the source of each shot.
     """
-    for shot, found, lamp in zip(shots, taken, lamps, strict=True):
-        path, known = shot.images[0].path, rig.photographs[lamp]
+    for shot, source, lamp in zip(shots, taken, lamps, strict=True):
+        path, expected = shot.images[0].path, rig.photographs[lamp]
         view, size = rig.spec.views[rig.spec.observations[lamp].camera], store.size(shot.images[0])
         if view.size is not None and size != view.size:
             raise InputError(
                 f"{path}: is {size[0]}×{size[1]} pixels, the rig's photographs {view.size[0]}×{view.size[1]}; set the"
                 " camera as for the rig, and do not crop"
             )
-        if rig.measured is not None and _kind(path.name) != _kind(known.file):
+        if rig.measured is not None and _kind(path.name) != _kind(expected.file):
             raise InputError(
-                f"{path}: is a {_kind(path.name)} file, and the rig's corrections are for {_kind(known.file)} files;"
+                f"{path}: is a {_kind(path.name)} file, and the rig's corrections are for {_kind(expected.file)} files;"
                 " give the camera's own files as for the rig"
             )
-        for key, value in known.lens.items():
-            if key in found.lens and not _same(found.lens[key], value):
+        for key, value in expected.lens.items():
+            if key in source.lens and not _same(source.lens[key], value):
                 raise InputError(
-                    f"{path}: was taken with {key.replace('_', ' ')} {_shown(found.lens[key])}, the rig's photographs"
+                    f"{path}: was taken with {key.replace('_', ' ')} {_shown(source.lens[key])}, the rig's photographs"
                     f" with {_shown(value)}; calibrate a rig for this camera and lens"
                 )
 
 
 def check_exposures(rig: Rig, shots: Sequence[Shot], taken: Sequence[Photograph], lamps: Sequence[int]) -> None:
-    """Raise InputError for the first photograph of another exposure than that of the rig's, by EXIF."""
+    """Raise InputError for the first photograph whose exposure, by EXIF, is not that of the rig's."""
     for shot, photograph, lamp in zip(shots, taken, lamps, strict=True):
-        known, found = rig.photographs[lamp].exposure, photograph.exposure
-        if known is None or found is None:
+        expected, actual = rig.photographs[lamp].exposure, photograph.exposure
+        if expected is None or actual is None:
             continue
-        stops = math.log2(found.amount / known.amount)
+        stops = math.log2(actual.amount / expected.amount)
         if abs(stops) >= SAME_STOPS:
             raise InputError(
                 f"{shot.images[0].path}: is exposed {abs(stops):.1f} stops {'more' if stops > 0 else 'less'} than the"
@@ -100,7 +100,7 @@ def check_exposures(rig: Rig, shots: Sequence[Shot], taken: Sequence[Photograph]
 
 
 def rig_exposure(rig: Rig) -> float:
-    """Return the one exposure of all photographs of a rig, by EXIF. Raises InputError where they have none, or more."""
+    """Return the common exposure of a rig's photographs, by EXIF. Raises InputError if they have none, or several."""
     amounts = [photograph.exposure.amount for photograph in rig.photographs if photograph.exposure]
     if len(amounts) < len(rig.photographs):
         raise InputError(f"--exposure exif: the photographs of the rig {rig.path} had no exposure in their EXIF")

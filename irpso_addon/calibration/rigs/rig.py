@@ -1,4 +1,4 @@
-"""A rig as a folder: rig.toml with lamps and cameras, and the corrections that ``develop`` measured (docs/rigs.md)."""
+"""Rigs on disk: a folder with rig.toml (lamps, cameras) and the corrections by ``develop`` (docs/rigs.md)."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _HEAD = """\
 
 @dataclass(frozen=True)
 class Rig:
-    """spec: lamps as observations whose images do not exist, and cameras. photographs: of each lamp, in its order.
+    """spec: cameras, and lamps as observations whose images need not exist. photographs: one of each lamp, in order.
 
-    measured: the corrections; None where the photographs are used as they are.
+    measured: the corrections, or None.
     """
 
     path: Path
@@ -42,9 +42,9 @@ class Rig:
 
 
 def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Rig:
-    """Write the lamps and cameras of a capture as a rig into a new folder, whole or not at all, and return it.
+    """Write the lamps and cameras of a capture as a rig into a new folder, atomically, and return it.
 
-    If ``develop`` wrote the capture's images, the rig has its corrections. Raises InputError where the capture is not
+    If ``develop`` wrote the capture's images, the rig includes its corrections. Raises InputError if the capture is not
     usable or the folder is not empty.
     """
     check_unused(out)
@@ -60,14 +60,14 @@ def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Ri
     if corrections is None:
         photographs = [photograph_at(path.name, path) for path in images]
     else:
-        known = {photograph.image: photograph for photograph in read_corrections(corrections)[1]}
-        photographs = [known[path.name] for path in images]
+        by_image = {photograph.image: photograph for photograph in read_corrections(corrections)[1]}
+        photographs = [by_image[path.name] for path in images]
     top: dict[str, Any] = {"rig": FORMAT}
-    stated = {shot.image.colour_space for shot in spec.observations}
+    colour_spaces = {shot.image.colour_space for shot in spec.observations}
     if (
-        corrections is None and len(stated) == 1 and not is_exr(images[0])
+        corrections is None and len(colour_spaces) == 1 and not is_exr(images[0])
     ):  # of the photographs; an EXR is always linear
-        top["colour_space"] = stated.pop()
+        top["colour_space"] = colour_spaces.pop()
     pictures = [{"image": photograph.file, "photograph": _keys(photograph)} for photograph in photographs]
     with new_folder(out) as partial:
         (partial / TABLE).write_text(_HEAD + table_text(capture, pictures, {}, top), encoding="utf-8")
@@ -77,7 +77,7 @@ def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Ri
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig in a folder. Raises InputError where it is none, damaged or of another version."""
+    """Return the rig in a folder. Raises InputError if it is not a rig, damaged or of another version."""
     file = path / TABLE if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{path}: is no rig, a folder with {TABLE}; write one with irpso rig save CAPTURE -o RIG")
@@ -101,10 +101,10 @@ def _keys(photograph: Photograph) -> dict[str, Any]:
 
 
 def _corrections_of(spec: CaptureSpec) -> Path | None:
-    """Return the folder of corrections that all images of a capture were developed with; None without one."""
-    homes = {shot.image.path.resolve().parent for shot in spec.observations}
-    folder = homes.pop() / FOLDER
-    if homes or not folder.is_dir():
+    """Return the folder of the corrections with which all images of a capture were developed, or None."""
+    folders = {shot.image.path.resolve().parent for shot in spec.observations}
+    folder = folders.pop() / FOLDER
+    if folders or not folder.is_dir():
         return None
-    known = {photograph.image for photograph in read_corrections(folder)[1]}
-    return folder if {shot.image.path.name for shot in spec.observations} <= known else None
+    images = {photograph.image for photograph in read_corrections(folder)[1]}
+    return folder if {shot.image.path.name for shot in spec.observations} <= images else None

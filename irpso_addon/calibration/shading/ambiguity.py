@@ -1,4 +1,4 @@
-"""Which of the lights that explain the photographs equally well light a surface: the matrix between them."""
+"""Resolution of the ambiguity of uncalibrated photometric stereo: the 3×3 matrix between lights and normals."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from ...core.filters import blurred
 
 _SMOOTH = 1.0  # pixels of the blur before normals are differentiated
-_INSIDE = 0.7  # least part of the blur's weight that good pixels hold
-_STEEP = 90.0  # percentile of the change from pixel to pixel above which it is a jump
+_INSIDE = 0.7  # least part of the blur's weight on good pixels
+_STEEP = 90.0  # percentile of the normals' change from pixel to pixel: above, a jump
 _ROUNDS = 40  # of reweighting
 _WIDTH = 1.5  # medians of the residuals at which a row's weight is a half
-_UNEVEN = 0.15  # of a logarithm: differences of the lights' intensities beyond it hardly count
+_UNEVEN = 0.15  # of the lights' log intensities: scale of the Cauchy loss
 _STARTS = tuple(
     (across, up, depth)
     for depth in (-1.2, -0.6, 0.0, 0.6, 1.2)
@@ -19,18 +19,18 @@ _STARTS = tuple(
 )
 _STEPS, _STEP = 60, 1e-5  # of Gauss–Newton's method
 _FLATTEST = 2.5  # most of |depth|, a logarithm
-_LARGEST_TURN = np.radians(5.0)  # standard deviation of a rotation, before the surface tells
-_ALIKE = 20.0  # neighbouring rows that err alike
-_RIM = 4  # pixels from the outline at which normals tell outward from inward
+_LARGEST_TURN = np.radians(5.0)  # prior standard deviation of a rotation
+_CORRELATED = 20.0  # rows with a common error: neighbours are correlated
+_RIM = 4  # pixels: width of the outline's band in which normals should point outward
 
 
 def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return (3, 3) the matrix by which scaled normals (P, 3) become a surface's, up to a bas-relief; and how clearly.
+    """Return the matrix (3, 3) that makes scaled normals (P, 3) integrable, up to a bas-relief, and its certainty, 0…1.
 
-    b ∂y b₁ … : with columns m of the matrix, ∂y(b·m₁ / b·m₃) = ∂x(b·m₂ / b·m₃) is linear in m₃ × m₁ and m₃ × m₂
-    (Yuille & Snow 1997): (m₃ × m₁)·(b × ∂y b) = (m₃ × m₂)·(b × ∂x b). Albedo drops out. Their null vector is found by
-    reweighting, so that edges of the surface hardly count. mask: (H, W) bool of the P pixels. good: (P,) of those that
-    the lights explain. Clearly is 0…1: the part of the second smallest singular value that the smallest lacks.
+    With columns m of the matrix, ∂y(b·m₁ / b·m₃) = ∂x(b·m₂ / b·m₃) is linear in m₃ × m₁ and m₃ × m₂ (Yuille & Snow
+    1997): (m₃ × m₁)·(b × ∂y b) = (m₃ × m₂)·(b × ∂x b). Albedo cancels. Their null vector is found by reweighting, which
+    suppresses edges of the surface. mask: (H, W) bool of the P pixels. good: (P,) bool, pixels with a small residual.
+    The certainty is 1 − the ratio of the two smallest singular values.
     """
     rows = _rows(normals, good, mask)[:, :6]
     if len(rows) < 100:
@@ -39,10 +39,10 @@ def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple
     for _ in range(_ROUNDS):
         # The eigenvector of the smallest eigenvalue.
         values, vectors = np.linalg.eigh((rows * weight[:, None]).T @ (rows * weight[:, None]))
-        null = vectors[:, 0]
-        residual = np.abs(rows @ null)
+        solution = vectors[:, 0]
+        residual = np.abs(rows @ solution)
         weight = 1 / np.sqrt(1 + (residual / max(_WIDTH * float(np.median(residual)), 1e-12)) ** 2)
-    first, second = null[:3], null[3:]
+    first, second = solution[:3], solution[3:]
     third = np.cross(first, second)
     third /= np.linalg.norm(third)
     matrix = np.stack([np.cross(first, third), np.cross(second, third), third], axis=-1)
@@ -50,58 +50,58 @@ def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple
 
 
 def rotation(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:
-    """Return (3, 3) the small rotation R by which normals (P, 3) become a surface's: normals @ R.
+    """Return the small rotation R (3, 3) that makes normals (P, 3) integrable: normals @ R.
 
-    The constraint of ``integrable`` for orthonormal columns. plane: (P, 2) x and y of the pixels' rays at distance 1,
-    for a perspective camera: the slopes of the logarithm of depth are n₁ and n₂ over n₃ − x n₁ − y n₂ (Quéau, Durou &
-    Aujol 2018), which adds (m₁ × m₂)·(y b × ∂y b + x b × ∂x b). Where the surface tells little it is near the identity.
+    The constraint is that of ``integrable``, with orthonormal columns. plane: (P, 2) x and y of the pixels' rays at
+    distance 1, for a perspective camera: the slopes of log depth are n₁ and n₂ over n₃ − x n₁ − y n₂ (Quéau, Durou &
+    Aujol 2018), which adds (m₁ × m₂)·(y b × ∂y b + x b × ∂x b). A prior keeps undetermined rotations near the identity.
     """
     rows = _rows(normals, good, mask, plane)
-    turn = np.zeros(3)
+    vector = np.zeros(3)
     if len(rows) < 100:
         return np.eye(3)
     for _ in range(_ROUNDS):
-        residual = rows @ _constrained(_turned(turn))
-        moved = [rows @ _constrained(_turned(turn + _STEP * axis)) for axis in np.eye(3)]
-        jacobian = (np.stack(moved, axis=-1) - residual[:, None]) / _STEP
+        residual = rows @ _constrained(_rodrigues(vector))
+        shifted = [rows @ _constrained(_rodrigues(vector + _STEP * axis)) for axis in np.eye(3)]
+        jacobian = (np.stack(shifted, axis=-1) - residual[:, None]) / _STEP
         width = max(float(np.median(np.abs(residual))), 1e-12)
         weight = 1 / (1 + (residual / (_WIDTH * width)) ** 2)
-        certainty = 1 / (_ALIKE * (1.4826 * width) ** 2)  # of a row, in one over its variance
+        certainty = 1 / (_CORRELATED * (1.4826 * width) ** 2)  # inverse variance of a row
         square = certainty * (jacobian * weight[:, None]).T @ jacobian + np.eye(3) / _LARGEST_TURN**2
-        slope = certainty * jacobian.T @ (weight * residual) + turn / _LARGEST_TURN**2
+        slope = certainty * jacobian.T @ (weight * residual) + vector / _LARGEST_TURN**2
         step = np.linalg.solve(square, slope)
-        turn = turn - step
+        vector = vector - step
         if np.abs(step).max() < 1e-7:
             break
-    return _turned(turn)
+    return _rodrigues(vector)
 
 
 def _constrained(matrix: np.ndarray) -> np.ndarray:
-    """Return (9,) m₃ × m₁, m₃ × m₂ and m₁ × m₂ of a rotation's columns."""
+    """Return m₃ × m₁, m₃ × m₂ and m₁ × m₂ of a rotation's columns, (9,)."""
     return np.concatenate([matrix[:, 1], -matrix[:, 0], matrix[:, 2]])
 
 
-def _turned(turn: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) about an axis (3,) by its length in radians (Rodrigues 1840)."""
-    angle = float(np.linalg.norm(turn))
+def _rodrigues(vector: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) by a vector (3,), axis times angle in radians (Rodrigues 1840)."""
+    angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)
-    x, y, z = turn / angle
+    x, y, z = vector / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def _rows(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:
-    """Return (N, 9) b × ∂y b, −b × ∂x b, and y b × ∂y b + x b × ∂x b of smoothed unit normals away from jumps."""
+    """Return b × ∂y b, −b × ∂x b, y b × ∂y b + x b × ∂x b (N, 9) of smoothed unit normals away from jumps."""
     unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     image, known = np.zeros((*mask.shape, 3)), np.zeros(mask.shape)
     known[mask] = good
     image[mask] = unit * good[:, None]
-    share = blurred(known, _SMOOTH)
+    coverage = blurred(known, _SMOOTH)
     smooth = np.stack([blurred(image[..., i], _SMOOTH) for i in range(3)], axis=-1)
-    smooth /= np.maximum(share, 1e-3)[..., None]
+    smooth /= np.maximum(coverage, 1e-3)[..., None]
     up, across = np.gradient(smooth, axis=(0, 1))
-    inside = mask & (share > _INSIDE)
+    inside = mask & (coverage > _INSIDE)
     change = np.sqrt((up**2 + across**2).sum(axis=-1))
     if inside.any():
         inside &= change < np.percentile(change[inside], _STEEP)
@@ -111,28 +111,28 @@ def _rows(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.nda
 
 
 def even_relief(lights: np.ndarray) -> np.ndarray:
-    """Return (3, 3) the bas-relief transformation of normals for which lights (K, 3) are most nearly equally strong.
+    """Return the bas-relief transformation (3, 3) of normals under which lights (K, 3) have the most equal strengths.
 
-    Integrability leaves n → (n₁ + a n₃, n₂ + b n₃, c n₃) free (Belhumeur, Kriegman & Yuille 1999). Lamps differ in
-    strength, but not by their direction: of these transformations the one with the fewest different intensities is
-    found robustly (Geman & McClure 1987), from many starts.
+    Integrability leaves n → (n₁ + a n₃, n₂ + b n₃, c n₃) free (Belhumeur, Kriegman & Yuille 1999). The strength of
+    lamps does not depend on their direction: a robust fit (Geman & McClure 1987), from many starts, makes most
+    intensities equal.
     """
     best, least = np.zeros(3), np.inf
     for start in _STARTS:
-        found, cost = _evened(np.array(start), lights)
+        parameters, cost = _minimised(np.array(start), lights)
         if cost < least:
-            best, least = found, cost
+            best, least = parameters, cost
     return bas_relief(best)
 
 
 def bas_relief(parameters: np.ndarray) -> np.ndarray:
-    """Return (3, 3) H of (a, b, log c): normals become normals @ H, lights lights @ inv(H)ᵀ."""
+    """Return H (3, 3) of (a, b, log c): normals become normals @ H, lights become lights @ inv(H)ᵀ."""
     a, b, depth = parameters
     return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [a, b, np.exp(depth)]])
 
 
-def _evened(parameters: np.ndarray, lights: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return parameters and cost at the end of a damped Gauss–Newton search."""
+def _minimised(parameters: np.ndarray, lights: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return parameters and cost after a damped Gauss–Newton search."""
     damping, residual = 1e-2, _unevenness(parameters, lights)
     cost = _cost(residual)
     for _ in range(_STEPS):
@@ -143,10 +143,10 @@ def _evened(parameters: np.ndarray, lights: np.ndarray) -> tuple[np.ndarray, flo
         step = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-9), jacobian.T @ (weight * residual))
         trial = parameters - step
         trial[2] = np.clip(trial[2], -_FLATTEST, _FLATTEST)
-        further = _unevenness(trial, lights)
-        if _cost(further) < cost:
-            parameters, residual, damping = trial, further, damping / 3
-            improvement, cost = cost - _cost(further), _cost(further)
+        trial_residual = _unevenness(trial, lights)
+        if _cost(trial_residual) < cost:
+            parameters, residual, damping = trial, trial_residual, damping / 3
+            improvement, cost = cost - _cost(trial_residual), _cost(trial_residual)
             if improvement < 1e-7:
                 break
         else:
@@ -167,9 +167,9 @@ def _cost(residual: np.ndarray) -> float:
 
 
 def bulges(normals: np.ndarray, mask: np.ndarray) -> float:
-    """Return −1…1: how far unit normals (P, 3) at the outline of a mask (H, W) point outward; 0 without an outline.
+    """Return how far unit normals (P, 3) at the outline of a mask (H, W) point outward, −1…1; 0 without an outline.
 
-    A solid's do. Without an outline relief and its inverse explain photographs equally well.
+    Those of a solid point outward. Without an outline, relief and its inverse fit photographs equally well.
     """
     rows, columns = np.nonzero(mask)
     inner = mask.copy()
@@ -177,7 +177,7 @@ def bulges(normals: np.ndarray, mask: np.ndarray) -> float:
         padded = np.pad(inner, 1)
         inner = inner & padded[2:, 1:-1] & padded[:-2, 1:-1] & padded[1:-1, 2:] & padded[1:-1, :-2]
     rim = (mask & ~inner)[mask]
-    # The picture's frame is no outline.
+    # The edge of the image is not an outline.
     height, width = mask.shape
     rim &= (rows >= _RIM) & (rows < height - _RIM) & (columns >= _RIM) & (columns < width - _RIM)
     if rim.sum() < 20:

@@ -1,4 +1,4 @@
-"""Directions and intensities of distant lights from the shading of one subject, without anything known of them."""
+"""Uncalibrated photometric stereo: directions and intensities of distant lights from the shading of one subject."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .ambiguity import bulges, even_relief, integrable, rotation
 from .factors import factored, scaled_normals, usable_samples
 
 FEWEST = 10  # photographs
-_GOOD = 0.5  # part of the pixels that the lights explain best, which tell the surface
-_LIT = 0.3  # least part of a pixel's samples that are neither in shadow nor in a highlight
-PARTS = 4  # of the subject: each is left out once, for the error
-_BLOCKS = 8  # of pixels along the subject's larger side, which go to a part together
-_FEWEST_PIXELS, _FEWEST_LIT = 500, 50  # lit pixels, and those that one photograph lights
-_ROUNDS = 40  # of a factorisation, for the progress
-_OUTLINE = 0.2  # least of |bulges| that tells a solid from its inverse
+_GOOD = 0.5  # fraction of the pixels, those of least misfit, that determine the surface
+_LIT = 0.3  # least fraction of a pixel's samples that are neither in shadow nor in a highlight
+PARTS = 4  # of the subject, for the jackknife
+_BLOCKS = 8  # along the subject's larger side; each block of pixels is in one part
+_FEWEST_PIXELS, _FEWEST_LIT = 500, 50  # lit pixels; lit pixels in each photograph
+_ROUNDS = 40  # yields of one fit, for the progress
+_OUTLINE = 0.2  # least |bulges| that distinguishes relief from its inverse
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class ShadingLights:
     """Lights from shading, in the camera's axes (x right, y up, z toward the viewer).
 
     directions: (K, 3) unit, toward the light. intensities: (K,) relative, with mean logarithm 0. errors: (K,) standard
-    deviation in degrees between parts of the subject (delete-a-group jackknife; Efron 1982); it does not know what is
-    wrong with all of them alike. solid: whether an outline tells the relief from its inverse, which has all lights
-    turned half around the view.
+    error, degrees, by parts of the subject (delete-a-group jackknife; Efron 1982), without errors common to all parts.
+    solid: whether an outline distinguishes the relief from its inverse, whose lights are rotated by 180° about the view
+    axis.
     """
 
     directions: np.ndarray
@@ -42,12 +42,12 @@ class ShadingLights:
 def shading_steps(
     values: np.ndarray, weight: np.ndarray, mask: np.ndarray, seed: int = 0
 ) -> Generator[float, None, ShadingLights]:
-    """Yield the fraction done; return the lights of K photographs. Uncalibrated photometric stereo, in three steps.
+    """Yield the fraction done; return the lights of K photographs, in three steps.
 
-    The radiance of matt texels is the product of lights and scaled normals, up to a 3×3 matrix (``factors``); that the
-    normals are a surface's leaves a bas-relief of it, that lamps are about equally strong the rest (``ambiguity``).
-    values, weight: (K, P) radiance and weight of the P pixels of a mask (H, W), orthographic. Raises InputError where
-    photographs, pixels or relief are too few.
+    The radiance of matt texels factors into lights and scaled normals, up to a 3×3 matrix (``factors``); integrability
+    reduces this to a bas-relief transformation, and about equal strengths of the lamps determine that (``ambiguity``).
+    values, weight: (K, P) radiance and weight of the P pixels of a mask (H, W), orthographic. Raises InputError for too
+    few photographs or pixels, or too little relief.
     """
     if len(values) < FEWEST:
         raise InputError(
@@ -67,25 +67,25 @@ def shading_steps(
             f" subject without a highlight, {_FEWEST_LIT} are needed to find its light; leave it out"
         )
     part_of = parts_of(mask, seed)
-    found = []
-    for part in range(PARTS + 1):  # the last leaves nothing out
-        chosen = lit[part_of[lit] != part]
-        steps = _lights(scaled, usable, chosen, mask, np.random.default_rng(seed))
-        found.append((yield from _counted(steps, part)))
-    whole, outward = found[-1]
-    strength = np.linalg.norm(whole, axis=-1)
-    directions = whole / strength[:, None]
+    fits = []
+    for part in range(PARTS + 1):  # the last uses all pixels
+        pixels = lit[part_of[lit] != part]
+        steps = _lights(scaled, usable, pixels, mask, np.random.default_rng(seed))
+        fits.append((yield from _counted(steps, part)))
+    full, outward = fits[-1]
+    strength = np.linalg.norm(full, axis=-1)
+    directions = full / strength[:, None]
     solid = abs(outward) >= _OUTLINE
-    others = np.stack([_unit(lights) for lights, _ in found[:-1]])
+    replicates = np.stack([_unit(lights) for lights, _ in fits[:-1]])
     if not solid:  # a part may have found the inverse
-        same = (others[..., :2] * directions[:, :2]).sum(axis=(1, 2)) > 0
-        others[~same] *= (-1, -1, 1)
+        same = (replicates[..., :2] * directions[:, :2]).sum(axis=(1, 2)) > 0
+        replicates[~same] *= (-1, -1, 1)
     intensities = strength / np.exp(np.log(strength).mean())
-    return ShadingLights(directions, intensities, errors_of(others, directions), solid)
+    return ShadingLights(directions, intensities, errors_of(replicates, directions), solid)
 
 
 def errors_of(others: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return (K,) standard deviations in degrees of directions (K, 3) by those (PARTS, K, 3) without one part each."""
+    """Return standard errors (K,), degrees, of directions (K, 3). others: (PARTS, K, 3), each without one part."""
     cosine = np.clip((others * directions).sum(axis=-1), -1, 1)
     errors: np.ndarray = np.degrees(np.sqrt((PARTS - 1) / PARTS * (np.arccos(cosine) ** 2).sum(axis=0)))
     return errors
@@ -95,42 +95,44 @@ def _counted(
     steps: Generator[None, None, tuple[np.ndarray, float]], part: int
 ) -> Generator[float, None, tuple[np.ndarray, float]]:
     """Yield the fraction done of all parts."""
-    made = count(1)
-    return (yield from map_steps(steps, lambda _: (part + min(next(made) / _ROUNDS, 1.0)) / (PARTS + 1)))
+    rounds = count(1)
+    return (yield from map_steps(steps, lambda _: (part + min(next(rounds) / _ROUNDS, 1.0)) / (PARTS + 1)))
 
 
 def parts_of(mask: np.ndarray, seed: int) -> np.ndarray:
-    """Return (P,) the part, 0 to 3, of each pixel of a mask: by blocks, drawn at random."""
+    """Return the part (P,), 0 to 3, of each pixel of a mask. Blocks are assigned to parts at random."""
     rows, columns = np.nonzero(mask)
     side = max(np.ptp(rows), np.ptp(columns)) / _BLOCKS + 1
     block = (rows - rows.min()) // side * _BLOCKS + (columns - columns.min()) // side
-    drawn: np.ndarray = np.random.default_rng(seed).integers(PARTS, size=_BLOCKS**2 + _BLOCKS)
-    return drawn[block.astype(int)]
+    part_of: np.ndarray = np.random.default_rng(seed).integers(PARTS, size=_BLOCKS**2 + _BLOCKS)
+    return part_of[block.astype(int)]
 
 
 def _lights(
     scaled: np.ndarray, usable: np.ndarray, chosen: np.ndarray, mask: np.ndarray, rng: np.random.Generator
 ) -> Generator[None, None, tuple[np.ndarray, float]]:
-    """Return lights (K, 3) times their intensities, from chosen pixels, and how far normals bulge at the outline."""
+    """Return lights (K, 3) times their intensities, from chosen pixels, and ``bulges`` of the normals."""
     lights = yield from factored(scaled, usable, chosen, rng)
     normals, misfit = scaled_normals(scaled[:, chosen], usable[:, chosen], lights)
     yield
     good = np.zeros(scaled.shape[1], bool)
     good[chosen[misfit <= np.quantile(misfit, _GOOD)]] = True
-    every = np.zeros((scaled.shape[1], 3))
-    every[chosen] = normals
-    matrix, clear = integrable(every, good, mask)
-    if not clear > 0:
+    all_normals = np.zeros((scaled.shape[1], 3))
+    all_normals[chosen] = normals
+    matrix, determined = integrable(all_normals, good, mask)
+    if not determined > 0:
         raise InputError("the subject has too little relief to find lights by its shading; put a ball beside it")
-    every, lights = every @ matrix, lights @ np.linalg.inv(matrix).T
-    side = 1.0 if np.median(every[good, 2]) > 0 else -1.0
-    depth = np.median(np.abs(every[good, 2])) / max(np.median(np.linalg.norm(every[good, :2], axis=-1)), 1e-12)
+    all_normals, lights = all_normals @ matrix, lights @ np.linalg.inv(matrix).T
+    side = 1.0 if np.median(all_normals[good, 2]) > 0 else -1.0
+    depth = np.median(np.abs(all_normals[good, 2])) / max(
+        np.median(np.linalg.norm(all_normals[good, :2], axis=-1)), 1e-12
+    )
     scale = side * np.array([1.0, 1.0, 1 / depth])
-    every, lights = every * scale, lights / scale
+    all_normals, lights = all_normals * scale, lights / scale
     yield
     relief = even_relief(lights)
-    every, lights = every @ relief, lights @ np.linalg.inv(relief).T
-    outward = bulges(_unit(every), mask)
+    all_normals, lights = all_normals @ relief, lights @ np.linalg.inv(relief).T
+    outward = bulges(_unit(all_normals), mask)
     if outward < 0:
         lights = lights * (-1, -1, 1)
     return lights, outward
@@ -139,10 +141,10 @@ def _lights(
 def surface_rotation(
     values: np.ndarray, weight: np.ndarray, mask: np.ndarray, lights: np.ndarray, plane: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return (3, 3) the rotation R by which lights (K, 3) become those of a surface: lights @ R.
+    """Return the rotation R (3, 3) that makes the normals under lights (K, 3) integrable: lights @ R.
 
-    A rotation of lights and normals together leaves matt shading unchanged; that normals are a surface's tells it.
-    values, weight, mask: as for ``shading_steps``. plane: (P, 2) of a perspective camera's pixels, at distance 1.
+    A common rotation of lights and normals leaves matt shading unchanged; integrability determines it. values, weight,
+    mask: as for ``shading_steps``. plane: (P, 2) x and y of a perspective camera's rays at distance 1.
     """
     scaled, usable = usable_samples(values, weight)
     normals, misfit = scaled_normals(scaled, usable, lights)

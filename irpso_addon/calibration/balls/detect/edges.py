@@ -1,4 +1,4 @@
-"""Edges that stay in place while the lamp moves: outlines of things, unlike shadows and highlights."""
+"""Edges summed over photographs, which favours outlines: shadows and highlights move with the lamp."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ....core.filters import blurred, sampled
 class Edges:
     """Sum over photographs of g gᵀ |g|^power, with g the gradient of an image's square root.
 
-    power −1 keeps one strong edge, of a shadow or a highlight in one photograph, from outweighing a weak edge that all
-    photographs show: it finds outlines. power 1 measures them: where a ball darkens toward its rim the edge seems to
-    lie inside, and the photographs in which the rim is bright count most. sigma: of the blur before, in pixels.
+    power −1, for detection: a strong edge in one photograph, of a shadow or a highlight, does not outweigh a weak edge
+    in all of them. power 1, for measurement: photographs with a bright rim count most; where a ball darkens toward its
+    rim, the edge seems to lie inside. sigma: of the blur before the gradient, pixels.
     """
 
     size: tuple[int, int]  # height, width
@@ -46,7 +46,7 @@ class Edges:
 
     @property
     def normal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y (H, W) of the unit vector across the edges; its sign is arbitrary."""
+        """x and y (H, W) of the unit vector across the edges; its sign is arbitrary."""
         angle = 0.5 * np.arctan2(2 * self.xy, self.xx - self.yy)
         return np.cos(angle), np.sin(angle)
 

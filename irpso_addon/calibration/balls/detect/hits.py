@@ -1,4 +1,4 @@
-"""Circles that prove to be balls: their test, and the measurement of their place."""
+"""Test whether circles are balls, and measurement of the balls' outlines."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from .rim import on_rim
 from .shadow import agreement, table_light
 
 _LEAST_SUPPORT = 0.3
-_TESTED = 60
+_TESTED = 60  # outlines
 _LEAST_SHARE = 0.6  # of the photographs: each shows a light
 _LEAST_MOVED = 0.12
 _LEAST_FIT = 0.93
-# Least agreement with the shadow: of a circle without an outline; less, where all of the outline shows.
+# Least agreement with the shadow: for a circle without visible edges; reduction if the whole outline is visible.
 _SHADOW_OF_OUTLINE = {"mirror": (1.24, 0.52), "mirror on cloth": (0.82, 0.1), "matte": (0.9, 0.42)}
-_CLOTH = 0.06  # of white: light of a darker table
-_DOUBT = 0.15  # more agreement with the shadow, where photographs show no light, or directions no edge
-PROMISING = 0.3  # agreement with the shadow that a better outline may raise
-_MIRROR_SHARE = 0.85  # of the photographs: a mirror ball shows the lamp in all, or in all but one of seven
-_SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # without a shadow
-_STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizon is a circle inside the outline
+_CLOTH = 0.06  # of white: a darker table is black cloth
+_DOUBT = 0.15  # additional agreement required if photographs show no light
+PROMISING = 0.3  # least agreement with the shadow before the outline is refined
+_MIRROR_SHARE = 0.85  # of the photographs: a mirror ball shows the lamp in all but one of seven
+_SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # thresholds without a shadow
+_STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: the reflected horizon is a circle inside the outline
 _SHADOW_STEPS = (0.06, 0.03, 0.015, 0.01)  # of the radius
 _SCAN = (0.85, 1.08, 1.16, 1.25)  # of the radius
-_HORIZONS = np.radians((0, 20, 40, 60))  # of the table's normal from the viewer
-_CLIMBED = 2  # circles of one ball
-_NEAR = 0.005  # radii over distance: the fall-off needs lights to a degree
-_TABLES = 3  # steps of 2.5° to the table of a matte ball
-_MEASURABLE = 0.6  # of 15 pixels: a first circle may be as much too small
-_SMALL_DOUBT = 0.12  # more agreement with the shadow, where the radius is below 15 pixels; less, up to 20
+_HORIZONS = np.radians((0, 20, 40, 60))  # angles between the table's normal and the viewer
+_CLIMBED = 2  # circles of one ball that are refined by the shadow
+_NEAR = 0.005  # radii over distance: nearer lamps need directions to 1°, so the fit includes the table's light
+_TABLES = 3  # steps, of 2.5°, of the table's normal of a matte ball
+_MEASURABLE = 0.6  # of 15 pixels: the first circle may be too small by this factor
+_SMALL_DOUBT = 0.12  # additional agreement for radii below 15 pixels; mirror on a bright table: falls to 0 at 20
 
 
 @dataclass(frozen=True)
 class Hit:
-    """A ball in ``pictures``, whose pixel coordinates its outline and evidence have.
+    """A candidate ball. outline, seen: in pixel coordinates of ``pictures``.
 
-    clear: support of the outline that the edges gave, before its shadow measured it.
+    clear: support of the outline fitted to edges, before the shadow refined it. shadow, inverse: as ``FoundBall``.
     """
 
     pictures: Pictures
@@ -60,7 +60,7 @@ class Hit:
 
     @property
     def score(self) -> float:
-        """How sure the ball is."""
+        """Rank among hits: support plus twice the agreement with the shadow (0.5 if unknown)."""
         return self.outline.support + 2 * (0.5 if self.shadow is None else self.shadow)
 
     @property
@@ -71,23 +71,23 @@ class Hit:
 
 
 def distinct(outlines: Sequence[Outline], most: int = _TESTED) -> list[Outline]:
-    """Return the best supported outlines, each circle once, at most ``most``."""
-    kept: list[Outline] = []
+    """Return distinct outlines, best support first, at most ``most``."""
+    selected: list[Outline] = []
     for outline in sorted(outlines, key=lambda o: -o.support):
-        if outline.support < _LEAST_SUPPORT or len(kept) == most:
+        if outline.support < _LEAST_SUPPORT or len(selected) == most:
             break
-        if not any(_same(outline, other) for other in kept):
-            kept.append(outline)
-    return kept
+        if not any(_same_circle(outline, other) for other in selected):
+            selected.append(outline)
+    return selected
 
 
-def _same(one: Outline, other: Outline) -> bool:
+def _same_circle(one: Outline, other: Outline) -> bool:
     near = max(0.02 * other.radius, 0.3)
     return bool(np.hypot(one.x - other.x, one.y - other.y) < near and abs(one.radius - other.radius) < near)
 
 
 def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: float) -> list[Hit]:
-    """Return a hit for each kind of ball that an outline may be of."""
+    """Return a hit for each kind of ball that an outline passes. least: agreement with the shadow."""
     try:
         ball = fit_ball(outline_of_circle(outline.x, outline.y, outline.radius), pictures.camera)
     except InputError:
@@ -98,13 +98,13 @@ def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: fl
         seen = of_kind(pictures.values, pictures.clipped, ball)
         if seen.share < _LEAST_SHARE or seen.moved < _LEAST_MOVED or seen.fit < _LEAST_FIT:
             continue
-        wanted = least if seen.share >= _SURE_SHARE else least + _DOUBT
+        threshold = least if seen.share >= _SURE_SHARE else least + _DOUBT
         shadow_agrees = agreement(pictures.values, ball, seen.lights, noise=pictures.noise)
         if shadow_agrees is None:
             sure = seen.share >= _SURE_SHARE and seen.moved >= _SURE_MOVED and seen.fit >= _SURE_FIT
             if sure and outline.support >= _SURE_SUPPORT:
                 hits.append(Hit(pictures, outline, kind, ball, seen, outline.support, None))
-        elif shadow_agrees[0] >= wanted:
+        elif shadow_agrees[0] >= threshold:
             hits.append(Hit(pictures, outline, kind, ball, seen, outline.support, *shadow_agrees))
     return hits
 
@@ -112,12 +112,12 @@ def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: fl
 def improved_steps(
     pictures: Pictures, circle: np.ndarray, kind: str, whole: Pictures
 ) -> Generator[None, None, list[Hit]]:
-    """Yield often; return balls near a circle (3,) of the photographs.
+    """Yield often; return the balls near a circle (3,) of the photographs.
 
-    They are circles that edges outline and whose shadow agrees. whole: pictures of all the table, for the lamps'
-    distance. A mirror ball's circle is the one at which its shadow agrees best: a mirror shows at its rim what lies
-    behind it, so that the visible edge lies up to 3 % inside the outline, and on black cloth it is that of the
-    reflected cloth, up to a fifth inside.
+    Edges must outline them and their shadows agree. whole: pictures of the whole table, for the lamps' distance. A
+    mirror ball's circle maximises the agreement with the shadow: the rim of a mirror reflects what lies behind it, so
+    the visible edge lies up to 3 % inside the outline; on black cloth it is that of the reflected cloth, up to a fifth
+    inside.
     """
     x, y = (circle[:2] - pictures.origin) / pictures.block
     radius = circle[2] / pictures.block
@@ -138,12 +138,12 @@ def improved_steps(
             yield
             near = _with_distance(hit, whole)
             hits.append((yield from _measured_by_shadow(near)) if _measurable(near) else near)
-    shown = [hit for hit in hits if hit.seen.share >= _LEAST_SHARE]
-    kept = [hit for hit in shown if hit.shadow is None or hit.shadow >= _wanted(hit)]
+    lit = [hit for hit in hits if hit.seen.share >= _LEAST_SHARE]
+    accepted = [hit for hit in lit if hit.shadow is None or hit.shadow >= _threshold(hit)]
     if kind == "mirror":
-        return kept
+        return accepted
     placed = []
-    for hit in kept:
+    for hit in accepted:
         yield
         hit = _with_distance(_measured_by_rim(hit), whole)
         if hit.table is not None and hit.inverse[0] > _NEAR:
@@ -155,7 +155,7 @@ def improved_steps(
 
 
 def _measured_by_rim(hit: Hit) -> Hit:
-    """Return a matte ball's hit with the outline that its rim shows, and the table that its shadow then shows."""
+    """Return a matte ball's hit with its outline measured at the rim, then its table by the shadow."""
     rim = on_rim(hit.pictures, hit.ball)
     if rim is not None:
         ball, points = rim
@@ -170,31 +170,30 @@ def _measured_by_rim(hit: Hit) -> Hit:
 
 
 def _measurable(hit: Hit) -> bool:
-    """Return whether a shadow can show the radius; calibration uses no ball of fewer pixels."""
+    """Return whether the shadow may refine the circle: a table is known and the ball not too small to be used."""
     return hit.table is not None and hit.outline.radius > _MEASURABLE * SMALL
 
 
-def _wanted(hit: Hit) -> float:
-    """Return the least agreement with the shadow, less where edges outline the ball clearly.
+def _threshold(hit: Hit) -> float:
+    """Return the least agreement with the shadow; the clearer the edges of the outline, the lower.
 
-    Shadows of other things and near lamps lower the agreement of balls. On black cloth a mirror ball has few edges; on
-    a bright table a shining thing that is nearly round reaches 0.87. The lights of a circle of few pixels fit many a
-    shadow.
+    Shadows of other objects and near lamps lower the agreement of balls. On black cloth a mirror ball has few edges; on
+    a bright table a shiny object that is nearly round reaches 0.87. The lights of a small circle fit many shadows.
     """
-    bright = _bright(hit)
+    bright = _bright_table(hit)
     least, clear = _SHADOW_OF_OUTLINE[hit.kind if hit.kind == "matte" or bright else "mirror on cloth"]
     doubtful = hit.seen.share < (_SURE_SHARE if hit.kind == "matte" else _MIRROR_SHARE)
     small = 4 - 3 * hit.outline.radius / SMALL if hit.kind == "mirror" and bright else float(hit.outline.radius < SMALL)
     return least - clear * hit.clear + doubtful * _DOUBT + float(np.clip(small, 0, 1)) * _SMALL_DOUBT
 
 
-def _bright(hit: Hit) -> bool:
+def _bright_table(hit: Hit) -> bool:
     """Return whether the table is brighter than black cloth."""
     return table_light(hit.pictures.values, hit.ball) > _CLOTH
 
 
 def _with_distance(hit: Hit, whole: Pictures) -> Hit:
-    """Return a hit with the lamps' distance, if it has a table."""
+    """Return a hit with the lamps' distance; unchanged if its table is unknown."""
     if hit.table is None:
         return hit
     size = hit.ball.radius_px * hit.pictures.block / whole.block
@@ -203,31 +202,31 @@ def _with_distance(hit: Hit, whole: Pictures) -> Hit:
 
 
 def _scanned(hit: Hit) -> Generator[None, None, Hit]:
-    """Yield often; return a hit with the radius and the table, of a few and of all, at which its shadow agrees best."""
-    found = [hit]
+    """Yield often; return a hit with the circle, of a few, and the table, of all, at which its shadow agrees best."""
+    candidates = [hit]
     x, y, radius = hit.outline.x, hit.outline.y, hit.outline.radius
     circles = [(x, y, factor * radius) for factor in _SCAN]
-    if not _bright(hit):
+    if not _bright_table(hit):
         circles += _around_horizon(hit)
     for x, y, radius in circles:
         yield
-        ball, agrees = _agreeing(hit, x, y, radius)
+        ball, agrees = _agreement_at(hit, x, y, radius)
         if agrees is not None:
             outline = measured(hit.pictures.steady, x, y, radius)
-            found.append(replace(hit, outline=outline, ball=ball, shadow=agrees[0], table=agrees[1]))
-    return max(found, key=lambda h: h.shadow or 0.0)
+            candidates.append(replace(hit, outline=outline, ball=ball, shadow=agrees[0], table=agrees[1]))
+    return max(candidates, key=lambda h: h.shadow or 0.0)
 
 
 def _around_horizon(hit: Hit) -> list[tuple[float, float, float]]:
-    """Return circles x, y, radius of mirror balls that show the horizon of a table at a hit's circle.
+    """Return circles x, y, radius of mirror balls that reflect a table's horizon at a hit's circle.
 
-    Seen along an axis that is t from the table's normal, it shows the horizon at sin(45° + t / 2) of its radius
-    toward the normal, and at sin(45° − t / 2) on the other side. On black cloth that is the clearest circle.
+    Viewed at an angle t from the table's normal, a ball shows the horizon at sin(45° + t / 2) of its radius toward the
+    normal, and at sin(45° − t / 2) on the other side. On black cloth this is the clearest circle.
     """
     table = hit.table
-    across = np.zeros(2) if table is None else table.up[:2]
-    length = float(np.linalg.norm(across))
-    toward = across / length if length > 0 else across
+    projected = np.zeros(2) if table is None else table.up[:2]
+    length = float(np.linalg.norm(projected))
+    toward = projected / length if length > 0 else projected
     circles = []
     for tilt in _HORIZONS:
         far, near = np.sin(np.pi / 4 + tilt / 2), np.sin(np.pi / 4 - tilt / 2)
@@ -240,8 +239,8 @@ def _around_horizon(hit: Hit) -> list[tuple[float, float, float]]:
 def _measured_by_shadow(hit: Hit) -> Generator[None, None, Hit]:
     """Yield often; return a mirror ball's hit with the circle at which its shadow agrees best.
 
-    The shadow is as wide as the ball, and wider under near lamps. One coordinate after the other moves to the top of a
-    parabola.
+    The shadow is as wide as the ball, and wider under near lamps. Coordinate descent: each step moves one coordinate to
+    the vertex of a parabola.
     """
     hit = yield from _scanned(hit)
     circle, table = np.array([hit.outline.x, hit.outline.y, hit.outline.radius]), hit.table
@@ -249,33 +248,33 @@ def _measured_by_shadow(hit: Hit) -> Generator[None, None, Hit]:
         for axis in (2, 0, 1, 2):
             yield
             moves = step * hit.outline.radius * np.arange(-1, 2)
-            heights = []
+            agreements = []
             for move in moves:
                 x, y, radius = circle + move * np.eye(3)[axis]
-                _, agrees = _agreeing(hit, x, y, radius, table, hit.ball)
-                heights.append((-1.0, table) if agrees is None else agrees)
-            low, middle, high = (height for height, _ in heights)
-            bend = 2 * middle - low - high
-            circle[axis] += np.clip(0.5 * (high - low) / bend, -1, 1) * moves[2] if bend > 0 else 0.0
-            table = max(heights, key=lambda h: h[0])[1]
+                _, agrees = _agreement_at(hit, x, y, radius, table, hit.ball)
+                agreements.append((-1.0, table) if agrees is None else agrees)
+            low, middle, high = (height for height, _ in agreements)
+            curvature = 2 * middle - low - high
+            circle[axis] += np.clip(0.5 * (high - low) / curvature, -1, 1) * moves[2] if curvature > 0 else 0.0
+            table = max(agreements, key=lambda h: h[0])[1]
     x, y, radius = circle.tolist()
     outline = Outline(x, y, radius, hit.outline.support, outline_of_circle(x, y, radius))
     ball = fit_ball(outline.points, hit.pictures.camera, measured=False)
     seen = evidence.of_mirror(hit.pictures.values, hit.pictures.clipped, ball, None if table is None else table.up)
-    return replace(hit, outline=outline, seen=seen, shadow=max(height for height, _ in heights), table=table)
+    return replace(hit, outline=outline, seen=seen, shadow=max(height for height, _ in agreements), table=table)
 
 
-def _agreeing(
+def _agreement_at(
     hit: Hit, x: float, y: float, radius: float, table: Table | None = None, around: Ball | None = None
 ) -> tuple[Ball, tuple[float, Table] | None]:
-    """Return a hit's ball with another circle, and its agreement with the shadow, of some tables or of all."""
+    """Return a hit's ball at another circle, and its best agreement with the shadow: for tables near one, or all."""
     ball = fit_ball(outline_of_circle(x, y, radius), hit.pictures.camera, measured=False)
     lights = _from_centre(ball, hit.seen.pixels, hit.inverse[0])
     return ball, agreement(hit.pictures.values, ball, lights, table, around, hit.inverse[0], hit.pictures.noise)
 
 
 def _from_centre(ball: Ball, pixels: np.ndarray, inverse: float) -> np.ndarray:
-    """Return the unit directions (K, 3), from a mirror ball's centre, to lamps that it shows at pixels (K, 2)."""
+    """Return unit directions (K, 3) from a mirror ball's centre to lamps that it reflects at pixels (K, 2)."""
     point, direction, _ = reflected(ball, pixels)
     direction = direction + inverse * (point - ball.centre) / ball.radius
     return direction / np.linalg.norm(direction, axis=-1, keepdims=True)

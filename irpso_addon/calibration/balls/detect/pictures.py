@@ -1,4 +1,4 @@
-"""Photographs as the search reads them: small and whole, or a ball's surroundings, enlarged."""
+"""Images for the search: reduced whole photographs, and enlarged crops around small balls."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from .edges import Edges
 
 _WIDTH = 640  # pixels of the reduced images
 _WHITE = 99.5  # percentile of all values
-_DARK = 0.25  # of all values: noise is measured in them
-_ENLARGED = 32.0  # pixels: smaller balls are measured in an enlarged part
-_AROUND = 4.5  # radii: half the side of an enlarged part
+_DARK = 0.25  # of all values: the darkest, in which noise is measured
+_ENLARGED = 32.0  # pixels: least radius in an enlarged crop, if possible
+_AROUND = 4.5  # radii: half the side of an enlarged crop
 
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """Grey photographs: values over ``white`` (K, h, w), clipped (K, h, w) bool, their edges and camera.
 
-    noise: deviation of dark values. block: a value is the mean of block × block pixels of the photographs. origin: (2,)
-    the pixel of a photograph where the first value begins.
+    steady, strong: edges to detect and to measure outlines. noise: standard deviation of dark values. block: a value is
+    the mean of block × block pixels. origin: (2,) lower left corner, in pixels of the photographs.
     """
 
     values: np.ndarray
@@ -37,7 +37,7 @@ class Pictures:
     origin: np.ndarray
 
     def in_photograph(self, places: np.ndarray) -> np.ndarray:
-        """Return places (…, 2) in pixel coordinates of the photographs."""
+        """Convert pixel coordinates (…, 2) to those of the photographs."""
         return places * self.block + self.origin
 
 
@@ -53,44 +53,43 @@ def reduced_steps(readers: Sequence[Callable[[], np.ndarray]], camera: Camera) -
 def enlarged_steps(
     readers: Sequence[Callable[[], np.ndarray]], reduced: Pictures, camera: Camera, circles: Sequence[np.ndarray]
 ) -> Generator[float, None, list[Pictures | None]]:
-    """Yield the finished fraction; return what is around each circle, with a radius of 32 to 64 pixels if possible.
+    """Yield the finished fraction; return a crop around each circle, with a radius of 32 to 64 pixels if possible.
 
-    circles: (3,) each, centre and radius in the photographs. None: the circle is not small in the reduced pictures, or
-    the photographs show it no larger.
+    circles: (3,) each, centre and radius in the photographs. None: a crop would have no more pixels than ``reduced``.
     """
-    windows, blocks, small = [], [], []
+    windows, blocks, enlarged = [], [], []
     for circle in circles:
         block = max(1, int(circle[2] // _ENLARGED))
-        small.append(block < reduced.block)
-        if small[-1]:
-            middle, reach = circle[:2], _AROUND * circle[2]
-            low = np.maximum(np.floor(middle - reach), 0).astype(int)
-            high = np.minimum(np.ceil(middle + reach), (camera.width, camera.height)).astype(int)
+        enlarged.append(block < reduced.block)
+        if enlarged[-1]:
+            centre, reach = circle[:2], _AROUND * circle[2]
+            low = np.maximum(np.floor(centre - reach), 0).astype(int)
+            high = np.minimum(np.ceil(centre + reach), (camera.width, camera.height)).astype(int)
             windows.append((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
             blocks.append(block)
     cut = (yield from _cut_steps(readers, windows, blocks)) if windows else []
-    made = []
+    results = []
     for stacks, block, window in zip(cut, blocks, windows, strict=True):
         yield 1.0
-        made.append(_pictures(*stacks, camera, reduced.white, block, window))
-    rest = iter(made)
-    return [next(rest) if chosen else None for chosen in small]
+        results.append(_pictures(*stacks, camera, reduced.white, block, window))
+    rest = iter(results)
+    return [next(rest) if chosen else None for chosen in enlarged]
 
 
 def _cut_steps(
     readers: Sequence[Callable[[], np.ndarray]], windows: Sequence[tuple[int, int, int, int]], blocks: Sequence[int]
 ) -> Generator[float, None, list[tuple[np.ndarray, np.ndarray]]]:
-    """Return values and clipped (K, h, w) of each window x0, y0, x1, y1, averaged over blocks."""
+    """Yield the finished fraction; return values and clipped (K, h, w) of each window x0, y0, x1, y1, in blocks."""
     values: list[list[np.ndarray]] = [[] for _ in windows]
     clipped: list[list[np.ndarray]] = [[] for _ in windows]
     for number, read in enumerate(readers):
         yield number / len(readers)
         image = read()
-        for at, ((x0, y0, x1, y1), block) in enumerate(zip(windows, blocks, strict=True)):
+        for index, ((x0, y0, x1, y1), block) in enumerate(zip(windows, blocks, strict=True)):
             part = image[y0:y1, x0:x1]
             grey = np.ascontiguousarray(part[..., :3].mean(axis=-1, dtype=np.float32))
-            values[at].append(block_means(grey, block))
-            clipped[at].append(block_means((part[..., 3] == 0).astype(np.float32), block) > 0)
+            values[index].append(block_means(grey, block))
+            clipped[index].append(block_means((part[..., 3] == 0).astype(np.float32), block) > 0)
     return [(np.stack(v), np.stack(c)) for v, c in zip(values, clipped, strict=True)]
 
 
@@ -113,7 +112,7 @@ def _pictures(
 
 
 def _noise(values: np.ndarray) -> float:
-    """Return the deviation of dark values (K, h, w) from the mean of their four neighbours."""
+    """Return the noise of dark values (K, h, w), by their deviations from the mean of four neighbours."""
     inner = values[:, 1:-1, 1:-1]
     mean = (values[:, :-2, 1:-1] + values[:, 2:, 1:-1] + values[:, 1:-1, :-2] + values[:, 1:-1, 2:]) / 4
     dark = mean <= np.quantile(mean, _DARK)

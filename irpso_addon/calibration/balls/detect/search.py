@@ -24,19 +24,19 @@ _MOST = 24  # photographs that the search reads
 _SMALLEST, _LARGEST = 0.012, 0.17  # radius over the images' width
 _LEAST_RADIUS = 5.0  # pixels
 _CANDIDATES = 150
-_SMALL, _CELLS = 15.0, 2.0  # pixels: so small a circle may be as much beside its votes
-_MOVED = 20  # of these that are tested
+_SMALL, _CELLS = 15.0, 2.0  # pixels: for smaller circles, also a fit that may move by so many pixels
+_MOVED = 20  # of the latter fits that are tested
 
 
 def search_steps(
     readers: Sequence[Callable[[], np.ndarray]], camera: Camera, kinds: Sequence[str]
 ) -> Generator[float, None, list[FoundBall]]:
-    """Yield the finished fraction of the work; return the balls, the surest first, of the kinds ``mirror``, ``matte``.
+    """Yield the finished fraction of the work; return the balls of ``kinds``, highest score first.
 
-    readers: return (H, W, 4) like ``Observation.read``. A ball is a circle of edges that stay while the lamp moves,
-    whose highlights or shading give a light in most photographs, and whose shadow lies where these lights throw it.
-    Circles are sought in reduced photographs; a small ball is measured in photographs of full size, read once more.
-    Raises InputError for fewer than three photographs.
+    readers: each returns (H, W, 4) like ``Observation.read``. kinds: of ``mirror``, ``matte``. A ball is a circle of
+    edges that do not move with the lamp; its highlights or shading give a light in most photographs, and its shadow
+    agrees with these lights. The search uses reduced photographs; small balls are measured at full size, in a second
+    pass over the photographs. Raises InputError for fewer than three photographs.
     """
     if len(readers) < FEWEST:
         raise InputError(
@@ -46,31 +46,31 @@ def search_steps(
     chosen = [readers[i] for i in np.unique(np.linspace(0, len(readers) - 1, min(len(readers), _MOST)).astype(int))]
     whole = yield from map_steps(reduced_steps(chosen, camera), lambda part: 0.3 * part)
     hits = yield from map_steps(_hits_steps(whole, kinds), lambda part: 0.3 + 0.4 * part)
-    closer = yield from map_steps(
+    crops = yield from map_steps(
         enlarged_steps(chosen, whole, camera, [hit.circle for hit in hits]), lambda part: 0.7 + 0.1 * part
     )
-    better: list[Hit] = []
-    for number, (hit, pictures) in enumerate(zip(hits, closer, strict=True)):
-        shown = partial(_part, number, len(hits), count(1))
-        better += yield from map_steps(_improved_steps(hit, pictures, whole), shown)
-    return [_found(hit) for hit in _separate(better)]
+    balls: list[Hit] = []
+    for number, (hit, pictures) in enumerate(zip(hits, crops, strict=True)):
+        progress = partial(_progress, number, len(hits), count(1))
+        balls += yield from map_steps(_improved_steps(hit, pictures, whole), progress)
+    return [_found_ball(hit) for hit in _separate(balls)]
 
 
-def _part(number: int, hits: int, steps: Iterator[int], _: None) -> float:
-    """Return the finished fraction of the work in one of ``hits``, whose steps nobody knows before."""
+def _progress(number: int, hits: int, steps: Iterator[int], _: None) -> float:
+    """Return the finished fraction in hit ``number`` of ``hits``, whose number of steps is unknown."""
     return 0.8 + 0.2 * (number + 1 - 0.97 ** next(steps)) / hits
 
 
-def _improved_steps(hit: Hit, closer: Pictures | None, whole: Pictures) -> Generator[None, None, list[Hit]]:
-    """Yield often; return the balls that closer pictures show near a hit, or else all the table's."""
+def _improved_steps(hit: Hit, crop: Pictures | None, whole: Pictures) -> Generator[None, None, list[Hit]]:
+    """Yield often; return the balls near a hit: in a crop, or if it shows none, in the whole photographs."""
     near: list[Hit] = []
-    if closer is not None:
-        near = yield from improved_steps(closer, hit.circle, hit.kind, whole)
+    if crop is not None:
+        near = yield from improved_steps(crop, hit.circle, hit.kind, whole)
     return near or (yield from improved_steps(whole, hit.circle, hit.kind, whole))
 
 
 def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, None, list[Hit]]:
-    """Yield the finished fraction; return what may be balls, each once."""
+    """Yield the finished fraction; return candidate balls that do not overlap."""
     smallest = max(_SMALLEST * pictures.camera.width, _LEAST_RADIUS)
     largest = _LARGEST * pictures.camera.width
     circles = candidates(pictures.steady, smallest, largest, _CANDIDATES)
@@ -82,9 +82,9 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
         if radius < _SMALL:
             moved.append(fitted(pictures.steady, x, y, radius, least_shift=_CELLS))
     hits: list[Hit] = []
-    kept = distinct(outlines) + distinct(moved, _MOVED)
-    for number, outline in enumerate(kept):
-        yield 0.5 + 0.5 * number / len(kept)
+    selected = distinct(outlines) + distinct(moved, _MOVED)
+    for number, outline in enumerate(selected):
+        yield 0.5 + 0.5 * number / len(selected)
         hits += tested(pictures, outline, kinds, PROMISING)
     if "mirror" in kinds:
         for circle in circles_of_paths(pictures.values, smallest, largest):
@@ -94,16 +94,16 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
 
 
 def _separate(hits: Sequence[Hit]) -> list[Hit]:
-    """Return the best of hits that overlap."""
-    kept: list[Hit] = []
+    """Return hits by score, without those that overlap a better one."""
+    selected: list[Hit] = []
     for hit in sorted(hits, key=lambda h: -h.score):
         one = hit.circle
-        if all(np.hypot(*(one - other.circle)[:2]) > max(one[2], other.circle[2]) for other in kept):
-            kept.append(hit)
-    return kept
+        if all(np.hypot(*(one - other.circle)[:2]) > max(one[2], other.circle[2]) for other in selected):
+            selected.append(hit)
+    return selected
 
 
-def _found(hit: Hit) -> FoundBall:
+def _found_ball(hit: Hit) -> FoundBall:
     outline = hit.outline
     points = hit.pictures.in_photograph(outline.points)
     exact = outline.radius >= SMALL
