@@ -120,10 +120,8 @@ def _confirm(frames: np.ndarray, shifts: np.ndarray) -> Generator[None, None, No
             others = np.delete(np.arange(len(frames)), k)
         basis, image = three_images.basis(flat, products, others), blurred(frames[k])
         back = np.roll(image, (-shifts[k][1], -shifts[k][0]), axis=(0, 1))
-        (residual, _), (moved_residual, agreement) = (
-            three_images.explained(one, basis, window) for one in (image, back)
-        )
-        if residual <= _BETTER * moved_residual or agreement < _AGREE:
+        (before, _), (after, agreement) = (three_images.explained(one, basis, window) for one in (image, back))
+        if before <= _BETTER * after or agreement < _AGREE:
             shifts[k] = 0
 
 
@@ -153,7 +151,7 @@ def lambertian_normals(frames: np.ndarray, directions: np.ndarray) -> np.ndarray
 
 
 def mirror_agreement(normals: np.ndarray, mask: np.ndarray) -> tuple[float, int]:
-    """Return (agreement, count): whether normals (H, W, 3) are those of a surface or of one mirrored in x or y.
+    """Return (agreement, count): evidence that normals (H, W, 3) are of a surface, not of one mirrored in x or y.
 
     A surface z(x, y) has ∂p/∂y = ∂q/∂x for p = ∂z/∂x, q = ∂z/∂y; mirroring either axis of the lights, or the rows of
     the images, turns the sign of one side. agreement: the mean of sign(∂p/∂y · ∂q/∂x) over ``count`` squares of 2×2

@@ -30,7 +30,7 @@ from .frames import Finding, Frames, brightest, brightness, counted, frame_steps
 _T = TypeVar("_T")
 _FLAT = 0.05  # flatness: a noise of 1 % becomes about 20 % perpendicular to the plane
 _MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness: below, an axis counts as mirrored
-_ENOUGH = 500  # least squares or border texels for either finding
+_ENOUGH = 500  # fewest squares, or border texels, for either finding
 
 
 @dataclass(frozen=True)
@@ -267,11 +267,9 @@ def _shortfalls(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
 
 
 def _enough_for(shortfalls: dict[str, list[sufficiency.Shortfall]]) -> str:
-    reached = [goal for goal, found in shortfalls.items() if not found]
-    missed = [f"{goal} ({', '.join(s.code for s in found)})" for goal, found in shortfalls.items() if found]
-    return "; ".join(
-        [*([", ".join(reached)] if reached else []), *([f"not for {', '.join(missed)}"] if missed else [])]
-    )
+    met = [goal for goal, found in shortfalls.items() if not found]
+    unmet = [f"{goal} ({', '.join(s.code for s in found)})" for goal, found in shortfalls.items() if found]
+    return "; ".join([*([", ".join(met)] if met else []), *([f"not for {', '.join(unmet)}"] if unmet else [])])
 
 
 def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: Frames) -> Iterator[Finding]:

@@ -37,7 +37,7 @@ def lit(image: np.ndarray) -> np.ndarray:
 
 
 def basis(flat: np.ndarray, products: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the principal images (3, N) float32 of the frames ``others`` of ``flat`` (K, N) of inner products (K, K)."""
+    """Return the principal images (3, N) float32 of the frames ``others`` of ``flat`` (K, N), of Gram matrix (K, K)."""
     vectors = np.linalg.eigh(products[np.ix_(others, others)])[1][:, -IMAGES:]
     mixed = np.zeros((vectors.shape[1], len(flat)), np.float32)
     mixed[:, others] = vectors.T
