@@ -140,7 +140,7 @@ class ImageReader:
             raise size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
         return samples
 
-    def _decoded(self) -> ImageRef:
+    def _resolved(self) -> ImageRef:
         """Return the image's reference, with the measured colour space if its file states none."""
         guessed = self.image.colour_space == "auto" and self.store.encoding(self.image)[1] == "guess"
         if not guessed or self.encoding is None or self.encoding.known_by != "guess":
