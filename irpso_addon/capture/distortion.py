@@ -40,8 +40,8 @@ def reach(coefficients: tuple[float, ...]) -> float:
 def distorted(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
     """Return the distorted positions of points (…, 2) on the plane at distance 1; NaN beyond the lens's field."""
     points, (xx, xy, yy) = _distorted(plane, coefficients)
-    seen = (np.linalg.norm(plane, axis=-1) < reach(coefficients)) & (xx * yy > xy * xy)
-    return np.where(seen[..., None], points, np.nan)
+    visible = (np.linalg.norm(plane, axis=-1) < reach(coefficients)) & (xx * yy > xy * xy)
+    return np.where(visible[..., None], points, np.nan)
 
 
 def undistorted(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:

@@ -98,12 +98,12 @@ def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, N
 
     Printed markers also set the card's width, in millimetres, if neither it nor the card's distance is known.
     """
-    found = yield from corner_steps(capture)
-    first, second, third, fourth = found.corners
+    result = yield from corner_steps(capture)
+    first, second, third, fourth = result.corners
     width = framing.card_width
     if width is None and capture.card_distance is None and capture.cameras[0].perspective:
-        width = found.width
-    return replace(framing, corners=(first, second, third, fourth), card_width=width), found
+        width = result.width
+    return replace(framing, corners=(first, second, third, fourth), card_width=width), result
 
 
 with_found_corners = at_once("with_found_corners", found_corner_steps)

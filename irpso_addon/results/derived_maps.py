@@ -43,10 +43,10 @@ class DerivedMaps:
 
 def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
     """Return the spaces in a list like "object,world,directx", each once, in that order. Raises InputError."""
-    wanted = [part.strip().lower() for part in text.split(",")] if text else []
-    if unknown := [part for part in wanted if part not in NORMAL_SPACES]:
+    spaces = [part.strip().lower() for part in text.split(",")] if text else []
+    if unknown := [part for part in spaces if part not in NORMAL_SPACES]:
         raise InputError(f"{option}: '{unknown[0]}' is not a normal map; choose some of {', '.join(NORMAL_SPACES)}")
-    return tuple(space for space in NORMAL_SPACES if space in wanted)
+    return tuple(space for space in NORMAL_SPACES if space in spaces)
 
 
 def derived_maps(

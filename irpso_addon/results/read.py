@@ -88,8 +88,8 @@ def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) ->
             return np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
     if len(channels) == 1 and count == 1:
         return next(iter(channels.values()))[..., None].astype(np.float32)
-    found = ", ".join(channels)
-    raise InputError(f"{path}: the map {table.name} has {count} channels, the file has {found}; save it as R, G, B")
+    available = ", ".join(channels)
+    raise InputError(f"{path}: the map {table.name} has {count} channels, the file has {available}; save it as R, G, B")
 
 
 def _split(table: MapTable, values: np.ndarray) -> dict[str, np.ndarray]:

@@ -100,8 +100,8 @@ def tile_corners() -> np.ndarray:
 
 def tile_crop(camera: Camera) -> tuple[int, int, int, int]:
     """Return x, y, width, height of the tile in whole pixels, rounded inward, from the picture's upper left corner."""
-    seen = seen_from_upper_left(camera, tile_corners())
-    low, high = np.ceil(seen.min(axis=0)).astype(int), np.floor(seen.max(axis=0)).astype(int)
+    corners = seen_from_upper_left(camera, tile_corners())
+    low, high = np.ceil(corners.min(axis=0)).astype(int), np.floor(corners.max(axis=0)).astype(int)
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 

@@ -73,15 +73,15 @@ def corner_steps(capture: Capture) -> Generator[float, None, Found]:
     combined = [display_codes(np.max(pictures, axis=0)), display_codes(np.median(pictures, axis=0))]
     total, searched = 2 * (len(codes) + len(combined)), count(1)
     search = _search_steps(codes, combined, capture.name)
-    found = yield from map_steps(search, lambda _: _READ + (1 - _READ) * next(searched) / total)
-    outside = [f"{x:.0f},{y:.0f}" for x, y in found.corners if not (0 <= x <= width and 0 <= y <= height)]
+    result = yield from map_steps(search, lambda _: _READ + (1 - _READ) * next(searched) / total)
+    outside = [f"{x:.0f},{y:.0f}" for x, y in result.corners if not (0 <= x <= width and 0 <= y <= height)]
     if outside:
         raise CaptureError(
             f"corners auto: the corner {outside[0]} of '{capture.name}' lies outside the photographs; show all of the"
             " card, or use crop",
             "corners",
         )
-    return found
+    return result
 
 
 find_corners = at_once("find_corners", corner_steps)
@@ -111,17 +111,17 @@ def _search_steps(codes: list[np.ndarray], combined: list[np.ndarray], name: str
 
 def _by_markers(single: list[Seen | None], combined: list[Seen | None]) -> Found:
     """Return the field's corners from the markers of single photographs and of combined pictures."""
-    seen = [found for found in (*single, *combined) if found is not None]
-    board = max((found.board for found in seen), key=lambda board: sum(found.board == board for found in seen))
-    same = [found for found in seen if found.board == board]
+    detections = [one for one in (*single, *combined) if one is not None]
+    board = max((one.board for one in detections), key=lambda board: sum(one.board == board for one in detections))
+    same = [one for one in detections if one.board == board]
     by_number: dict[int, list[np.ndarray]] = {}
-    for found in same:
-        for k, number in enumerate(found.numbers):
-            by_number.setdefault(number, []).append(found.pixels[4 * k : 4 * k + 4])
+    for one in same:
+        for k, number in enumerate(one.numbers):
+            by_number.setdefault(number, []).append(one.pixels[4 * k : 4 * k + 4])
     plane = np.concatenate([board.markers[number] for number in by_number])
     pixels = np.concatenate([np.median(places, axis=0) for places in by_number.values()])
     corners = mapped(homography(plane, pixels), board.field_corners)
-    agree = sum(found is not None and found.board == board for found in single)
+    agree = sum(one is not None and one.board == board for one in single)
     return Found(_points(corners), agree, len(single), board)
 
 
@@ -147,7 +147,7 @@ def _by_outline(codes: list[np.ndarray], combined: list[np.ndarray], name: str) 
             fits.append(corners)
     diagonal = math.hypot(*codes[0].shape)
     middle = np.median(fits, axis=0) if fits else first
-    close = [found for found in fits if np.linalg.norm(found - middle, axis=1).max() < _APART * diagonal]
+    close = [corners for corners in fits if np.linalg.norm(corners - middle, axis=1).max() < _APART * diagonal]
     if len(close) < _AGREE * len(codes):
         raise CaptureError(
             f"corners auto: a rectangle shows in '{name}', and only {len(close)} of {len(codes)} photographs agree on"

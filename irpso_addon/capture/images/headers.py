@@ -56,8 +56,8 @@ def read_header(path: Path) -> ImageHeader:
     elif data[:2] == b"#?":
         header = _hdr(path, data)
     elif is_heif(data):
-        found = heif_header(data, str(path))
-        header = ImageHeader("HEIF", found.width, found.height, found.bits, 1, "srgb", found.icc, found.cicp)
+        heif = heif_header(data, str(path))
+        header = ImageHeader("HEIF", heif.width, heif.height, heif.bits, 1, "srgb", heif.icc, heif.cicp)
     else:
         what = "is no PNG, JPEG, TIFF, HDR, HEIC or EXR image; replace it by one" if data else "is empty; copy it again"
         raise CaptureError(f"{path}: {what}", "image_unknown")

@@ -157,12 +157,12 @@ def mirror_agreement(normals: np.ndarray, mask: np.ndarray) -> tuple[float, int]
     the images, turns the sign of one side. agreement: the mean of sign(∂p/∂y · ∂q/∂x) over ``count`` squares of 2×2
     texels, −1…1, near 0 for noise. Measured: 0.81, 0.78 and 0.49 on the three bunnies, 0.18 on the icon.
     """
-    seen = mask & (normals[..., 2] > 0.2)
-    depth = np.where(seen, normals[..., 2], 1)
+    usable = mask & (normals[..., 2] > 0.2)
+    depth = np.where(usable, normals[..., 2], 1)
     p, q = -normals[..., 0] / depth, -normals[..., 1] / depth
     p_y = p[1:, :-1] + p[1:, 1:] - p[:-1, :-1] - p[:-1, 1:]
     q_x = q[:-1, 1:] + q[1:, 1:] - q[:-1, :-1] - q[1:, :-1]
-    whole = seen[1:, :-1] & seen[1:, 1:] & seen[:-1, :-1] & seen[:-1, 1:]
+    whole = usable[1:, :-1] & usable[1:, 1:] & usable[:-1, :-1] & usable[:-1, 1:]
     count = int(whole.sum())
     return (float(np.sign(p_y[whole] * q_x[whole]).mean()) if count else 0.0), count
 

@@ -48,19 +48,19 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
             if error.code in DAMAGE:
                 why[k] = error.message
     for index, view in enumerate(spec.views):
-        seen = {k: size for k, size in sizes.items() if spec.observations[k].camera == index}
-        if not seen:
+        intact = {k: size for k, size in sizes.items() if spec.observations[k].camera == index}
+        if not intact:
             continue
-        expected = common_size(view, list(seen.values()))
+        expected = common_size(view, list(intact.values()))
         why |= {k: size_fault(spec.observations[k].image, size, expected).message
-                for k, size in seen.items() if size != expected}  # fmt: skip
+                for k, size in intact.items() if size != expected}  # fmt: skip
     if len(why) == len(spec.observations):
         raise CaptureError(f"{why[0]} (like all other images of {spec.source})", "list_empty")
     left_out = tuple(LeftOut(k, str(spec.observations[k].image), why[k]) for k in sorted(why))
-    kept = [shot for k, shot in enumerate(spec.observations) if k not in why]
-    unused = {shot.camera for shot in spec.observations} - {shot.camera for shot in kept}
+    remaining = [shot for k, shot in enumerate(spec.observations) if k not in why]
+    unused = {shot.camera for shot in spec.observations} - {shot.camera for shot in remaining}
     views = [index for index in range(len(spec.views)) if index not in unused]
-    shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in kept)
+    shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in remaining)
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 

@@ -52,6 +52,7 @@ class Frames:
 
 
 def frames_of(capture: Capture, index: int) -> Frames:
+    """Return empty Frames of a camera, reduced so that the crops of all cameras take at most 96 MB."""
     camera, mask = capture.cameras[index], capture.masks[index]
     count = max(1, sum(observation.camera == index for observation in capture.observations))
     affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
@@ -93,6 +94,7 @@ def shrunk(image: np.ndarray, factors: tuple[int, int]) -> np.ndarray:
 
 
 def brightness(frames: Frames) -> str:
+    """Return the range of mean radiances and the clipped fraction, as text."""
     means = [float(thumbnail.mean()) for thumbnail in frames.thumbnails]
     return f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
 
@@ -143,4 +145,5 @@ def brightest(frames: Frames, capture: Capture) -> np.ndarray:
 
 
 def counted(number: int, one: str, many: str) -> str:
+    """Return a number and ``one`` for 1, else ``many``."""
     return f"{number} {one if number == 1 else many}"

@@ -190,7 +190,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         ("lights", ", ".join(f"{count} {kind}" for count, kind in kinds if count or kind in ("distant", "near"))),
     ]
     readers = [cast(ImageReader, observation.read) for observation in capture.observations]
-    profiles = Counter(found.name for reader in readers if (found := reader.store.profile(reader.image)))
+    profiles = Counter(profile.name for reader in readers if (profile := reader.store.profile(reader.image)))
     if profiles:
         named = ", ".join(f"{count} {name}" for name, count in profiles.items())
         facts.append(("colours", f"{named}, converted to Rec. 709"))
@@ -267,8 +267,8 @@ def _shortfalls(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
 
 
 def _enough_for(shortfalls: dict[str, list[sufficiency.Shortfall]]) -> str:
-    met = [goal for goal, found in shortfalls.items() if not found]
-    unmet = [f"{goal} ({', '.join(s.code for s in found)})" for goal, found in shortfalls.items() if found]
+    met = [goal for goal, lacking in shortfalls.items() if not lacking]
+    unmet = [f"{goal} ({', '.join(s.code for s in lacking)})" for goal, lacking in shortfalls.items() if lacking]
     return "; ".join([*([", ".join(met)] if met else []), *([f"not for {', '.join(unmet)}"] if unmet else [])])
 
 
@@ -317,12 +317,12 @@ def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iter
         if not view.lens:
             message = "is taken as 2 units wide, in which places of lights are counted; give fov_degrees or world_width"
             yield Finding("lens", f"{view.where}: {message}")
-    found: list[places.Problem] = []
+    problems: list[places.Problem] = []
     if len(capture.cameras) > 1:
-        found += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
+        problems += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
     elif capture.card_distance is not None:
-        found += [*places.card_problems(capture), *places.strength_problems(capture, brightest(frames, capture))]
+        problems += [*places.card_problems(capture), *places.strength_problems(capture, brightest(frames, capture))]
     elif not spec.views[0].placed:
         message = "near lights on a flat card need its distance from the camera, in the unit of their places; add"
-        found.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))
-    yield from (Finding(code, f"{spec.source}: {message}") for code, message in found)
+        problems.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))
+    yield from (Finding(code, f"{spec.source}: {message}") for code, message in problems)

@@ -125,8 +125,8 @@ def spread_across(directions: np.ndarray) -> float:
 def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator[Shortfall]:
     """Yield the shortfalls of ``count`` lights for one of GOALS. directions: (K, 3) unit, or None for near lights."""
     index = GOALS.index(goal)
-    if found := _short(NUMBER, index, count):
-        row, enough = found
+    if shortfall := _short(NUMBER, index, count):
+        row, enough = shortfall
         yield Shortfall(
             "few",
             f"{count} lights are few for {goal}: with {row.value:g}, {row.failed[index]:.0%} of the texels failed on a"
@@ -135,16 +135,16 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
     if directions is None or len(directions) < 3:
         return
     angle = half_angle(directions)
-    if found := _short(CONE, index, angle):
-        row, enough = found
+    if shortfall := _short(CONE, index, angle):
+        row, enough = shortfall
         yield Shortfall(
             "narrow",
             f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {goal}: of 50 lights within"
             f" {row.value:g}° {row.failed[index]:.0%} of the texels failed; spread them over {enough:g}° or more",
         )
     across = spread_across(directions)
-    if found := _short(ACROSS, index, across):
-        row, enough = found
+    if shortfall := _short(ACROSS, index, across):
+        row, enough = shortfall
         yield Shortfall(
             "flat",
             f"the lights spread only {across:.2f} times as far one way as the other, which is little for {goal}: of 50"

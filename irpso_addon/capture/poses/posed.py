@@ -53,8 +53,8 @@ class PoseFile:
         if wanted in names:
             return [wanted]
         for key in (_last, lambda name: _last(name).lower(), lambda name: PurePosixPath(_last(name).lower()).stem):
-            if found := [name for name in names if key(name) == key(wanted)]:
-                return found
+            if matches := [name for name in names if key(name) == key(wanted)]:
+                return matches
         return []
 
 
