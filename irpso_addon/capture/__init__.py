@@ -1,4 +1,4 @@
-"""Captures: what was photographed. One reader per format; no Blender.
+"""Captures: images of one subject with lights and cameras. One reader per format; no Blender.
 
 Formats other than EXR need a decoder from the caller: ``irpso_addon.blender.images.decode`` is Blender's.
 """

@@ -22,7 +22,7 @@ def weight_and_clipped(bounded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Decode ``bounded``: return (…) weights in 0…1 and the clipped channels (…, 3) bool."""
     weight = np.maximum(bounded, 0).astype(np.float32)
     clipped = np.zeros((*weight.shape, 3), bool)
-    bounds = np.nonzero(bounded <= -1)  # few: the others cost nothing more
+    bounds = np.nonzero(bounded <= -1)  # few pixels are bounds: only these are decoded
     bits = (-bounded[bounds]).astype(np.int32)
     weight[bounds] = 2 * (-bounded[bounds] - bits)
     clipped[bounds] = (bits[:, None] & _BITS.astype(np.int32)) > 0

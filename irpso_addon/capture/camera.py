@@ -10,11 +10,11 @@ import numpy as np
 from . import distortion as lens
 from .errors import CaptureError
 
-_RIGID = 1e-4  # how far axes may be from unit length and right angles: six printed digits
+_RIGID = 1e-4  # largest entry of RᵀR − I in a rotation R: files print six digits
 
 
 def is_rotation(axes: np.ndarray) -> bool:
-    """Return whether a (3, 3) matrix is a rotation, within the digits that files have."""
+    """Return whether a (3, 3) matrix is a rotation, to within 1e-4."""
     return bool(np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID and np.linalg.det(axes) > 0)
 
 
@@ -68,7 +68,7 @@ class Camera:
 
     @property
     def position(self) -> np.ndarray:
-        """(3,) the camera's place in the world."""
+        """(3,) the camera's position in the world."""
         return self.matrix[:3, 3]
 
     @property
@@ -85,8 +85,8 @@ class Camera:
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel coordinates (…, 2) and depth (…) along the axis, in world units, of world points (…, 3).
 
-        Points behind a perspective camera have depth ≤ 0 and meaningless pixels; points outside a distorting lens's
-        field have NaN.
+        Points behind a perspective camera have depth ≤ 0 and undefined pixels; points beyond the field of a lens with
+        distortion have NaN.
         """
         inverse = np.linalg.inv(self.matrix)
         local = points @ inverse[:3, :3].T + inverse[:3, 3]
@@ -101,7 +101,7 @@ class Camera:
     def points(self, depth: float = 1.0) -> np.ndarray:
         """Return (H, W, 3) the world points at ``depth`` on the rays of the pixel centres, row 0 at the bottom.
 
-        NaN for pixels beyond the point where the distortion folds back.
+        NaN for pixels beyond the radius at which the distortion folds back.
         """
         x = (np.arange(self.width) + 0.5 - self.centre[0]) / self.scale[0]
         y = (np.arange(self.height) + 0.5 - self.centre[1]) / self.scale[1]

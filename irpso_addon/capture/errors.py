@@ -6,7 +6,7 @@ from ..core.errors import InputError
 
 
 class CaptureError(InputError):
-    """An unusable capture. code: short name of the kind of fault. others: further faults found at the same time."""
+    """An unusable capture. code: short name of the kind of fault. others: further faults of the same capture."""
 
     def __init__(self, message: str, code: str = "unreadable", others: tuple[CaptureError, ...] = ()):
         more = f" (and {len(others)} more like it: see 'inspect')" if others else ""
@@ -17,7 +17,7 @@ class CaptureError(InputError):
 
     @property
     def all(self) -> tuple[CaptureError, ...]:
-        """This fault and those found with it."""
+        """This fault and ``others``."""
         return (self, *self.others)
 
 

@@ -1,4 +1,4 @@
-"""The noise of 8-bit photographs, estimated from the photographs themselves.
+"""Estimates the noise of 8-bit photographs from the photographs themselves.
 
 The images of one camera show the same surface under several lights. In a small block of pixels they are nearly mixtures
 of a few common pictures: three on a matt surface (Shashua 1997, On Photometric Issues in 3D Visual Recognition from a
@@ -24,32 +24,32 @@ from .errors import CaptureError
 from .types import Capture, Observation
 
 LEAST, MOST = 1 / 255, 8 / 255  # of white; one code is JPEG at its best, beyond eight the images are not aligned
-# Kernels are compiled with the noise, which takes llvmpipe 50 s of a processor; few values are compiled once for all.
+# The noise is a constant of the kernels, which llvmpipe compiles in 50 s: few distinct values need few kernels.
 STEP = 0.5 / 255
-# Where the images are too few: sensor, rounding and JPEG together. Under 16 lamps, of a rusty metal, normals are off by
+# For too few images: sensor, rounding and JPEG together. Under 16 lamps, of a rusty metal, normals are off by
 # 1.76° without it, by 1.62, 1.45 and 1.35° with 1, 2 and 3 codes; its metallic by 0.050, 0.047, 0.040 and 0.036.
 USUAL = 2 / 255
 _IMAGES = 12  # most images to read
-# Common pictures of a block: three of a matt surface, one for a highlight, one for a shadow's edge. Renders of the
-# benchmarks' cards, without noise, are off from five by 0.1 to 0.3 codes, from four by 0.15 to 0.6.
-_COMMON = 5
-_FEWEST = _COMMON + 2  # images of a block
+# Rank of a block's signal: three for a matt surface, one for a highlight, one for a shadow's edge. Noise-free
+# renders of the benchmarks' cards differ from rank five by 0.1 to 0.3 codes, from rank four by 0.15 to 0.6.
+_RANK = 5
+_FEWEST = _RANK + 2  # images of a block
 _SIDE, _BLOCKS, _FEWEST_BLOCKS = 8, 1000, 40  # pixels; most blocks; least usable blocks
-_DARK = 8  # mean code of a block under which black cuts the noise off
-_BETWEEN = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  # radiance between code k and k + 1
+_DARK = 8  # mean code: in darker blocks black clips the noise
+_THRESHOLDS = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  # radiance between code k and k + 1
 
 
 class NoiseEstimate:
-    """The noise of a capture's photographs, from some of them, as they are read anyway.
+    """Estimates a capture's noise from up to 12 of its images, passed to ``take`` or read by ``finishing``.
 
-    It depends on the images only, not on the order in which they come.
+    The result does not depend on the order of the images.
     """
 
     def __init__(self, capture: Capture):
         self._size: tuple[int, ...] = ()
         self._chosen: list[Observation] = []
         self._corners = np.zeros((0, 2), int)
-        self._blocks: dict[int, np.ndarray | None] = {}  # place among the chosen → codes, None where the size is wrong
+        self._blocks: dict[int, np.ndarray | None] = {}  # index in _chosen → codes, None where the size is wrong
         encoding = capture.encoding
         self._fine = not _coarse(capture) or (encoding is not None and encoding.colour_space != "srgb")
         if self._fine:
@@ -60,14 +60,14 @@ class NoiseEstimate:
             self._size, self._chosen, self._corners = capture.masks[index].shape, observations, corners
 
     def take(self, observation: Observation, image: np.ndarray) -> None:
-        """Take an observation's image (H, W, 4), as ``Observation.read`` gives it, if it is one of the chosen."""
+        """Add an observation's image (H, W, 4), as of ``Observation.read``; ignore observations that are not needed."""
         for place, one in enumerate(self._chosen):
             if one is observation:
-                right = image.shape[:2] == self._size
-                self._blocks[place] = _codes(np.asarray(image, np.float32), self._corners) if right else None
+                same_size = image.shape[:2] == self._size
+                self._blocks[place] = _codes(np.asarray(image, np.float32), self._corners) if same_size else None
 
     def finishing(self) -> Generator[None, None, float]:
-        """Yield before each chosen image that was not taken is read; return the deviation of ``noise_of``."""
+        """Yield before reading each image that is still missing; return the noise as ``noise_of`` does."""
         if self._fine:
             return 0.0
         for place, one in enumerate(self._chosen):
@@ -83,7 +83,7 @@ class NoiseEstimate:
 
 
 def noise_of(capture: Capture) -> Generator[None, None, float]:
-    """Yield before each image is read, and return the standard deviation of the sRGB codes as a fraction of white.
+    """Return the noise's standard deviation in sRGB codes as a fraction of white; yield before each image is read.
 
     LEAST to MOST in STEPs; USUAL if no camera has seven images or too few blocks are usable; 0 for files finer than
     8-bit sRGB codes.
@@ -92,22 +92,22 @@ def noise_of(capture: Capture) -> Generator[None, None, float]:
 
 
 def images_read(capture: Capture) -> int:
-    """Return how many images ``noise_of`` reads at the most."""
+    """Return the largest number of images that ``noise_of`` reads."""
     return min(_IMAGES, len(capture.observations)) if _coarse(capture) else 0
 
 
 def block_noise(blocks: np.ndarray) -> np.ndarray:
     """Return (n,) standard deviations of the noise in blocks (B, K, N): N numbers of each of K images, NaN for none.
 
-    n: the number of blocks that enough images show completely.
+    n: the number of blocks that are complete in at least seven images.
     """
-    shown = np.isfinite(blocks).all(axis=-1)
-    usable = shown.sum(axis=-1) >= _FEWEST
-    shown, blocks = shown[usable], blocks[usable]
-    count, values = shown.sum(axis=-1), np.where(shown[..., None], blocks, 0)
-    # An image that is left out adds an eigenvalue of 0.
-    noise = np.linalg.eigvalsh(values @ values.transpose(0, 2, 1))[:, : blocks.shape[1] - _COMMON].sum(axis=-1)
-    return np.sqrt(np.maximum(noise, 0) / ((count - _COMMON) * (blocks.shape[2] - _COMMON)))
+    complete = np.isfinite(blocks).all(axis=-1)
+    usable = complete.sum(axis=-1) >= _FEWEST
+    complete, blocks = complete[usable], blocks[usable]
+    count, values = complete.sum(axis=-1), np.where(complete[..., None], blocks, 0)
+    # An image that lacks the block adds an eigenvalue of 0.
+    noise = np.linalg.eigvalsh(values @ values.transpose(0, 2, 1))[:, : blocks.shape[1] - _RANK].sum(axis=-1)
+    return np.sqrt(np.maximum(noise, 0) / ((count - _RANK) * (blocks.shape[2] - _RANK)))
 
 
 def _coarse(capture: Capture) -> bool:
@@ -115,36 +115,36 @@ def _coarse(capture: Capture) -> bool:
 
 
 def _chosen(capture: Capture) -> tuple[int, list[Observation]]:
-    """Return the camera with the most images, by index, and some of them."""
+    """Return the index of the camera with the most images, and up to 12 of its observations."""
     counts = Counter(one.camera for one in capture.observations)
     index = min(counts, key=lambda camera: (-counts[camera], camera))
-    # By name, because held-out images may come last.
+    # Sorted by name: held-out images may come last in the capture.
     own = sorted((one for one in capture.observations if one.camera == index), key=lambda one: one.name)
     places = np.unique(np.linspace(0, len(own) - 1, _IMAGES).round().astype(int))
     return index, [own[k] for k in places]
 
 
 def _corners(mask: np.ndarray) -> np.ndarray:
-    """Return (B, 2) rows and columns of the first pixels of blocks that lie inside a mask (H, W)."""
+    """Return (B, 2) first row and column of blocks that lie inside a mask (H, W)."""
     height, width = mask.shape
     inside = np.flatnonzero(mask[: max(height - _SIDE + 1, 0), : max(width - _SIDE + 1, 0)])
     if not len(inside):
         return np.zeros((0, 2), int)
-    drawn = inside[np.random.default_rng(0).integers(len(inside), size=4 * _BLOCKS)]
-    rows, columns = np.divmod(drawn, width - _SIDE + 1)
-    whole = _blocks(mask, np.stack([rows, columns], axis=-1)).all(axis=(1, 2))
-    return np.stack([rows, columns], axis=-1)[whole][:_BLOCKS]
+    candidates = inside[np.random.default_rng(0).integers(len(inside), size=4 * _BLOCKS)]
+    rows, columns = np.divmod(candidates, width - _SIDE + 1)
+    complete = _blocks(mask, np.stack([rows, columns], axis=-1)).all(axis=(1, 2))
+    return np.stack([rows, columns], axis=-1)[complete][:_BLOCKS]
 
 
 def _blocks(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return (B, side, side, …) of an image (H, W, …)."""
-    along = np.arange(_SIDE)
-    return image[corners[:, 0, None, None] + along[:, None], corners[:, 1, None, None] + along]
+    """Return the blocks (B, side, side, …) of an image (H, W, …)."""
+    offsets = np.arange(_SIDE)
+    return image[corners[:, 0, None, None] + offsets[:, None], corners[:, 1, None, None] + offsets]
 
 
 def _codes(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Return (B, N) sRGB codes 0…255 of blocks of an image; NaN for blocks that are clipped, not finite or dark."""
     blocks = _blocks(image, corners)
-    codes = np.searchsorted(_BETWEEN, blocks[..., :3]).astype(np.float64).reshape(len(blocks), -1)
+    codes = np.searchsorted(_THRESHOLDS, blocks[..., :3]).astype(np.float64).reshape(len(blocks), -1)
     usable = (blocks[..., 3] > 0).all(axis=(1, 2)) & (codes.mean(axis=-1) >= _DARK)
     return np.where(usable[:, None], codes, np.nan)

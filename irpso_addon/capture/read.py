@@ -28,10 +28,10 @@ def read_capture(
 
     Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own.
     Images become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
-    decoder: reads formats other than EXR (``irpso_addon.blender.images.decode`` is one); without it they are refused.
+    decoder: reads formats other than EXR (``irpso_addon.blender.images.decode`` is one); without it they are an error.
     colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB unless they state or clearly show that they are
     linear (``encoding.py``), all others linear. skip_damaged: leave out images that cannot be decoded, and list them in
-    the capture; this decodes each image once now. framing: in place of the files' own. Raises InputError naming the
+    the capture; this decodes each image once now. framing: replaces that of the files. Raises InputError naming the
     file and the remedy.
     """
     spec = read_spec(path, colour_space)
@@ -39,12 +39,12 @@ def read_capture(
 
 
 def whole_capture(spec: CaptureSpec, decoder: Decoder | None = None, skip_damaged: bool = False) -> Capture:
-    """Return the capture of a spec with whole pictures, whatever its framing. Arguments, errors: as read_capture."""
+    """Return the capture of a spec without applying its framing. Parameters, errors: as read_capture."""
     return build_capture(without_damaged(spec, ImageStore(decoder)) if skip_damaged else spec, decoder)
 
 
 def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:
-    """Return the contents of a capture's lists; opens no image. Raises InputError as read_capture does."""
+    """Read a capture's lists of images and lights, but no image. Raises InputError as read_capture does."""
     path = Path(path)
     if colour_space not in COLOUR_SPACES:
         raise CaptureError(

@@ -1,4 +1,4 @@
-"""``CaptureSpec``: a capture as its files describe it; and the checks that turn it into a ``Capture``."""
+"""``CaptureSpec``: the contents of a capture's files; and its conversion, with checks, to a ``Capture``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .types import Capture, LeftOut, Light, Observation, triple
 
 @dataclass(frozen=True)
 class ObservationSpec:
-    """One observation as written. vector, axis: as in the file, of any length. where: file and line, for errors.
+    """One observation of a file. vector, axis: as in the file, of any length. where: file and line, for errors.
 
     axis, cone, cosine: as Light's.
     """
@@ -39,10 +39,10 @@ class ObservationSpec:
 
 @dataclass(frozen=True)
 class ViewSpec:
-    """One camera as written. make: (width, height) → Camera. size: as written; None for that of its images.
+    """One camera of a file. make: (width, height) → Camera. size: in the file; None for that of its images.
 
-    placed: whether it has a pose other than the world's origin, looking down. where: file and place, for errors. lens:
-    whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide.
+    placed: whether its pose is not the identity (at the origin, looking along −z). where: file and place, for errors.
+    lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide.
     """
 
     name: str
@@ -56,9 +56,9 @@ class ViewSpec:
 
 @dataclass(frozen=True)
 class CaptureSpec:
-    """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
+    """The contents of a capture's files. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
 
-    card_distance, left_out: as Capture's. framing: of its pictures; ``build_steps`` leaves them as they are.
+    card_distance, left_out: as Capture's. framing: of its images; ``build_steps`` does not apply it.
     """
 
     name: str
@@ -74,7 +74,7 @@ class CaptureSpec:
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
     """Return the Capture of a spec. Reads masks and all headers now, images at first use.
 
-    Yields before each header and each mask. Raises CaptureError with the first fault, and the others in it.
+    Yields before each header and each mask. Raises CaptureError with the first fault, and the rest in its ``others``.
     """
     store = ImageStore(decoder)
     faults: list[CaptureError] = []
@@ -89,9 +89,9 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
     cameras, masks = [], []
     for index, view in enumerate(spec.views):
         yield
-        seen = [(shot, size) for shot, _, size in shots if shot.camera == index]
-        width, height = _camera_size(view, seen, faults)
-        _refuse_turns([shot.image for shot, _ in seen], store, faults)
+        of_view = [(shot, size) for shot, _, size in shots if shot.camera == index]
+        width, height = _camera_size(view, of_view, faults)
+        _check_orientations([shot.image for shot, _ in of_view], store, faults)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
     raise_all(faults)
@@ -133,15 +133,15 @@ class ImageReader:
         return self.samples().bounds
 
     def samples(self) -> Samples:
-        """Return the Samples of the image, checked against the camera's size."""
-        found = self.store.samples(self._decoded())
-        height, width = found.rgba.shape[:2]
+        """Return the Samples of the image. Raises CaptureError if its size is not the camera's."""
+        samples = self.store.samples(self._resolved())
+        height, width = samples.rgba.shape[:2]
         if (width, height) != (self.camera.width, self.camera.height):
             raise size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
-        return found
+        return samples
 
-    def _decoded(self) -> ImageRef:
-        """Return the image, with the measured colour space if its file states none."""
+    def _resolved(self) -> ImageRef:
+        """Return the image's reference, with the measured colour space if its file states none."""
         guessed = self.image.colour_space == "auto" and self.store.encoding(self.image)[1] == "guess"
         if not guessed or self.encoding is None or self.encoding.known_by != "guess":
             return self.image
@@ -172,8 +172,8 @@ def _light(shot: ObservationSpec, faults: list[CaptureError]) -> Light | None:
         fault = f"{shot.where}: the intensity is {what}; write the light's intensity, or remove the image", "intensity"
     else:
         direction = vector / length if shot.distant else vector
-        towards = None if shot.axis is None else triple(axis / np.linalg.norm(axis))
-        return Light(triple(direction), triple(intensity), shot.distant, towards, shot.cone, shot.cosine)
+        unit_axis = None if shot.axis is None else triple(axis / np.linalg.norm(axis))
+        return Light(triple(direction), triple(intensity), shot.distant, unit_axis, shot.cone, shot.cosine)
     faults.append(CaptureError(*fault))
     return None
 
@@ -187,33 +187,33 @@ def _size(image: ImageRef, store: ImageStore, faults: list[CaptureError]) -> tup
 
 
 def _camera_size(
-    view: ViewSpec, seen: list[tuple[ObservationSpec, tuple[int, int]]], faults: list[CaptureError]
+    view: ViewSpec, shots: list[tuple[ObservationSpec, tuple[int, int]]], faults: list[CaptureError]
 ) -> tuple[int, int]:
-    if not seen and view.size is None:
+    if not shots and view.size is None:
         faults.append(CaptureError(f"{view.where}: no observation uses this camera; set width and height", "camera"))
         return 1, 1
-    expected = common_size(view, [size for _, size in seen])
-    faults += [size_fault(shot.image, size, expected) for shot, size in seen if size != expected]
+    expected = common_size(view, [size for _, size in shots])
+    faults += [size_fault(shot.image, size, expected) for shot, size in shots if size != expected]
     return expected
 
 
-def _refuse_turns(images: list[ImageRef], store: ImageStore, faults: list[CaptureError]) -> None:
-    """Add an error for each image whose EXIF turns it otherwise than most: a phone that looks down guesses the turn."""
-    turns = [store.orientation(image) for image in images]
-    usual = max(turns, key=turns.count, default=1)
+def _check_orientations(images: list[ImageRef], store: ImageStore, faults: list[CaptureError]) -> None:
+    """Add an error for each image with another EXIF orientation than most: a phone that looks down guesses it."""
+    orientations = [store.orientation(image) for image in images]
+    usual = max(orientations, key=orientations.count, default=1)
     faults += [
         CaptureError(
-            f"{image}: its EXIF orientation is {turn} where the camera's other images have {usual}; the camera stands"
+            f"{image}: its EXIF orientation is {tag} where the camera's other images have {usual}; the camera stands"
             " still, so give all of them the same orientation",
             "orientation",
         )
-        for image, turn in zip(images, turns, strict=True)
-        if turn != usual
+        for image, tag in zip(images, orientations, strict=True)
+        if tag != usual
     ]
 
 
 def common_size(view: ViewSpec, sizes: list[tuple[int, int]]) -> tuple[int, int]:
-    """Return the size that a camera's images must have: as written, or the most frequent one."""
+    """Return the size that a camera's images must have: the file's, or the most frequent one."""
     return view.size or max(sizes, key=sizes.count)
 
 
@@ -227,14 +227,14 @@ def size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]
 
 
 def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list[CaptureError]) -> np.ndarray:
-    everything = np.ones(size[::-1], bool)
+    all_pixels = np.ones(size[::-1], bool)
     if view.mask is None:
-        return everything
+        return all_pixels
     try:
-        found = store.size(view.mask)
-        if found != size:
+        mask_size = store.size(view.mask)
+        if mask_size != size:
             raise CaptureError(
-                f"{view.mask}: the mask is {found[0]}×{found[1]} pixels, the images {size[0]}×{size[1]};"
+                f"{view.mask}: the mask is {mask_size[0]}×{mask_size[1]} pixels, the images {size[0]}×{size[1]};"
                 " save it at the images' size",
                 "mask_size",
             )
@@ -242,7 +242,7 @@ def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list
         if not mask.any():
             raise CaptureError(f"{view.mask}: the mask is empty; paint what is to be solved white", "mask_empty")
         return mask
-    except CaptureError as error:  # its own code, because no image can be left out for it
+    except CaptureError as error:  # another code than an image's: skipping images does not help
         code = error.code if error.code.startswith("mask") else f"mask_{error.code}"
         faults.append(CaptureError(error.message, code))
-        return everything
+        return all_pixels

@@ -15,7 +15,7 @@ from .images.encoding import Encoding
 
 
 def triple(values: Iterable[float]) -> tuple[float, float, float]:
-    """Return three numbers, such as an array (3,), as floats."""
+    """Return three numbers, such as an array (3,), as a tuple of floats."""
     x, y, z = map(float, values)
     return x, y, z
 
@@ -27,9 +27,9 @@ class Light:
     vector: (3,) a unit direction from the surface to a distant light, or the position of a near one in world units.
     intensity: (3,) linear RGB; 1 is an irradiance of π at normal incidence (at distance 1 from a near light, falling
     with the inverse square), so that a white Lambertian texel facing the light has radiance 1. For a
-    directed near light it is the intensity along the axis. axis: (3,) the unit direction in which it shines. cone:
-    half-angle in degrees, with no light outside it (a spot). cosine: its light falls with this power of the cosine of
-    the angle to the axis: 0 not at all, 1 like a flat emitter's, more like a phone's flash. Raises InputError if these
+    directed near light it is the intensity along the axis. axis: (3,) unit direction of emission. cone: half-angle of
+    a spot in degrees; the intensity is 0 outside it. cosine: exponent of the cosine of the angle to the axis, by which
+    the intensity falls off: 0 for none, 1 for a flat emitter, more for a phone's flash. Raises InputError if these
     contradict each other.
     """
 
@@ -67,8 +67,8 @@ class Observation:
     """One image, its light and its camera.
 
     read: returns (H, W, 4) float32, row 0 at the bottom: linear Rec. 709 radiance, and in alpha the weight of the
-    pixel, 0 for NaN, below 0 for clipped pixels (capture/bounds.py). camera: an index. coarse: whether its file holds
-    8-bit sRGB codes.
+    pixel, 0 for NaN, below 0 for clipped pixels (capture/bounds.py). camera: index in Capture.cameras. coarse: whether
+    its file holds 8-bit sRGB codes.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An unused observation with a damaged image. index: in the capture's own list, from 0."""
+    """An observation excluded for its damaged image. index: in the list of the capture's files, from 0."""
 
     index: int
     image: str
@@ -92,7 +92,7 @@ class Capture:
     """The observations of one subject. masks: one (H, W) bool array per camera, row 0 at the bottom.
 
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
-    None if unknown. Raises InputError if it is not above 0. left_out: listed observations that it does not hold.
+    None if unknown. Raises InputError if it is not above 0. left_out: listed observations that were excluded.
     encoding: of files that were read with colour_space "auto".
     """
 
@@ -111,10 +111,10 @@ class Capture:
 
     @property
     def listed(self) -> int:
-        """The number of observations in its files' list."""
+        """Number of observations that the capture's files list, excluded ones included."""
         return len(self.observations) + len(self.left_out)
 
     def numbers(self, listed: Iterable[int]) -> list[int]:
-        """Return the indices in this capture of listed observations, without left-out ones."""
-        gone = [one.index for one in self.left_out]
-        return [index - sum(other < index for other in gone) for index in listed if index not in gone]
+        """Convert indices in the files' list to indices of ``observations``; drop those of excluded observations."""
+        excluded = [one.index for one in self.left_out]
+        return [index - sum(other < index for other in excluded) for index in listed if index not in excluded]

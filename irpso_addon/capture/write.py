@@ -25,7 +25,7 @@ _IMAGES = "images.exr"
 def write_steps(
     capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False
 ) -> Generator[float, None, list[str]]:
-    """Yield the fraction done before each image; write a capture into a new or empty folder, whole or not at all.
+    """Write a capture into a new or empty folder, whole or not at all; yield the fraction done before each image.
 
     ``read_capture`` reads it back. half: 16-bit instead of 32-bit floats (values from 65504 read back as clipped).
     single_file: all images and masks as parts of one EXR; the cameras must have one size. Weights other than 1 are kept
@@ -51,14 +51,14 @@ def write_steps(
         if single_file:
             write_exr(partial / _IMAGES, parts | {f"mask_{n}": mask for n, mask in masks.items()}, half)
             pictures = [{"part": name} for name in names]
-            shown = {n: {"mask": _IMAGES, "mask_part": f"mask_{n}"} for n in masked}
+            mask_keys = {n: {"mask": _IMAGES, "mask_part": f"mask_{n}"} for n in masked}
         else:
             for n, mask in masks.items():
                 write_exr(partial / f"mask_{n}.exr", {"": mask}, half=True)
             pictures = [{"image": f"{name}.exr"} for name in names]
-            shown = {n: {"mask": f"mask_{n}.exr"} for n in masked}
+            mask_keys = {n: {"mask": f"mask_{n}.exr"} for n in masked}
         top = {"colour_space": "linear", **({"image": _IMAGES} if single_file else {})}
-        (partial / TABLE).write_text(table_text(capture, pictures, shown, top), encoding="utf-8")
+        (partial / TABLE).write_text(table_text(capture, pictures, mask_keys, top), encoding="utf-8")
     return names if single_file else [f"{name}.exr" for name in names]
 
 
@@ -77,9 +77,9 @@ def table_text(
     masks: Mapping[int, Mapping[str, Any]],
     top: Mapping[str, Any],
 ) -> str:
-    """Return the text of a capture.toml with a capture's cameras and lights.
+    """Return the text of the capture.toml of a capture's cameras and lights.
 
-    pictures: keys of each observation's image. masks: camera → keys of its mask. top: further keys of the table.
+    pictures: keys of each observation's image. masks: camera → keys of its mask. top: other top-level keys.
     """
     return "\n".join(_lines(capture, pictures, masks, top)) + "\n"
 

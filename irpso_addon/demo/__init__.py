@@ -1,1 +1,1 @@
-"""The paper's experiment on a synthetic subject: render, recover, compare, keep the material."""
+"""The paper's experiment on a synthetic subject: render, recover, compare, store the material."""

@@ -1,4 +1,4 @@
-"""The paper's three recoveries, each with the other maps fixed, then one joint recovery."""
+"""The paper's three recoveries, each with the other maps fixed, and one joint recovery."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from .truth import material_at
 MODEL = "cook_torrance_two_lobe"
 STAGES = ("diffuse", "normal", "specular")
 LATITUDES, LONGITUDES = 10, 20  # the paper's 200 lights
-GRAZING = 0.1  # n·v of the true normal: flatter texels are excluded, and their number is reported
+GRAZING = 0.1  # n·v of the true normal: texels below are excluded, and their number is reported
 JOINT = "joint"
 Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an experiment. texels: (W, H). camera: image height in pixels. strip: iterations in the picture."""
+    """Size of an experiment. texels: (W, H). camera: image height in pixels. strip: iterations of the snapshots."""
 
     texels: tuple[int, int]
     camera: int
@@ -79,7 +79,7 @@ class Subject:
 
 
 def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Subject:
-    """Render the camera's images under 200 lights and project them into the mesh's UV square."""
+    """Render the camera's images under 200 lights, and resample them to the texels of the mesh's UV square."""
     model = load_model(MODEL)
     lights = [Light(tuple(float(v) for v in direction)) for direction in dome(LATITUDES, LONGITUDES)]
     view = bake_camera(mesh, camera)
@@ -87,9 +87,9 @@ def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Su
     capture = rendered_capture(
         "demo", [renderer], [camera], [view.coverage], lights, lambda done: report("photograph", done)
     )
-    # No cast shadows; the truth is at the texels' centres.
-    plain = {"shadows": False, "falloff": False, "areas": False}
-    domain = domain_from_mesh(capture, mesh, *size.texels, **plain)
+    # The renders have no cast shadows, and the truth is at the texels' centres.
+    switches = {"shadows": False, "falloff": False, "areas": False}
+    domain = domain_from_mesh(capture, mesh, *size.texels, **switches)
     renderer.close()
     bake = bake_uv(mesh, *size.texels)
     truth = material_at(bake)
@@ -102,8 +102,8 @@ def recover_stage(
     subject: Subject, schedule: Schedule, stage: str, iterations: int, seed: int, entry: str, report: Report, **more
 ) -> Run:
     """Recover one stage from a random start with the other maps fixed, by the paper's fitness, mean |e|."""
-    wanted = {p.name for p in subject.model.parameters if p.stage == stage}
-    fixed = {name: value for name, value in subject.truth.items() if name not in wanted}
+    searched = {p.name for p in subject.model.parameters if p.stage == stage}
+    fixed = {name: value for name, value in subject.truth.items() if name not in searched}
     changed = schedule.replaced(search=[stage], iterations=iterations, cycles=1, seed="random", loss="l1")
     return _recover(subject, changed, fixed, stage, seed, entry, report, **more)
 
@@ -128,16 +128,16 @@ def _recover(
     strip: tuple[int, ...] = (),
 ) -> Run:
     iterations = schedule.cycles * sum(stage.iterations for stage in schedule.stages)
-    every = max(1, iterations // 50)
-    stops = sorted({*range(0, iterations, every), iterations, *strip})
-    seconds, made = 0.0, 0
+    interval = max(1, iterations // 50)
+    stops = sorted({*range(0, iterations, interval), iterations, *strip})
+    seconds, iteration = 0.0, 0
     result = Run(name, None, 0.0, 0)
     searched = [p for p in subject.model.parameters if p.name not in fixed]
     with Recovery(subject.domain, subject.model, schedule, seed, fixed, entry) as recovery:
         for stop in stops:
             start = time.perf_counter()
-            progress = recovery.step(stop - made)
-            made = stop
+            progress = recovery.step(stop - iteration)
+            iteration = stop
             maps = recovery.maps(confidence=stop == iterations)
             seconds += time.perf_counter() - start
             report(name, progress.fraction)

@@ -1,4 +1,4 @@
-"""The paper's figures 1, 4, 5 and 6 for this run: maps on the head, in the camera's view."""
+"""Draws the paper's figures 1, 4, 5 and 6 for this run: maps on the head, in the camera's view."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from .truth import material_at
 
 _TITLES = {"diffuse": "Diffuse color", "normal": "Normal", "specular": "Two-lobe roughness"}
 _FRAMES = (35, 56, 75, 98, 134, 151)  # of the 200: from above, from both sides, from below
-_SHOWN = 56  # the frame in the previews
+_SHOWN = 56  # frame of the previews
 
 
 class View:
-    """The camera's view of the texels, in ``camera``'s image size."""
+    """Resamples values per texel to the image of ``camera``."""
 
     def __init__(self, subject: Subject, camera: Camera):
         self.subject, self.camera = subject, camera
         self.bake = bake_camera(subject.mesh, camera)
         height, width = subject.domain.shape
         x, y = self.bake.uv[..., 0] * width, self.bake.uv[..., 1] * height
-        place = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
-        # At the rim of an island a pixel may fall on a texel whose centre lies outside: it shows the neighbour.
+        texel = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
+        # At an island's border a pixel may hit a texel whose centre lies outside: it takes the nearest evaluated one.
         indices = np.stack(np.mgrid[:height, :width], axis=-1).astype(np.float32)
-        elsewhere = tuple(np.argwhere(~subject.evaluated)[0])
-        nearest = fill_margin(indices, subject.evaluated, texels=2, far=elsewhere).astype(int)
-        self._texel = tuple(np.moveaxis(nearest[place], -1, 0))
+        excluded = tuple(np.argwhere(~subject.evaluated)[0])
+        nearest = fill_margin(indices, subject.evaluated, texels=2, far=excluded).astype(int)
+        self._texel = tuple(np.moveaxis(nearest[texel], -1, 0))
         self.covered = self.bake.coverage & subject.evaluated[self._texel]
 
     def show(self, texels: np.ndarray) -> np.ndarray:
-        """Return (H, W, …) the camera's view of values per texel (h, w, …): nearest texel, without interpolation."""
+        """Return the camera's view (H, W, …) of values per texel (h, w, …), by nearest texel."""
         return texels[self._texel]
 
     def normals(self, tangent_space: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ def stage_error(subject: Subject, stage: str, values: Mapping[str, np.ndarray]) 
 
 
 def comparison(view: View, values: Mapping[str, np.ndarray], light: Light) -> np.ndarray:
-    """Return Fig. 6: ground truth, recovered and error of every map, and of a photograph."""
+    """Return Fig. 6: ground truth, recovered and error of each map and of a render under ``light``."""
     subject = view.subject
     rows = []
     for stage in STAGES:
@@ -105,7 +105,7 @@ def curves(view: View, runs: Mapping[str, Run], marks: tuple[tuple[int, int], ..
 
 
 def history(view: View, run: Run) -> np.ndarray:
-    """Return Fig. 1: the converging normal map, its error below."""
+    """Return Fig. 1: the normal map at several iterations, its error below."""
     snapshots = sorted(run.snapshots.items())
     images = [view.stage("normal", maps.values) for _, maps in snapshots]
     errors = [view.error("normal", maps.values) for _, maps in snapshots]
@@ -113,12 +113,12 @@ def history(view: View, run: Run) -> np.ndarray:
 
 
 def shown_light(lights: list[Light]) -> Light:
-    """Return the light of the previews that compare photograph and render."""
+    """Return the light of the comparisons of photograph and render."""
     return lights[_SHOWN]
 
 
 def staged_maps(runs: Mapping[str, Run]) -> Maps:
-    """Return the maps of the three stages combined: from each the ones it searched, with the last residual."""
+    """Return the maps that each of the three stages searched, combined, with the residual of the last."""
     last = runs[STAGES[-1]].maps
     model = last.model
     values = {p.name: runs[p.stage].maps.values[p.name] for p in model.parameters}

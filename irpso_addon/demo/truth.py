@@ -1,7 +1,7 @@
-"""The demo's ground truth: a skin made of waves.
+"""The demo's ground truth: a skin of waves, as a function of position.
 
-It is a function of the position in space, not of the texture square: no seam shows, and a camera's pixel has exactly
-the material of a texel at its place.
+The material depends on the position in space, not on UV coordinates: seams do not show, and a camera's pixel has the
+material of a texel at the same position exactly.
 """
 
 from __future__ import annotations

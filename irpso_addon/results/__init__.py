@@ -1,1 +1,1 @@
-"""Recovered maps and their output: ``Maps``, tables, files, report, preview pictures."""
+"""Recovered maps and their output: ``Maps``, tables of maps, files, report, preview pictures."""

@@ -1,4 +1,4 @@
-"""Derived maps: normals in other spaces, heights, indirect light."""
+"""``DerivedMap``: maps computed from the recovered ones: normals in other spaces, heights, indirect light."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ NORMAL_SPACES = ("object", "world", "directx")
 
 @dataclass(frozen=True)
 class DerivedMap:
-    """One map that is not of the model.
+    """One map that is not a parameter of the model.
 
     name: file stem. values: (H, W, C) float32, row 0 at the bottom, for the EXR. encoded: the same in 0…1, for the
-    16-bit PNG. text: the PNG's encoding, for the report. exr: an EXR is written.
+    16-bit PNG. text: the PNG's encoding, for the report. exr: whether to write an EXR.
     """
 
     name: str
@@ -49,7 +49,7 @@ def normal_maps(
 
 
 def height_map(height: Height) -> DerivedMap:
-    """Return the map of a relief: heights as EXR, fractions of its ``scale`` as PNG."""
+    """Return the map of a relief: heights in the EXR, height / scale + midlevel in the PNG."""
     values = fill_margin(height.values[..., None], height.covered, far=(0.0,))
     encoded = np.clip(values / height.scale + height.midlevel, 0, 1)
     text = f"(height in {height.unit}) / {height.scale:.9g} + {height.midlevel:.9g}"
@@ -57,6 +57,6 @@ def height_map(height: Height) -> DerivedMap:
 
 
 def indirect_map(share: np.ndarray, covered: np.ndarray) -> DerivedMap:
-    """Return the map of the share (H, W) of the light of the photographs that was indirect, 0…1."""
+    """Return the map of the fraction (H, W) of indirect light in the photographs, 0…1."""
     values = fill_margin(share[..., None], covered, far=(0.0,))
     return DerivedMap("indirect", values, values, "indirect light / light of the photographs")

@@ -31,7 +31,7 @@ class DerivedMaps:
     displacement: bool = False
 
     def check(self, model: ReflectanceModel) -> None:
-        """Raise InputError where one is chosen and the model has no normal."""
+        """Raise InputError if any is chosen and the model has no normal."""
         if (self.normals or self.relief) and not any(parameter.is_normal for parameter in model.parameters):
             raise InputError(f"model {model.name}: has no normal, so it has no other normal maps and no height")
 
@@ -43,19 +43,19 @@ class DerivedMaps:
 
 def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
     """Return the spaces in a list like "object,world,directx", each once, in that order. Raises InputError."""
-    wanted = [part.strip().lower() for part in text.split(",")] if text else []
-    if unknown := [part for part in wanted if part not in NORMAL_SPACES]:
+    spaces = [part.strip().lower() for part in text.split(",")] if text else []
+    if unknown := [part for part in spaces if part not in NORMAL_SPACES]:
         raise InputError(f"{option}: '{unknown[0]}' is not a normal map; choose some of {', '.join(NORMAL_SPACES)}")
-    return tuple(space for space in NORMAL_SPACES if space in wanted)
+    return tuple(space for space in NORMAL_SPACES if space in spaces)
 
 
 def derived_maps(
     wanted: DerivedMaps, found: Maps, written: Maps, bake: GeometryBake, mesh: MeshData | None, camera: Camera
 ) -> tuple[list[DerivedMap], Height | None]:
-    """Return the chosen maps, and the relief.
+    """Compute the chosen maps; return them and the relief, None if not chosen.
 
-    found: normals in the solver's frames. written: normals in the frames of Blender's normal maps. bake: the domain's.
-    mesh: None for a card; then object space is that of ``camera``, and world space the capture's.
+    found: maps with normals in the solver's frames. written: with normals in the frames of Blender's normal maps. bake:
+    the domain's. mesh: None for a card; then object space is that of ``camera``, and world space the capture's.
     """
     name = next((parameter.name for parameter in found.model.parameters if parameter.is_normal), None)
     if name is None or not (wanted.normals or wanted.relief):
@@ -81,6 +81,6 @@ def derived_maps(
 
 
 def _everywhere(normals: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return (H, W, 3) normals from one per texel or one for all."""
+    """Return normals (H, W, 3) from one per texel, or broadcast from one for all."""
     normals = np.asarray(normals)
     return np.broadcast_to(normals.reshape(1, 1, 3), (*shape, 3)) if normals.size == 3 else normals.reshape(*shape, 3)

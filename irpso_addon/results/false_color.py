@@ -1,4 +1,4 @@
-"""Errors as colours: blue is low, red is high, as in the figures of Nagano et al."""
+"""Colour map of errors: blue is low, red is high, as in the figures of Nagano et al."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def false_color(error: np.ndarray, maximum: float, covered: np.ndarray | None = 
     Uncovered and NaN texels are dark grey.
     """
     error = np.asarray(error, np.float64)
-    shown = np.isfinite(error) if covered is None else np.isfinite(error) & covered
-    place = np.clip(np.where(shown, error, 0) / (maximum if maximum > 0 else 1.0), 0, 1) * (len(COLORS) - 1)
+    visible = np.isfinite(error) if covered is None else np.isfinite(error) & covered
+    place = np.clip(np.where(visible, error, 0) / (maximum if maximum > 0 else 1.0), 0, 1) * (len(COLORS) - 1)
     knots = np.arange(len(COLORS))
     colors = np.stack([np.interp(place, knots, COLORS[:, c]) for c in range(3)], axis=-1)
-    return np.where(shown[..., None], colors, UNCOVERED).astype(np.float32)
+    return np.where(visible[..., None], colors, UNCOVERED).astype(np.float32)

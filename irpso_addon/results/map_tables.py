@@ -1,4 +1,4 @@
-"""Maps of a model: parameters that share one, and its encoding as channels of a picture."""
+"""``MapTable``: the parameters of a model that share one map, and their encoding as channels of a picture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "
 
 @dataclass(frozen=True)
 class MapTable:
-    """One result texture. name: file stem. parameters: their components are its channels, in order."""
+    """One map. name: file stem. parameters: their components are its channels, in order."""
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -41,13 +41,13 @@ class MapTable:
 
     @property
     def fits_unit(self) -> bool:
-        """Whether the numbers, or their standard encoding, fit 0…1, so a PNG holds them unscaled."""
+        """Whether the values, or their standard encoding, lie in 0…1, so that a PNG stores them unscaled."""
         in_unit = all(p.range[0] >= 0 and p.range[1] <= 1 for p in self.parameters)
         return self.is_normal or self.color_space == "sRGB" or in_unit
 
 
 def map_tables(model: ReflectanceModel) -> list[MapTable]:
-    """Return the maps of a model in the table's order. Raises InputError where a map cannot be written."""
+    """Return a model's maps in the order of its parameters. Raises InputError if a map cannot be written."""
     grouped: dict[str, list[Parameter]] = {}
     for parameter in model.parameters:
         grouped.setdefault(parameter.map, []).append(parameter)
@@ -68,7 +68,7 @@ def map_tables(model: ReflectanceModel) -> list[MapTable]:
 def map_values(table: MapTable, maps: Maps) -> np.ndarray:
     """Return (H, W, components) float32 of a map, with a margin of 8 texels around the covered ones.
 
-    Outside the margin is the mean, or a flat normal. A parameter that ``maps`` lacks is at its default.
+    Texels outside the margin have the mean, or a flat normal. Missing parameters have their default.
     """
     shape = maps.covered.shape
     values = [
@@ -82,9 +82,9 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
 
 
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
-    """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or the plain numbers.
+    """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or unchanged values.
 
-    Numbers of a range beyond 0…1 are stored as a fraction of it. Two channels get a third, black one.
+    Values of a range beyond 0…1 are encoded as a fraction of it. Two channels get a third, black one.
     """
     if table.is_normal:
         return encode_normal(values)
@@ -102,8 +102,8 @@ def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
 def exr_channels(values: np.ndarray) -> dict[str, np.ndarray]:
     """Return channel name → (H, W) float32 of (H, W, C) values: Y, RGB or RGBA, which every reader shows as a picture.
 
-    Two channels get a third, black one. Blender 5.0 leaves a blue that a file lacks as the memory was, and Cycles
-    takes a texel that is not finite anywhere for black in all channels.
+    Two channels get a third, black one: Blender 5.0 does not initialise a missing blue channel, and Cycles renders a
+    texel with any channel that is not finite as black.
     """
     values = _with_black(values)
     names = _CHANNELS[values.shape[-1]]

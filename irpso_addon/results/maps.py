@@ -1,4 +1,4 @@
-"""The result of a recovery, as arrays."""
+"""``Maps``: the result of a recovery, as arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..core.udim import ONE_SQUARE, tile_part
 from ..reflectance.model import ReflectanceModel
 
-UNKNOWN = 0.25  # of a parameter's range: a larger standard deviation means unknown
+UNKNOWN = 0.25  # of a parameter's range: with a larger standard deviation it is unknown
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Maps:
     absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
     parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
     one component, at most π/2. tiles: the maps' UDIM tiles, side by side from the left. margin: (H, W) bool, texels
-    past UV seams with the values of the seam's other side, or None. wrapped: the UV square may continue at its opposite
-    border, as where a mesh is unwrapped all around. alternatives: parameter name → (H, W, components), the deviance,
+    past UV seams with the values of the seam's other side, or None. wrapped: whether the UV square may continue at its
+    opposite border, as of a mesh unwrapped all around. alternatives: parameter name → (H, W, components), the deviance,
     −9 to 9, of materials far from the estimate in that number against the estimate (solver/engine/alternatives.py);
     measured with the confidence, else None. two_modes: parameter name → (H, W) bool, covered texels whose material
     leaves that number open; {} before solver.modes.with_modes.

@@ -26,8 +26,8 @@ class PreviewRow:
     """One row of a preview: reference, recovered, and error.
 
     label: at the left. reference, recovered: (H, W, 3) display values (see ``display_image``). error: (H, W) in
-    ``unit``. covered: (H, W) bool, texels of the picture. counted: (H, W) bool, texels whose error counts, by default
-    the covered ones. maximum: the error shown as red, by default the 99th percentile, rounded up.
+    ``unit``. covered: (H, W) bool, visible texels. counted: (H, W) bool, texels of the error statistics, by default the
+    covered ones. maximum: error shown as red, by default the 99th percentile, rounded up.
     """
 
     label: str
@@ -41,7 +41,7 @@ class PreviewRow:
 
     @property
     def compared(self) -> np.ndarray | None:
-        """(H, W) bool: texels whose error counts, None for all."""
+        """(H, W) bool: texels of the error statistics, None for all."""
         return self.covered if self.counted is None else self.counted
 
 
@@ -131,7 +131,7 @@ def convergence(image: np.ndarray, marks: Sequence[tuple[int, int]], panels: Seq
 def spread_marks(places: np.ndarray, count: int = 4) -> list[int]:
     """Return the indices of at most ``count`` points (N, 2) far from each other, for marks, the most central first.
 
-    None lies at the rim, where the mark would hide its texel.
+    Excludes the outer fifth, where the mark would hide its texel.
     """
     places = np.asarray(places, np.float64)
     distance = np.linalg.norm(places - np.median(places, axis=0), axis=1)
@@ -187,7 +187,7 @@ def strip(
         canvas.image(x, top + height + _GAP, _scaled(false_color(error, maximum, covered), fit))
         mean = float(np.nanmean(error if covered is None else error[covered]))
         canvas.text(
-            x + width / 2, top + 2 * height + _GAP + 20, f"mean {_number(mean)}{_with(unit)}", _SMALL, FAINT, 0.5
+            x + width / 2, top + 2 * height + _GAP + 20, f"mean {_number(mean)}{_unit(unit)}", _SMALL, FAINT, 0.5
         )
     _legend(canvas, _MARGIN + len(images) * (width + _GAP), top + height + _GAP, height, maximum, unit)
     return canvas.result()
@@ -240,7 +240,7 @@ def _legend(canvas: Canvas, x: int, y: int, height: int, maximum: float, unit: s
     canvas.image(x, y, false_color(ramp, maximum))
     for part in (0.0, 0.25, 0.5, 0.75, 1.0):
         baseline = y + height - part * (height - _SMALL)
-        canvas.text(x + _BAR + 8, baseline, f"{_number(part * maximum)}{_with(unit)}", _SMALL, FAINT)
+        canvas.text(x + _BAR + 8, baseline, f"{_number(part * maximum)}{_unit(unit)}", _SMALL, FAINT)
 
 
 def _caption(row: PreviewRow) -> str:
@@ -249,11 +249,11 @@ def _caption(row: PreviewRow) -> str:
         return "nothing covered"
     numbers = (np.mean(error), np.percentile(error, 99), np.max(error))
     return "   ".join(
-        f"{word} {_number(float(n))}{_with(row.unit)}" for word, n in zip(("mean", "99th", "max"), numbers, strict=True)
+        f"{word} {_number(float(n))}{_unit(row.unit)}" for word, n in zip(("mean", "99th", "max"), numbers, strict=True)
     )
 
 
-def _with(unit: str) -> str:
+def _unit(unit: str) -> str:
     return unit if unit in ("°", "") else f" {unit}"
 
 
@@ -274,7 +274,7 @@ def default_maximum(errors: Sequence[np.ndarray], covered: np.ndarray | None) ->
 
 
 def _fit(shape: tuple[int, ...]) -> float:
-    """Return the scale: an integer, or 1 / an integer."""
+    """Return the scale of an image: an integer, or 1 / an integer."""
     longest = max(shape[0], shape[1])
     return max(1, round(_SHOWN / longest)) if longest <= 1.5 * _SHOWN else 1 / math.ceil(longest / (1.5 * _SHOWN))
 

@@ -1,4 +1,4 @@
-"""Maps read from files: our own maps.exr, or pictures of other origin, as parameters of a model."""
+"""Reads maps from EXR files, our own or others, as parameters of a model."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _VECTOR_NAMES = ("X", "Y", "Z")
 
 
 def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> dict[str, np.ndarray]:
-    """Return parameter name → (H, W, components) of all the model's maps in an EXR, or in a result's folder.
+    """Return parameter name → (H, W, components) of all maps of a model in an EXR, or in a result's folder.
 
     A file of several parts has one map per part, by name (our maps.exr); a file of one part has the map that its name
     begins with, such as ``normal_gt.exr``. tiles: UDIM tiles, side by side from the left; each has its own file, with
-    its number in the name, or <UDIM> in ``path``. Raises InputError where a file has none of the model's maps, is
+    its number in the name, or <UDIM> in ``path``. Raises InputError if a file has none of the model's maps, is
     missing, or differs from the others in size or maps.
     """
     path = Path(path)
@@ -82,14 +82,14 @@ def _parts(path: Path) -> dict[str, dict[str, np.ndarray]]:
 
 
 def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
-    wanted = table.components
-    for names in (_COLOUR_NAMES[:wanted], _VECTOR_NAMES[:wanted], ("Y",) * wanted if wanted == 1 else ()):
+    count = table.components
+    for names in (_COLOUR_NAMES[:count], _VECTOR_NAMES[:count], ("Y",) * count if count == 1 else ()):
         if names and all(name in channels for name in names):
             return np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
-    if len(channels) == 1 and wanted == 1:
+    if len(channels) == 1 and count == 1:
         return next(iter(channels.values()))[..., None].astype(np.float32)
-    found = ", ".join(channels)
-    raise InputError(f"{path}: the map {table.name} has {wanted} channels, the file has {found}; save it as R, G, B")
+    available = ", ".join(channels)
+    raise InputError(f"{path}: the map {table.name} has {count} channels, the file has {available}; save it as R, G, B")
 
 
 def _split(table: MapTable, values: np.ndarray) -> dict[str, np.ndarray]:

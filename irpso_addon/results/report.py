@@ -11,8 +11,8 @@ from ..gpu.versions import versions
 from ..reflectance.model import Parameter
 from .maps import Maps
 
-_LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative; of the covered texels
-_MODES_SHARE = 0.05  # of the covered texels
+_LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative distance to the limit; fraction of the covered texels
+_MODES_SHARE = 0.05  # fraction of the covered texels
 
 
 def build_report(
@@ -31,8 +31,8 @@ def build_report(
     """Return the report as plain data, ready for JSON.
 
     gpu: the renderer's name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
-    parameter's units, row 0 at the bottom. evaluated: (H, W) bool, texels whose errors count, by default the covered
-    ones; the report has the excluded fraction. noise: the domain's, reported in 8-bit codes where it is known.
+    parameter's units, row 0 at the bottom. evaluated: (H, W) bool, texels of the error statistics, by default the
+    covered ones; the report has the excluded fraction. noise: the domain's, reported in 8-bit codes unless 0.
     """
     texels = maps.covered if evaluated is None else maps.covered & evaluated
     covered = int(maps.covered.sum())
@@ -63,32 +63,32 @@ def build_report(
 
 
 def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
-    """Return one line per linear weight, not ``given``, that is at its upper limit on many texels.
+    """Return one line per linear weight, not in ``given``, that is at its upper limit on many texels.
 
     No surface reflects more than all light. A capture with missing or wrong intensities is often brighter than a white
-    surface, and normals bend to compensate (by 37° in the mean at five times the brightness).
+    surface, which biases normals (by 37° in the mean at five times the brightness).
     """
     lines = []
     for parameter in maps.model.parameters:
         if parameter.kind != "linear" or parameter.name in given or not maps.covered.any():
             continue
-        high = parameter.range[1]
-        share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= high * (1 - _LIMIT_NEAR)).mean())
+        limit = parameter.range[1]
+        share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= limit * (1 - _LIMIT_NEAR)).mean())
         if share > _LIMIT_SHARE:
             lines.append(
-                f"{parameter.name} is at its limit {high:g} on {share:.0%} of the texels: the images are brighter than"
+                f"{parameter.name} is at its limit {limit:g} on {share:.0%} of the texels: the images are brighter than"
                 " the lights allow, and normals suffer; give the lights higher intensities"
             )
     return lines
 
 
 def mode_shares(maps: Maps) -> dict[str, float]:
-    """Return, for each tested number, the share of the texels whose material leaves it two modes."""
+    """Return parameter name → fraction of the covered texels with two modes, for each tested parameter."""
     return {name: round(float(there[maps.covered].mean()), 4) for name, there in maps.two_modes.items()}
 
 
 def mode_warnings(maps: Maps, priors: bool) -> list[str]:
-    """Return one line per number with two modes on many texels. priors: priors were in use."""
+    """Return one line per parameter with two modes on many texels. priors: whether priors were in use."""
     lines = []
     for name, share in mode_shares(maps).items():
         if share > _MODES_SHARE:
@@ -102,10 +102,10 @@ def mode_warnings(maps: Maps, priors: bool) -> list[str]:
 
 
 def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
-    """Return, for each parameter with a prior that is not ``given``, the share of the texels where the prior decided.
+    """Return, for each parameter with a prior and not in ``given``, the fraction of texels where the prior decided.
 
-    It decides where its precision exceeds that of the samples. The maps' variance already contains a normal prior's
-    precision: such a prior decides where more than half of its own variance remains.
+    A prior decides where its precision exceeds that of the samples. The maps' variance already contains a normal
+    prior's precision: such a prior decides where more than half of its own variance remains.
     """
     model, shares = maps.model, {}
     for p in model.parameters:
@@ -141,7 +141,7 @@ def error_unit(parameter: Parameter) -> str:
 def parameter_error(parameter: Parameter, values: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return (H, W) float64: the angle between normals in degrees, or the mean absolute difference in % of the range.
 
-    NaN where the truth is undefined: a normal not of about unit length, or a number that is not finite.
+    NaN where the truth is undefined: a normal not of unit length to within 0.1, or a number that is not finite.
     """
     values = np.asarray(values, np.float64)
     truth = np.asarray(truth, np.float64).reshape(values.shape)
@@ -167,7 +167,7 @@ def quantiles(values: np.ndarray) -> dict[str, float | int | None]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON: arrays become lists, non-finite numbers null, other objects text."""
+    """Convert a value for JSON: arrays become lists, non-finite numbers null, other objects text."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Numbers on axes: round limits, ticks and their labels."""
+"""Axes of plots: round limits, ticks and their labels."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 PERCENT = 100.0  # the panel, the legend and the plots show errors in % of white
 _ROUND = (1.0, 2.0, 5.0, 10.0)
-# The limit stays while the wanted one over it lies between these: a legend that jumps is unreadable.
+# The limit does not change while a new one over it lies between these: a legend that jumps is unreadable.
 _HOLD_BELOW, _HOLD_ABOVE = 0.45, 1.8
 
 
@@ -23,7 +23,7 @@ def round_down(value: float) -> float:
 
 
 def steady_limit(wanted: float, former: float) -> float:
-    """Return a round limit near the wanted one. A former limit (0 for none) stays while it is close enough."""
+    """Return a round limit near ``wanted``, or the former limit (0 for none) while that is close enough."""
     if not (math.isfinite(wanted) and wanted > 0):
         return former or 1.0
     if former > 0 and _HOLD_BELOW * former <= wanted <= _HOLD_ABOVE * former:
@@ -50,7 +50,7 @@ def ticks_to(top: float, most: int) -> list[float]:
 
 
 def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list[float]]:
-    """Return the labelled values and those with only a small tick, of a logarithmic axis low…high, both > 0.
+    """Return the labelled and the unlabelled ticks of a logarithmic axis low…high, both > 0.
 
     Powers of ten are labelled; if there are many, every second or third; if there are few, also 2 and 5.
     """

@@ -1,7 +1,7 @@
-"""Maps of a card that repeat without a seam: all are cut along one path through an overlap (Efros & Freeman 2001).
+"""Makes a card's maps seamless: cuts all maps along one path through an overlap (Efros & Freeman 2001).
 
-The overlap is blended in bands, wide for what is smooth and narrow for detail (Burt & Adelson 1983), so that neither a
-slow change of colour ends at the path nor detail fades beside it.
+Blends the overlap by frequency bands, wide for low and narrow for high frequencies (Burt & Adelson 1983): no edge
+of low frequencies at the path, and no loss of detail beside it.
 """
 
 from __future__ import annotations
@@ -15,22 +15,21 @@ from ..core.errors import InputError
 from ..core.filters import blurred
 from ..reflectance.model import ReflectanceModel
 
-_OVERLAPS = 0.2, 0.4  # of the side: between these the overlap is chosen
-_ALIKE = 1.2  # of the least cost of a path: among overlaps so good the smallest are taken
-_STRETCH = 0.03  # by which one direction may be stretched against the other
-_SEARCHED = 256  # texels of a side that is searched for the overlap
-_LEAST = 32  # texels of a side
-_FREE = 0.3  # of the overlap at each side, which the path keeps away from
-_FINEST, _WIDEST = 1.0, 1 / 20  # deviations of the blend's bands: texels, of the overlap; six are _FREE
-_SMOOTH = 1.0  # texels: differences are compared in the mean of their surroundings
+_OVERLAPS = 0.2, 0.4  # of the side: range of the search
+_ALIKE = 1.2  # of the least cost of a path: of overlaps up to this cost the smallest is chosen
+_STRETCH = 0.03  # largest relative difference of the two periods
+_SEARCHED = 256  # texels of a side in the first search for the overlap
+_LEAST = 32  # least texels of a side
+_FREE = 0.3  # of the overlap at each side: the path avoids it
+_FINEST, _WIDEST = 1.0, 1 / 20  # standard deviations of the blend's bands: texels, of the overlap; six are _FREE
+_SMOOTH = 1.0  # texels: standard deviation of a blur of the path costs
 
 
 @dataclass(frozen=True)
 class Seamless:
-    """values: parameter name → (N, N, components), which continue at their opposite borders. crop: x, y and side of
-    the square of the card that is used, from the lower left. period: its columns and rows that repeat. seam:
-    differences between neighbours across the paths, over those of all neighbours in this direction: 1 is no seam;
-    plain: those of the square repeated as it is.
+    """values: parameter name → (N, N, components), periodic. crop: x, y and side of the square of the card in use, from
+    the lower left. period: its columns and rows that repeat. seam: mean difference of neighbours across the paths,
+    over that of all neighbours in this direction: 1 is no seam. plain: the same of the square without blending.
     """
 
     values: dict[str, np.ndarray]
@@ -44,12 +43,11 @@ def seamless(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], covered: np.ndarray, size: int | None = None,
     overlap: float | None = None,
 ) -> Seamless:  # fmt: skip
-    """Return maps that repeat. values: (H, W, components); covered: (H, W) bool.
+    """Return seamless maps of the largest square of covered texels. values: (H, W, components). covered: (H, W) bool.
 
-    The largest square of covered texels is used. size: texels of a side, by default the power of two that the card's
-    texels fill; 0: those of the period, which may be no square. overlap: of the square's side, which is lost to the
-    blend; by default the one whose ends match, so that a weave or a bond of bricks continues. Raises InputError where
-    the square is too small.
+    size: texels of a side, by default the largest power of two within the period; 0: those of the period, which may be
+    oblong. overlap: fraction of the square's side that the blend consumes; by default the one whose ends match, so that
+    a weave or a bond of bricks continues. Raises InputError if the square is too small.
     """
     x, y, side = largest_square(covered)
     if side < _LEAST or side * (1 - (overlap or 0)) < _LEAST // 2:
@@ -68,22 +66,22 @@ def seamless(
     if size != 0:
         size = size or 2 ** int(np.log2(min(period)))
         whole = _resized(_resized(whole, size).swapaxes(0, 1), size).swapaxes(0, 1)
-    found, at = {}, 0
+    result, at = {}, 0
     for parameter in model.parameters:
         part = whole[..., at : at + square[parameter.name].shape[-1]]
         at += part.shape[-1]
         if parameter.is_normal:
             part = part / np.maximum(np.linalg.norm(part, axis=-1, keepdims=True), 1e-9)
-        found[parameter.name] = np.clip(part, *parameter.range).astype(np.float32)
-    return Seamless(found, (x, y, side), period, seam, plain)
+        result[parameter.name] = np.clip(part, *parameter.range).astype(np.float32)
+    return Seamless(result, (x, y, side), period, seam, plain)
 
 
 def largest_square(covered: np.ndarray) -> tuple[int, int, int]:
-    """Return x, y and side of the largest square of covered texels (H, W); the one nearest to the middle of several."""
+    """Return x, y and side of the largest square of covered texels (H, W), of several the one nearest the middle."""
     sums = np.pad(covered.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
     def squares(side: int) -> np.ndarray:
-        """Return whether the square from each texel, its lower left one, is whole."""
+        """Return, for each texel as the lower left one, whether the square is covered."""
         corners = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
         return corners == side**2
 
@@ -100,20 +98,20 @@ def largest_square(covered: np.ndarray) -> tuple[int, int, int]:
 
 
 def _scale(model: ReflectanceModel, name: str, values: np.ndarray) -> np.ndarray:
-    """Return (components,) what a difference of a map counts by: its deviation, at least a hundredth of its range."""
+    """Return (components,) the unit of a map's differences: its standard deviation, at least 1 % of its range."""
     parameter = model.parameter(name)
     least = 0.01 * (2.0 if parameter.is_normal else float(np.ptp(parameter.range)))
     return np.full(values.shape[-1], max(float(values.std(axis=(0, 1)).mean()), least))
 
 
 def _joined(stack: np.ndarray, scale: np.ndarray, over: int, wraps: bool) -> tuple[np.ndarray, float]:
-    """Return maps (H, W − over, C) that continue from the last column to the first, and how visible the path is.
+    """Return maps (H, W − over, C) periodic along the rows, and the ``Seamless.seam`` of the path.
 
-    wraps: the rows continue already; then the path does, too.
+    wraps: whether the first row continues the last; then the path does, too.
     """
     cost = _path_costs(stack / scale, over, wraps)
     path = (over - cost.shape[1]) // 2 + cheapest_path(cost, wraps)
-    mask = (np.arange(over) < path[:, None]).astype(np.float64)  # 1 where the right end is seen
+    mask = (np.arange(over) < path[:, None]).astype(np.float64)  # 1 for the right end
     blend = _blended(stack, over, mask, wraps)
     whole = np.concatenate([blend, stack[:, over:-over]], axis=1)
     rows = np.arange(len(whole))
@@ -122,7 +120,7 @@ def _joined(stack: np.ndarray, scale: np.ndarray, over: int, wraps: bool) -> tup
 
 
 def _path_costs(stack: np.ndarray, over: int, wraps: bool) -> np.ndarray:
-    """Return (H, W) how different both ends of maps in their scales are, where a path may run in their overlap."""
+    """Return (H, W) squared differences of both ends of scaled maps where a path may run in their overlap."""
     cost = ((stack[:, :over] - stack[:, -over:]) ** 2).sum(axis=-1)
     cost = blurred(np.pad(cost, ((over, over), (0, 0)), mode="wrap"), _SMOOTH)[over:-over] if wraps else blurred(
         cost, _SMOOTH)  # fmt: skip
@@ -131,10 +129,10 @@ def _path_costs(stack: np.ndarray, over: int, wraps: bool) -> np.ndarray:
 
 
 def _matching_overlaps(stack: np.ndarray) -> tuple[int, int]:
-    """Return the overlaps along rows and along columns, in texels, at which the ends of maps (N, N, C), in their
-    scales, match; what is left of both directions differs by _STRETCH at most.
+    """Return the overlaps along rows and along columns, in texels, at which the ends of scaled maps (N, N, C) match.
 
-    All are tried in means of equal parts; then those beside the best, in ever smaller parts.
+    The two periods differ by _STRETCH at most. The search is coarse to fine: all overlaps in block means, then those
+    beside the best in ever smaller blocks.
     """
     step = 2 ** max(0, int(np.ceil(np.log2(len(stack) / _SEARCHED))))
     coarse = _means(stack, step)
@@ -155,7 +153,7 @@ def _matching_overlaps(stack: np.ndarray) -> tuple[int, int]:
 
 
 def _means(stack: np.ndarray, step: int) -> np.ndarray:
-    """Return the means of squares of step × step texels; what is left over at the ends does not count."""
+    """Return the means of blocks of step × step texels, without incomplete blocks at the end."""
     count = len(stack) // step
     return stack[: count * step, : count * step].reshape(count, step, count, step, -1).mean(axis=(1, 3))
 
@@ -167,40 +165,40 @@ def _best_beside(stack: np.ndarray, over: int) -> int:
 
 def _least_costs(stack: np.ndarray, overlaps: np.ndarray) -> np.ndarray:
     """Return the mean cost of the cheapest path through each overlap along the rows."""
-    found = []
+    costs = []
     for over in overlaps:
         cost = _path_costs(stack, int(over), wraps=False)
-        found.append(cost[np.arange(len(cost)), cheapest_path(cost)].mean())
-    return np.array(found)
+        costs.append(cost[np.arange(len(cost)), cheapest_path(cost)].mean())
+    return np.array(costs)
 
 
 def cheapest_path(cost: np.ndarray, wraps: bool = False) -> np.ndarray:
-    """Return (H,) the columns of the path from the first row of costs (H, W) to the last that has the least sum.
+    """Return (H,) the columns of the path of least sum from the first row of costs (H, W) to the last.
 
-    From row to row it moves by one column at most; wraps: from the last row to the first, too.
+    The path moves by at most one column from row to row; wraps: also from the last row to the first.
     """
-    if wraps:  # the middle of three rounds, begun again where it passes
+    if wraps:  # start in the column of the middle one of three periods
         start = int(cheapest_path(np.concatenate([cost] * 3))[len(cost)])
         cost = cost.copy()
         cost[0, np.arange(cost.shape[1]) != start] = np.inf
         closed = cheapest_path(np.concatenate([cost, cost[:1]]))
         return closed[:-1]
-    total, way = cost[0], []
+    total, steps = cost[0], []
     for row in cost[1:]:
         padded = np.pad(total, 1, constant_values=np.inf)
         near = np.stack([padded[:-2], padded[1:-1], padded[2:]])
-        way.append(near.argmin(axis=0) - 1)
+        steps.append(near.argmin(axis=0) - 1)
         total = row + near.min(axis=0)
     column = int(total.argmin())
     path = [column]
-    for step in reversed(way):
+    for step in reversed(steps):
         column += int(step[column])
         path.append(column)
     return np.array(path[::-1])
 
 
 def _blended(stack: np.ndarray, over: int, mask: np.ndarray, wraps: bool) -> np.ndarray:
-    """Return (H, over, C) the right end under ``mask`` and the left end beside it, joined band by band."""
+    """Return (H, over, C) a blend, band by band, of the right end where ``mask`` is 1 and the left end elsewhere."""
     pad = over if wraps else 0
 
     def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -225,7 +223,7 @@ def _blended(stack: np.ndarray, over: int, mask: np.ndarray, wraps: bool) -> np.
 
 
 def _steps_over_wrap(stack: np.ndarray) -> float:
-    """Return how visible the borders are where maps (N, N, C), in their scales, are repeated as they are."""
+    """Return the ``Seamless.seam`` of scaled maps (N, N, C) that are repeated without blending."""
     shares = []
     for image in (stack, stack.swapaxes(0, 1)):
         border = np.abs(image[:, 0] - image[:, -1]).sum(axis=-1).mean()
@@ -234,7 +232,7 @@ def _steps_over_wrap(stack: np.ndarray) -> float:
 
 
 def _resized(image: np.ndarray, size: int) -> np.ndarray:
-    """Return rows of ``size`` means of equal parts of a periodic image's rows (H, W, C)."""
+    """Resample the rows of a periodic image (H, W, C) to ``size`` means of equal parts."""
     width = image.shape[1]
     sums = np.concatenate([np.zeros_like(image[:, :1]), image.cumsum(axis=1)], axis=1)
     at = np.arange(size + 1) * width / size

@@ -1,4 +1,4 @@
-"""Writing a result to a folder: every file gets a temporary name first, then its own."""
+"""Writes a result to a folder: all files into a temporary folder first, then each under its name."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from .report import plain
 REPORT = "report.json"
 BLEND = "material.blend"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
-_PARTIAL = ".irpso-result-"  # prefix of a folder with a result being written
-# Files that results have beside the maps of their model.
+_PARTIAL = ".irpso-result-"  # prefix of the temporary folder
+# Stems of a result's files other than the maps of its model.
 _BESIDE = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect", "normal_object",
            "normal_world", "normal_directx")  # fmt: skip
 
 
 def check_output_folder(folder: str | Path) -> Path:
-    """Return the folder as a Path. Raises InputError where a result cannot be written there."""
+    """Return the folder as a Path. Raises InputError if a result cannot be written there."""
     if not str(folder):
         raise InputError("the output folder has an empty name; give a name")
     check_writable(Path(folder))
@@ -43,7 +43,7 @@ def check_output_folder(folder: str | Path) -> Path:
 
 
 def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
-    """Raise InputError where a result of ``model`` in ``folder`` would replace a file that no former result wrote."""
+    """Raise InputError if a result of ``model`` in ``folder`` would replace a file that no former result wrote."""
     stems = {table.name for table in map_tables(model)} | set(_BESIDE)
     names = [path.name for path in sorted(folder.iterdir())] if folder.is_dir() else []
     ours = [n for n in names if n in (REPORT, BLEND) or (_OWN_FILE.match(n) and n.partition(".")[0] in stems)]
@@ -54,7 +54,7 @@ def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
 
 
 def _first_foreign(folder: Path, names: Sequence[str], former: set[str]) -> str | None:
-    """Return the first of these names that ``folder`` has, and a former result of these files has not."""
+    """Return the first of ``names`` that exists in ``folder`` and is not in ``former``, None for none."""
     return next((name for name in names if name not in former and (folder / name).exists()), None)
 
 
@@ -82,7 +82,7 @@ def write_maps(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         former = _former_files(folder)
-        for left in folder.glob(f"{_PARTIAL}*"):  # of a process that was killed
+        for left in folder.glob(f"{_PARTIAL}*"):  # left by a killed process
             shutil.rmtree(left, ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
             names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
@@ -106,7 +106,7 @@ def write_maps(
 
 
 def remove_result(folder: Path) -> None:
-    """Remove the files of the result in this folder, and the folder where nothing else is in it."""
+    """Remove the files of the result in this folder, and the folder if nothing else is in it."""
     for name in _former_files(folder):
         (folder / name).unlink(missing_ok=True)
     _remove_empty([folder])
@@ -188,21 +188,21 @@ def _write_report(
 
 
 def _former_files(folder: Path) -> set[str]:
-    """Return the files of the result in this folder, and of one whose process was killed while it moved them here."""
-    found = set()
+    """Return the names of the files of a former result here, and of one whose process was killed while moving them."""
+    names = set()
     for report in (folder / REPORT, *folder.glob(f"{_PARTIAL}*/{REPORT}")):
         try:
             known = json.loads(report.read_text(encoding="utf-8"))
-            listed = known.get("files", [] if "slots" in known else None)  # that of slots lists their folders
+            listed = known.get("files", [] if "slots" in known else None)  # a report of slots lists their folders
         except (OSError, ValueError, AttributeError):
             continue
         if isinstance(listed, list):
-            found |= {REPORT, BLEND, *(name for name in listed if isinstance(name, str) and _OWN_FILE.match(name))}
-    return found
+            names |= {REPORT, BLEND, *(name for name in listed if isinstance(name, str) and _OWN_FILE.match(name))}
+    return names
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove the empty ones of the folders that this call made, deepest first."""
+    """Remove the empty ones of ``folders``, deepest first, up to the first that is not empty."""
     for folder in folders:
         if not folder.is_dir() or any(folder.iterdir()):
             return

@@ -1,1 +1,1 @@
-"""A capture to practise on: a glazed tile, a mirror ball and a colour chart, photographed by Cycles, and its truth."""
+"""A capture to practise on: Cycles renders a glazed tile, a mirror ball and a colour chart; with ground truth."""

@@ -1,4 +1,4 @@
-"""Photographs as a phone writes them: 8-bit sRGB in JPEG, with EXIF."""
+"""Writes photographs like a phone's: 8-bit sRGB in JPEG, with EXIF."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _UPRIGHT, _SRGB = 1, 1
 
 
 def developed(radiance: np.ndarray, seed: int) -> np.ndarray:
-    """Return (H, W, 3) uint8 sRGB codes, row 0 at the TOP, of radiance, row 0 at the bottom; 1 is the full scale."""
+    """Return (H, W, 3) uint8 sRGB codes, row 0 at the TOP, of radiance, row 0 at the bottom; 1 is full scale."""
     finite = np.minimum(np.nan_to_num(radiance, nan=0.0), 1e4)
     codes = srgb_from_linear(_SENSOR.expose(finite, seed))
     return np.round(255 * codes[::-1]).astype(np.uint8)

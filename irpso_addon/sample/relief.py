@@ -1,7 +1,7 @@
-"""The tile: its relief and its materials as functions of the place on it. Plain numpy, millimetres.
+"""The tile: relief and materials as functions of position. Plain numpy, millimetres.
 
-x to the right and y up count from the tile's centre. Shapes are signed distances, negative inside; each raises the
-surface by a dome and has a material: clay, glaze or gold.
+The origin is the tile's centre, x to the right, y up. Shapes are signed distances, negative inside; each adds a dome to
+the height and has a material: clay, glaze or gold.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from ..core.waves import wave_values
 
-HALF = 100.0  # of the tile's side
+HALF = 100.0  # half of the tile's side
 THICKNESS = 10.0  # of the tile's field, above the table
 _ROUNDED = 3.0  # radius of the tile's edge
-_RIM, _BAND, _ROPE = 7.0, 19.0, 27.0  # where these end, from the tile's edge inward
-_BEADS = 17.4  # from one bead of the band to the next
-_FOOT = 0.06  # share of a dome's width over which it rises from the field: glaze fills sharp corners
-_SOFT = 0.35  # over which two materials meet
+_RIM, _BAND, _ROPE = 7.0, 19.0, 27.0  # inner borders, as distances from the tile's edge
+_BEADS = 17.4  # distance between beads of the band
+_FOOT = 0.06  # smoothing of a dome's foot, of its width: glaze fills sharp corners
+_SOFT = 0.35  # half-width of the transition between two materials
 
 _CLAY = ((0.50, 0.25, 0.14), (0.40, 0.18, 0.10))
 _TURQUOISE = ((0.11, 0.42, 0.38), (0.015, 0.17, 0.19))
@@ -33,7 +33,7 @@ _GOLD = ((0.94, 0.69, 0.31), (0.87, 0.59, 0.24))
 
 @dataclass(frozen=True)
 class Tile:
-    """The tile's surface at places of one shape (…). height: millimetres above the table.
+    """The tile's surface at positions of shape (…). height: millimetres above the table.
 
     base_color: (…, 3) linear. roughness, metallic: (…) in 0…1.
     """
@@ -46,7 +46,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class _Shape:
-    """distance: millimetres, negative inside. width: from its edge to its crest. rise: height of the crest.
+    """One raised shape. distance: millimetres, negative inside. width: from edge to crest. rise: height of the crest.
 
     tint: 0…1 from the first colour to the second.
     """
@@ -60,21 +60,21 @@ class _Shape:
 
 
 def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the height of the surface above the table at places (…) on the tile, in millimetres."""
+    """Return the height of the surface above the table at positions (…) on the tile, in millimetres."""
     return tile(x, y).height
 
 
 def tile(x: np.ndarray, y: np.ndarray) -> Tile:
-    """Return the surface at places (…), in float64; both coordinates lie in ±HALF."""
+    """Return the surface at positions (…), in float64; both coordinates lie in ±HALF."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     places = np.stack([x, y, np.zeros_like(x)], axis=-1)
     slow, fine, grain, hammered = (wave_values(places, length, n) for n, length in enumerate((40, 11, 2.5, 6.5)))
     shapes = list(_shapes(x, y))
     nearest = np.min([shape.distance for shape in shapes], axis=0)
-    pool = np.exp(-np.maximum(nearest, 0) / 4)  # glaze runs off what stands out and gathers at its foot
+    pool = np.exp(-np.maximum(nearest, 0) / 4)  # glaze runs off raised shapes and gathers at their feet
     colour = _mixed(*_TURQUOISE, np.clip(0.35 + 0.5 * pool + 0.2 * slow, 0, 1)[..., None])
     clay, gold = np.zeros_like(x), np.zeros_like(x)
-    relief = THICKNESS - _fallen(_edge(x, y))
+    relief = THICKNESS - _edge_depth(_edge(x, y))
     for shape in shapes:
         inside = _step(-shape.distance)
         relief = relief + shape.rise * _dome(-shape.distance / shape.width)
@@ -90,7 +90,7 @@ def tile(x: np.ndarray, y: np.ndarray) -> Tile:
 
 
 def _shapes(x: np.ndarray, y: np.ndarray) -> Iterator[_Shape]:
-    """Yield the shapes, each over the former ones: frame, leaves, petals, rings and beads."""
+    """Yield the shapes, each on top of the previous ones: frame, leaves, petals, rings and beads."""
     edge, flat = _edge(x, y), np.full_like(x, 0.5)
     along = np.where(np.abs(x) > np.abs(y), y, x)
     band = np.abs(edge - (_RIM + _BAND) / 2) - (_BAND - _RIM) / 2
@@ -122,8 +122,8 @@ def _edge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return HALF - np.maximum(np.abs(x), np.abs(y))
 
 
-def _fallen(edge: np.ndarray) -> np.ndarray:
-    """Return how far the rounded edge lies below the field: a quarter of a circle."""
+def _edge_depth(edge: np.ndarray) -> np.ndarray:
+    """Return the depth of the rounded edge below the field: a quarter of a circle."""
     reach = np.clip(1 - edge / _ROUNDED, 0, 1)
     return _ROUNDED * (1 - np.sqrt(1 - reach**2))
 
@@ -138,13 +138,13 @@ def _folded(x: np.ndarray, y: np.ndarray, turn: float, count: int) -> tuple[np.n
 
 
 def _lens(u: np.ndarray, v: np.ndarray, length: float, width: float) -> np.ndarray:
-    """Return the distance from the lens of two arcs, ``length`` and ``width`` from its centre to its tips and sides."""
+    """Return the signed distance to a lens of two arcs; length, width: from its centre to its tips, its sides."""
     radius = (length**2 + width**2) / (2 * width)
     return np.hypot(u, np.abs(v) + radius - width) - radius
 
 
 def _dome(depth: np.ndarray) -> np.ndarray:
-    """Return 0 outside, 1 at depth 1 and beyond; the foot is softened over _FOOT."""
+    """Return the height at relative depth: 0 outside, 1 from depth 1 on; the foot is smoothed over _FOOT."""
     soft = _FOOT * np.logaddexp(0, depth / _FOOT)
     return 1 - np.maximum(1 - soft, 0) ** 2
 

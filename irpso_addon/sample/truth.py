@@ -1,4 +1,4 @@
-"""What is true of a sample: maps, mask, lights and places in the pictures, and a page that says what to try."""
+"""Writes a sample's ground truth (maps, mask, lights, positions in the pictures) and a page of commands to try."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ..core.toml_text import toml_value
 from . import layout
 
 TRUTH, MAPS, MASK, PLACES, PAGE = "truth", "maps.exr", "tile.png", "places.toml", "README.txt"
-_WHOLE = 0.999  # of a pixel that the tile fills
+_WHOLE = 0.999  # coverage of a pixel that the tile fills
 
 
 def write_truth(folder: Path, found: layout.Layout, seen: Mapping[str, np.ndarray], names: Sequence[str]) -> None:
-    """Write the truth into ``folder`` and the page beside it. seen: maps as the camera sees them, row 0 at the bottom.
+    """Write the truth and the page into ``folder``. seen: maps in the camera's view, row 0 at the bottom.
 
     names: of the photographs. Maps are 0 in pixels that the tile does not fill.
     """
     mask = seen[SUBJECT] > _WHOLE
     (folder / TRUTH).mkdir()
-    kept = {name: np.where(mask if seen[name].ndim == 2 else mask[..., None], seen[name], 0) for name in seen}
+    masked = {name: np.where(mask if seen[name].ndim == 2 else mask[..., None], seen[name], 0) for name in seen}
     write_exr(folder / TRUTH / MAPS, {
-        "normal": dict(zip("XYZ", np.moveaxis(kept["normal"], -1, 0), strict=True)),
-        "base_color": dict(zip("RGB", np.moveaxis(kept["base_color"], -1, 0), strict=True)),
-        "roughness": {"Y": kept["roughness"]},
-        "metallic": {"Y": kept["metallic"]},
+        "normal": dict(zip("XYZ", np.moveaxis(masked["normal"], -1, 0), strict=True)),
+        "base_color": dict(zip("RGB", np.moveaxis(masked["base_color"], -1, 0), strict=True)),
+        "roughness": {"Y": masked["roughness"]},
+        "metallic": {"Y": masked["metallic"]},
     })  # fmt: skip
     encode_png(folder / TRUTH / MASK, mask.astype(np.float64)[..., None], bits=8)
     (folder / TRUTH / TABLE).write_text("\n".join(_table(found, names)) + "\n", encoding="utf-8")
@@ -38,21 +38,21 @@ def write_truth(folder: Path, found: layout.Layout, seen: Mapping[str, np.ndarra
     (folder / PAGE).write_text(_page(found, len(names)), encoding="utf-8")
 
 
-def _table(found: layout.Layout, names: Sequence[str]) -> Iterator[str]:
-    """Yield the lines of a capture.toml with the true lights; the origin is the camera, lengths are millimetres."""
+def _table(arrangement: layout.Layout, names: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of a capture.toml with the true lights, in millimetres from the camera."""
     yield from (f"format = {FORMAT}", 'name = "sample"', 'colour_space = "srgb"')
-    yield f"{CARD_DISTANCE} = {toml_value(found.card_distance)}"
-    yield from ("", "[[camera]]", f"fov_degrees = {toml_value(found.fov_degrees)}", f'mask = "{MASK}"')
-    for name, lamp in zip(names, found.lamps - found.camera.position, strict=True):
+    yield f"{CARD_DISTANCE} = {toml_value(arrangement.card_distance)}"
+    yield from ("", "[[camera]]", f"fov_degrees = {toml_value(arrangement.fov_degrees)}", f'mask = "{MASK}"')
+    for name, lamp in zip(names, arrangement.lamps - arrangement.camera.position, strict=True):
         yield from ("", "[[observation]]", f'image = "../photographs/{name}"', f"light_position = {toml_value(lamp)}")
         yield f"light_intensity = {toml_value(layout.LAMP_DISTANCE**2)}"
 
 
-def _places(found: layout.Layout) -> Iterator[str]:
-    """Yield the lines of the table of places: pixels to the right and down from the upper left corner."""
-    camera = found.camera
+def _places(arrangement: layout.Layout) -> Iterator[str]:
+    """Yield the lines of places.toml: pixels to the right and down from the upper left corner."""
+    camera = arrangement.camera
     yield "# Pixels count to the right and down from the upper left corner of a photograph; lengths are millimetres."
-    yield f"fov_degrees = {toml_value(found.fov_degrees)}  # over the width"
+    yield f"fov_degrees = {toml_value(arrangement.fov_degrees)}  # over the width"
     yield f"ball = {toml_value(np.round(layout.ball_circle(camera), 3))}  # x, y, radius of its outline"
     yield f"ball_radius = {layout.BALL_RADIUS}"
     yield f"ball_centre = {toml_value(layout.ball_middle() - camera.position)}  # from the camera; z is minus the depth"
@@ -62,9 +62,9 @@ def _places(found: layout.Layout) -> Iterator[str]:
     yield f"chart = {toml_value(np.round(layout.seen_from_upper_left(camera, layout.chart_corners()), 3))}"
 
 
-def _page(found: layout.Layout, count: int) -> str:
-    ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(found.camera))
-    crop = ",".join(map(str, layout.tile_crop(found.camera)))
+def _page(arrangement: layout.Layout, count: int) -> str:
+    ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(arrangement.camera))
+    crop = ",".join(map(str, layout.tile_crop(arrangement.camera)))
     lengths = f"--radius {layout.BALL_RADIUS:g} --distance {layout.LAMP_DISTANCE:g}"
     return f"""A capture to practise on
 ========================
@@ -77,7 +77,7 @@ looked straight down.
 Find the lights from the ball, then recover the maps of the tile. Type in this folder:
 
     irpso calibrate photographs {lengths} -o capture
-    irpso recover capture --distance {round(found.card_distance):d} --crop {crop} -o result
+    irpso recover capture --distance {round(arrangement.card_distance):d} --crop {crop} -o result
 
 The ball is searched; where it is too small for that, give its place: --ball {ball} --kind mirror.
 

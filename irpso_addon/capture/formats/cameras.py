@@ -1,4 +1,4 @@
-"""The cameras of a capture table: written there, or from another program's file by image names."""
+"""Cameras of a capture table: its own [[camera]] tables, or those of another program's file by image name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KNOWN = {"name", "width", "height", "matrix"} | _MASK | CAMERA_KEYS
 
 
 class Views:
-    """The cameras of one table, in order of definition or first use. specs: of all so far.
+    """Cameras of one table, in order of definition or first use. specs: one ViewSpec per camera so far.
 
     Raises CaptureError if keys are unknown, missing or wrong.
     """
@@ -32,7 +32,7 @@ class Views:
         self._world = _world(table, path, self._poses)
         self._masks: dict[str, ImageRef] = {}
         for count, row in enumerate(rows(table, "camera", path, needed=self._poses is None), 1):
-            # For another program's camera the table may only give a mask.
+            # The table may only add a mask to a camera of another program.
             if self._poses is not None and {"name", "mask"} <= set(row) <= {"name"} | _MASK:
                 name = self._poses.name_of(text(row, "name", str(path)), f"{path}: camera {row['name']}")
                 self._masks[name] = image_ref(row, "mask", path, f"{path}: camera {name}")
@@ -43,7 +43,7 @@ class Views:
             raise CaptureError(f"{path}: two cameras have the same name; names must differ", "camera")
 
     def index(self, row: dict[str, Any], image: ImageRef, where: str) -> int:
-        """Return the camera of an observation: the named one, else its image's, else the first."""
+        """Return the index of an observation's camera: the named one, else its image's, else the first."""
         names = self._names()
         if "camera" not in row and self._poses is None:
             return 0
@@ -78,12 +78,12 @@ def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:
 
 
 def _world(table: dict[str, Any], path: Path, poses: PoseFile | None) -> np.ndarray:
-    """Return (4, 4) from the world of the cameras file to the capture's."""
+    """Return the (4, 4) similarity from the world of the cameras file to the capture's."""
     if "cameras_matrix" not in table:
         return np.eye(4)
     if poses is None:
         raise CaptureError(f"{path}: cameras_matrix is for a file of cameras; add cameras, or remove it", "matrix")
-    return similarity(_sixteen(table["cameras_matrix"], f"{path}: cameras_matrix"), f"{path}: cameras_matrix")
+    return similarity(_four_by_four(table["cameras_matrix"], f"{path}: cameras_matrix"), f"{path}: cameras_matrix")
 
 
 def _view(row: dict[str, Any], path: Path, count: int) -> ViewSpec:
@@ -102,7 +102,7 @@ def _view(row: dict[str, Any], path: Path, count: int) -> ViewSpec:
 
 
 def _matrix(value: Any, where: str) -> np.ndarray:
-    matrix = _sixteen(value, f"{where}: matrix", ": camera to world")
+    matrix = _four_by_four(value, f"{where}: matrix", ": camera to world")
     if not np.isfinite(matrix).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise CaptureError(f"{where}: matrix must end with the row 0, 0, 0, 1; write it row by row", "matrix")
     if not is_rotation(matrix[:3, :3]):
@@ -114,7 +114,7 @@ def _matrix(value: Any, where: str) -> np.ndarray:
     return matrix
 
 
-def _sixteen(value: Any, where: str, what: str = "") -> np.ndarray:
+def _four_by_four(value: Any, where: str, what: str = "") -> np.ndarray:
     flat = sum(value, []) if isinstance(value, list) and all(isinstance(r, list) for r in value) else value
     if not isinstance(flat, list) or len(flat) != 16 or not all(map(is_number, flat)):
         raise CaptureError(f"{where} must be 16 numbers, row by row{what}", "matrix")

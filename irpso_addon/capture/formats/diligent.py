@@ -1,4 +1,4 @@
-"""Captures in the folder layout of DiLiGenT (Shi et al. 2016, a benchmark for photometric stereo)."""
+"""Reads captures in the folder layout of DiLiGenT (Shi et al. 2016, a benchmark for photometric stereo)."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     _same_count(path, len(intensities), len(names))
     shots = []
     for (_, name), (line, vector), (row, intensity) in zip(names, lights, intensities, strict=True):
-        # For errors: the intensity's line if the light itself is valid.
-        sound = any(vector) and all(abs(v) < float("inf") for v in vector)
-        where = f"{path}: line {row}" if row and sound else f"{folder / DIRECTIONS}: line {line}"
+        # Errors name the intensity's line if the direction is valid.
+        valid = any(vector) and all(abs(v) < float("inf") for v in vector)
+        where = f"{path}: line {row}" if row and valid else f"{folder / DIRECTIONS}: line {line}"
         image = ImageRef(find_image(folder, name), colour_space=colour_space)
         shots.append(ObservationSpec(name, image, vector, where, intensity))
     mask = next((folder / m for m in MASKS if (folder / m).exists()), None)
@@ -47,9 +47,9 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     return CaptureSpec(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
 
 
-def _same_count(path: Path, found: int, expected: int) -> None:
-    if found != expected:
+def _same_count(path: Path, count: int, expected: int) -> None:
+    if count != expected:
         raise CaptureError(
-            f"{path}: has {found} lights where {FILENAMES} has {expected} images; write one line for each image",
+            f"{path}: has {count} lights where {FILENAMES} has {expected} images; write one line for each image",
             "count",
         )

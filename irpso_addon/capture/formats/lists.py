@@ -1,4 +1,4 @@
-"""Plain text lists of captures: lines of numbers and lines of names."""
+"""Reads plain text lists of captures: lines of numbers and lines of names."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ def read_lines(path: Path, remedy: str) -> list[tuple[int, str]]:
 
 
 def read_numbers(path: Path, remedy: str) -> list[tuple[int, list[float]]]:
-    """Return (line number, numbers) of each line. Raises CaptureError naming a line with anything else."""
+    """Return (line number, numbers) of each line. Raises CaptureError naming the first line with other text."""
     return [(n, numbers(line.replace(",", " ").split(), f"{path}: line {n}")) for n, line in read_lines(path, remedy)]
 
 
 def numbers(words: list[str], where: str) -> list[float]:
     """Return words as floats. Raises CaptureError naming the first that is no number."""
-    found = []
+    values = []
     for word in words:
         try:
-            found.append(float(word))
+            values.append(float(word))
         except ValueError as error:
             raise CaptureError(f"{where}: '{word[:40]}' is not a number; write numbers only", "not_number") from error
-    return found
+    return values
 
 
 def read_directions(path: Path) -> list[tuple[int, tuple[float, ...]]]:
-    """Return (line number, (x, y, z)) of a light_directions.txt. Refuses a transposed (3×K) table."""
+    """Return (line number, (x, y, z)) of a light_directions.txt. Raises CaptureError for a transposed (3×K) table."""
     rows = read_numbers(path, "write one light a line: x y z toward the light")
     widths = {len(row) for _, row in rows}
     if len(rows) == 3 and len(widths) == 1 and min(widths) > 3:

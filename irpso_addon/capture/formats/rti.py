@@ -1,4 +1,4 @@
-"""Captures of reflectance transformation imaging: a .lp file of light positions (Malzbender et al. 2001) and images."""
+"""Reads captures of reflectance transformation imaging: a .lp list of light positions (Malzbender et al. 2001)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
     CaptureError if the count or a line is wrong.
     """
     remedy = "write the number of images, then one line for each: name x y z"
-    (first, head), *rows = read_lines(path, remedy)
-    if not head.isdigit():
-        raise CaptureError(f"{path}: line {first}: '{head[:40]}' is not a number of images; {remedy}", "count")
-    if int(head) != len(rows):
-        raise CaptureError(f"{path}: says {head} images and lists {len(rows)}; correct the first line", "count")
+    (first, count), *rows = read_lines(path, remedy)
+    if not count.isdigit():
+        raise CaptureError(f"{path}: line {first}: '{count[:40]}' is not a number of images; {remedy}", "count")
+    if int(count) != len(rows):
+        raise CaptureError(f"{path}: says {count} images and lists {len(rows)}; correct the first line", "count")
     if not rows:
         raise CaptureError(f"{path}: lists no images; {remedy}", "list_empty")
     shots = []

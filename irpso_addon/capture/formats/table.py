@@ -1,4 +1,4 @@
-"""The capture table, capture.toml: a whole capture in one file (docs/capture_format.md)."""
+"""Reads the capture table, capture.toml: a whole capture in one file (docs/capture_format.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OBSERVATION = {
 def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
     """Return the spec of a capture.toml. A ``colour_space`` other than "auto" overrides the file's.
 
-    Raises CaptureError if a key is unknown, missing or wrong, or the file of cameras is.
+    Raises CaptureError if a key is unknown, missing or wrong, or the cameras file is unusable.
     """
     return spec_of_keys(load_toml(path), path, colour_space)
 
@@ -53,20 +53,20 @@ def spec_of_keys(table: dict[str, Any], path: Path, colour_space: str = "auto") 
 
 
 def _framing(table: dict[str, Any], where: str) -> Framing:
-    given: dict[str, Any] = {key: number(table, key, where) for key in ("scale", "card_width") if key in table}
+    fields: dict[str, Any] = {key: number(table, key, where) for key in ("scale", "card_width") if key in table}
     if "crop" in table:
-        given["crop"] = vector(table, "crop", 4, where)
+        fields["crop"] = vector(table, "crop", 4, where)
     if table.get("corners") == AUTO:
-        given["corners"] = AUTO
+        fields["corners"] = AUTO
     elif "corners" in table:
         points = table["corners"]
         if not isinstance(points, list) or not all(map(_is_point, points)):
             raise CaptureError(f'{where}: corners must be "auto", or a list of four points [x, y]', "value")
-        given["corners"] = tuple(tuple(map(float, point)) for point in points)
-    if "card_width" in given and CARD_DISTANCE in table:
+        fields["corners"] = tuple(tuple(map(float, point)) for point in points)
+    if "card_width" in fields and CARD_DISTANCE in table:
         raise CaptureError(f"{where}: give one of card_width and {CARD_DISTANCE}", "value")
     try:
-        return Framing(**given)
+        return Framing(**fields)
     except CaptureError as error:
         raise CaptureError(f"{where}: {error.message}", error.code) from error
 
@@ -81,11 +81,11 @@ def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Observat
     if "image" not in row:
         raise CaptureError(f'{where}: names no image; add image = "file.exr"', "value")
     image = image_ref(row, "image", path, where)
-    given = [key for key in ("light_direction", "light_position") if key in row]
-    if len(given) != 1:
+    light_keys = [key for key in ("light_direction", "light_position") if key in row]
+    if len(light_keys) != 1:
         raise CaptureError(f"{where}: needs one of light_direction and light_position", "light_missing")
-    distant = given[0] == "light_direction"
-    light = vector(row, given[0], 3, where)
+    distant = light_keys[0] == "light_direction"
+    light = vector(row, light_keys[0], 3, where)
     intensity = (1.0, 1.0, 1.0)
     if isinstance(row.get("light_intensity"), list):
         intensity = triple(vector(row, "light_intensity", 3, where))
@@ -97,12 +97,12 @@ def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Observat
 
 
 def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[float, ...] | None, float | None, float]:
-    """Return axis, cone in degrees and the power of the cosine to the axis with which the light falls."""
-    given = [key for key in _EMISSION if key in row]
-    if given and distant:
-        raise CaptureError(f"{where}: {given[0]} is for a light_position; a distant light has none", "value")
-    if given and "light_axis" not in row:
-        raise CaptureError(f"{where}: {given[0]} needs light_axis = [x, y, z], the light's direction", "value")
+    """Return a light's axis, the half-angle of its cone in degrees, and the exponent of its cosine."""
+    keys = [key for key in _EMISSION if key in row]
+    if keys and distant:
+        raise CaptureError(f"{where}: {keys[0]} is for a light_position; a distant light has none", "value")
+    if keys and "light_axis" not in row:
+        raise CaptureError(f"{where}: {keys[0]} needs light_axis = [x, y, z], the light's direction", "value")
     axis = vector(row, "light_axis", 3, where) if "light_axis" in row else None
     cone = number(row, "light_cone_degrees", where) if "light_cone_degrees" in row else None
     if cone is not None and cone > 180:

@@ -1,4 +1,4 @@
-"""Strict reading of TOML tables: errors for unknown keys and wrong types name file, place and remedy."""
+"""Strict reader of TOML tables: errors for unknown keys and wrong types name file, place and remedy."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def known_keys(table: dict[str, Any], known: set[str], where: str) -> None:
 
 
 def number(table: dict[str, Any], key: str, where: str, positive: bool = True) -> float:
-    """Return a number of a table. Raises CaptureError if it is none or, if ``positive``, not finite and above 0."""
+    """Return a number of a table. Raises CaptureError for other types; if ``positive``, also unless 0 < number < ∞."""
     value = table[key]
     if not is_number(value) or (positive and not 0 < value < math.inf):
         raise CaptureError(
@@ -70,11 +70,11 @@ def is_number(value: Any) -> bool:
 
 
 def rows(table: dict[str, Any], key: str, path: Path, needed: bool = True) -> list[dict[str, Any]]:
-    """Return the tables [[key]]. Raises CaptureError if they are no tables or, if ``needed``, missing."""
-    found = table.get(key, [])
-    if not isinstance(found, list) or not (found or not needed) or not all(isinstance(row, dict) for row in found):
+    """Return the tables [[key]]. Raises CaptureError if they are of another type or, if ``needed``, missing."""
+    tables = table.get(key, [])
+    if not isinstance(tables, list) or not (tables or not needed) or not all(isinstance(row, dict) for row in tables):
         raise CaptureError(f"{path}: has no [[{key}]]; add one such table for each {key}", key)
-    return found
+    return tables
 
 
 def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef:
@@ -92,7 +92,7 @@ def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef
 
 
 def has_lens(table: Mapping[str, Any]) -> bool:
-    """Return whether a camera's table gives an angle, a focal length or a width, and so a unit of length."""
+    """Return whether a camera's table gives an angle, a focal length or a width."""
     return not {"fov_degrees", "focal_length_px", "world_width"}.isdisjoint(table)
 
 

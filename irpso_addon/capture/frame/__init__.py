@@ -1,1 +1,1 @@
-"""Finds a flat subject in photographs: by a printed marker board around it, or as their one rectangle."""
+"""Detection of a flat subject in photographs: by a printed marker board around it, or as the only rectangle."""

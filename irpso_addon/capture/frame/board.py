@@ -1,6 +1,6 @@
-"""The printed frame: ArUco markers around an empty field of known size (Garrido-Jurado et al. 2014).
+"""Marker boards to print: ArUco markers around an empty field of known size (Garrido-Jurado et al. 2014).
 
-The markers' numbers tell which board they are on, so that a photograph of them tells the field's size.
+The markers' numbers identify the board, and with it the field's size.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 DICTIONARY = "DICT_4X4_50"
 PAPERS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}  # millimetres
 SIDE = 24.0  # of a marker, millimetres
-_EDGE = 10.0  # from the paper's edge to a marker
-_QUIET = 6.0  # white around a marker
-_APART = 5.0  # places of bare paper
+_EDGE = 10.0  # millimetres from the paper's edge to a marker
+_QUIET = 6.0  # millimetres of white around a marker
+_APART = 5.0  # millimetres between points of Board.white
 _DPI = 600
-_INCH = 25.4
+_INCH = 25.4  # millimetres
 _RULER, _CAPTION = 50.0, 14.0  # millimetres: width and height, at the left of the lower edge
 _SUFFIXES = (".png", ".pdf")
 
 
 @dataclass(frozen=True)
 class Board:
-    """A marker board. Millimetres count from the middle of its field, x to the right and y up.
+    """A marker board. Its origin is the middle of the field, x to the right and y up; the unit is the millimetre.
 
-    paper: a key of PAPERS. count: of markers. first: the number of its first marker; the others follow.
+    paper: a key of PAPERS. count: of markers. first: number of the first marker; the others follow.
     """
 
     paper: str
@@ -51,7 +51,7 @@ class Board:
 
     @property
     def name(self) -> str:
-        """What the board is called in messages."""
+        """Name of the board in messages."""
         return f"{self.count} markers on {self.paper}"
 
     @property
@@ -60,8 +60,8 @@ class Board:
         width, height = PAPERS[self.paper]
         x, y = width / 2 - _EDGE - SIDE / 2, height / 2 - _EDGE - SIDE / 2
         middles = [(-x, y), (x, y), (x, -y), (-x, -y), (0, y), (x, 0), (0, -y), (-x, 0)]
-        around = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]) * SIDE / 2
-        return {self.first + k: around + middle for k, middle in enumerate(middles[: self.count])}
+        offsets = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]) * SIDE / 2
+        return {self.first + k: offsets + middle for k, middle in enumerate(middles[: self.count])}
 
     @property
     def field_corners(self) -> np.ndarray:
@@ -70,15 +70,15 @@ class Board:
 
     @property
     def white(self) -> np.ndarray:
-        """(N, 2) places of bare paper, between the markers of each long and short side, in millimetres."""
-        corners = [np.mean(places, axis=0) for places in list(self.markers.values())[:4]]
+        """(N, 2) points on unprinted paper, between the markers of each long and short side, in millimetres."""
+        corners = [np.mean(points, axis=0) for points in list(self.markers.values())[:4]]
         middles = np.array([
             (1 - share) * corners[k] + share * corners[(k + 1) % 4] for k in range(4) for share in (0.28, 0.72)
         ])  # fmt: skip
-        around = _APART * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-        places = (middles[:, None] + around).reshape(-1, 2)
-        printed = (places[:, 0] < 0) & (places[:, 1] < _EDGE - PAPERS[self.paper][1] / 2 + _CAPTION)
-        return places[~printed]
+        offsets = _APART * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+        points = (middles[:, None] + offsets).reshape(-1, 2)
+        printed = (points[:, 0] < 0) & (points[:, 1] < _EDGE - PAPERS[self.paper][1] / 2 + _CAPTION)
+        return points[~printed]
 
 
 BOARDS = tuple(

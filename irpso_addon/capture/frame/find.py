@@ -1,4 +1,4 @@
-"""The four corners of a flat subject, found in a capture's photographs."""
+"""Searches the four corners of a flat subject in a capture's photographs."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .markers import Seen, seen_markers
 from .rectangle import dominant, fitted, quadrilaterals
 
 Corners = tuple[tuple[float, float], ...]
-_PICTURES = 9  # photographs that are read
-_READ = 0.5  # fraction of the work, at the end of reading
-_BRIGHT = 99.0  # percentile that is shown white
-_APART = 0.006  # of the picture's diagonal: how far a photograph's own corners may lie from all the photographs' median
-_AGREE = 0.5  # share of the photographs read
+_PICTURES = 9  # most photographs to read
+_READ = 0.5  # fraction of the work done after reading
+_BRIGHT = 99.0  # percentile of radiance that becomes white
+_APART = 0.006  # of the diagonal: largest distance of a photograph's corners from the median of all photographs
+_AGREE = 0.5  # least share of the photographs read that must agree
 _REMEDY = "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window"
 
 
@@ -32,7 +32,7 @@ _REMEDY = "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window"
 class Found:
     """corners: four (x, y), clockwise from the upper left one, in pixels from the picture's upper left corner.
 
-    photographs: how many of those read agree. read: how many that is. board: of the markers, None for a rectangle.
+    photographs: number that agree, of ``read`` photographs. board: of the markers, None for a rectangle.
     """
 
     corners: Corners
@@ -42,7 +42,7 @@ class Found:
 
     @property
     def width(self) -> float | None:
-        """The width of the rectangle in millimetres, as its board says; None without markers."""
+        """Width of the board's field in millimetres; None without markers."""
         return None if self.board is None else self.board.field[0]
 
     def __str__(self) -> str:
@@ -70,18 +70,18 @@ def corner_steps(capture: Capture) -> Generator[float, None, Found]:
     yield _READ
     codes = [display_codes(picture) for picture in pictures]
     height, width = codes[0].shape
-    together = [display_codes(np.max(pictures, axis=0)), display_codes(np.median(pictures, axis=0))]
-    total, looks = 2 * (len(codes) + len(together)), count(1)
-    looking = _search_steps(codes, together, capture.name)
-    found = yield from map_steps(looking, lambda _: _READ + (1 - _READ) * next(looks) / total)
-    outside = [f"{x:.0f},{y:.0f}" for x, y in found.corners if not (0 <= x <= width and 0 <= y <= height)]
+    combined = [display_codes(np.max(pictures, axis=0)), display_codes(np.median(pictures, axis=0))]
+    total, searched = 2 * (len(codes) + len(combined)), count(1)
+    search = _search_steps(codes, combined, capture.name)
+    result = yield from map_steps(search, lambda _: _READ + (1 - _READ) * next(searched) / total)
+    outside = [f"{x:.0f},{y:.0f}" for x, y in result.corners if not (0 <= x <= width and 0 <= y <= height)]
     if outside:
         raise CaptureError(
             f"corners auto: the corner {outside[0]} of '{capture.name}' lies outside the photographs; show all of the"
             " card, or use crop",
             "corners",
         )
-    return found
+    return result
 
 
 find_corners = at_once("find_corners", corner_steps)
@@ -98,37 +98,37 @@ def _radiance(capture: Capture, number: int) -> np.ndarray:
     return np.nan_to_num(without_bounds(capture.observations[number].read())[..., :3].mean(axis=-1), posinf=0.0)
 
 
-def _search_steps(codes: list[np.ndarray], together: list[np.ndarray], name: str) -> Generator[None, None, Found]:
-    """Yield before each look at a picture; return the corners by markers, else by the outline."""
-    found = []
-    for picture in (*codes, *together):
+def _search_steps(codes: list[np.ndarray], combined: list[np.ndarray], name: str) -> Generator[None, None, Found]:
+    """Yield before searching each picture; return the corners by markers, else by the outline."""
+    markers = []
+    for picture in (*codes, *combined):
         yield
-        found.append(seen_markers(picture))
-    if any(seen is not None for seen in found):
-        return _by_markers(found[: len(codes)], found[len(codes) :])
-    return (yield from _by_outline(codes, together, name))
+        markers.append(seen_markers(picture))
+    if any(seen is not None for seen in markers):
+        return _by_markers(markers[: len(codes)], markers[len(codes) :])
+    return (yield from _by_outline(codes, combined, name))
 
 
-def _by_markers(each: list[Seen | None], together: list[Seen | None]) -> Found:
-    """Return the field's corners by all markers that a photograph or all of them together show."""
-    seen = [found for found in (*each, *together) if found is not None]
-    board = max((found.board for found in seen), key=lambda board: sum(found.board == board for found in seen))
-    same = [found for found in seen if found.board == board]
+def _by_markers(single: list[Seen | None], combined: list[Seen | None]) -> Found:
+    """Return the field's corners from the markers of single photographs and of combined pictures."""
+    detections = [one for one in (*single, *combined) if one is not None]
+    board = max((one.board for one in detections), key=lambda board: sum(one.board == board for one in detections))
+    same = [one for one in detections if one.board == board]
     by_number: dict[int, list[np.ndarray]] = {}
-    for found in same:
-        for k, number in enumerate(found.numbers):
-            by_number.setdefault(number, []).append(found.pixels[4 * k : 4 * k + 4])
+    for one in same:
+        for k, number in enumerate(one.numbers):
+            by_number.setdefault(number, []).append(one.pixels[4 * k : 4 * k + 4])
     plane = np.concatenate([board.markers[number] for number in by_number])
     pixels = np.concatenate([np.median(places, axis=0) for places in by_number.values()])
     corners = mapped(homography(plane, pixels), board.field_corners)
-    agree = sum(found is not None and found.board == board for found in each)
-    return Found(_points(corners), agree, len(each), board)
+    agree = sum(one is not None and one.board == board for one in single)
+    return Found(_points(corners), agree, len(single), board)
 
 
-def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) -> Generator[None, None, Found]:
-    """Return the dominant rectangle of all photographs together, fitted again in each. Raises CaptureError."""
+def _by_outline(codes: list[np.ndarray], combined: list[np.ndarray], name: str) -> Generator[None, None, Found]:
+    """Return the mean of the combined pictures' dominant rectangle, fitted to each photograph. Raises CaptureError."""
     outlines = []
-    for picture in together:
+    for picture in combined:
         yield
         outlines.append(dominant(quadrilaterals(picture)))
     if any(rival for _, rival in outlines):
@@ -140,21 +140,21 @@ def _by_outline(codes: list[np.ndarray], together: list[np.ndarray], name: str) 
             f" {_REMEDY}",
             "corners",
         )
-    own = []
+    fits = []
     for picture in codes:
         yield
         if (corners := fitted(picture, first)) is not None:
-            own.append(corners)
+            fits.append(corners)
     diagonal = math.hypot(*codes[0].shape)
-    middle = np.median(own, axis=0) if own else first
-    near = [found for found in own if np.linalg.norm(found - middle, axis=1).max() < _APART * diagonal]
-    if len(near) < _AGREE * len(codes):
+    middle = np.median(fits, axis=0) if fits else first
+    close = [corners for corners in fits if np.linalg.norm(corners - middle, axis=1).max() < _APART * diagonal]
+    if len(close) < _AGREE * len(codes):
         raise CaptureError(
-            f"corners auto: a rectangle shows in '{name}', and only {len(near)} of {len(codes)} photographs agree on"
+            f"corners auto: a rectangle shows in '{name}', and only {len(close)} of {len(codes)} photographs agree on"
             f" it; {_REMEDY}",
             "corners",
         )
-    return Found(_points(np.mean(near, axis=0)), len(near), len(codes))
+    return Found(_points(np.mean(close, axis=0)), len(close), len(codes))
 
 
 def _points(corners: np.ndarray) -> Corners:

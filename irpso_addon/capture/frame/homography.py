@@ -1,4 +1,4 @@
-"""Homographies: maps between pictures of a plane (Hartley & Zisserman 2004, Multiple View Geometry, Chapter 4)."""
+"""Homographies: maps between images of a plane (Hartley & Zisserman 2004, Multiple View Geometry, Chapter 4)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ def mapped(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def homography(points: np.ndarray, images: np.ndarray) -> np.ndarray:
-    """Return the (3, 3) homography from points (N, 2) to images (N, 2), four or more: least squares by the normalised
+    """Return the (3, 3) homography from points (N, 2) to images (N, 2), N ≥ 4; its last entry is 1.
 
-    direct linear transform (Algorithm 4.2). Its last entry is 1.
+    Least squares by the normalised direct linear transform (Algorithm 4.2).
     """
     first, second = _normaliser(points), _normaliser(images)
     a, b = mapped(first, points), mapped(second, images)
     ones, zeros = np.ones((len(a), 1)), np.zeros((len(a), 3))
-    place = np.concatenate([a, ones], axis=1)
+    homogeneous = np.concatenate([a, ones], axis=1)
     rows = np.concatenate([
-        np.concatenate([place, zeros, -b[:, :1] * place], axis=1),
-        np.concatenate([zeros, place, -b[:, 1:] * place], axis=1),
+        np.concatenate([homogeneous, zeros, -b[:, :1] * homogeneous], axis=1),
+        np.concatenate([zeros, homogeneous, -b[:, 1:] * homogeneous], axis=1),
     ])  # fmt: skip
-    found = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
-    matrix = np.linalg.inv(second) @ found @ first
+    solution = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
+    matrix = np.linalg.inv(second) @ solution @ first
     return matrix / matrix[2, 2]
 
 

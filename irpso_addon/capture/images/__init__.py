@@ -1,1 +1,1 @@
-"""Image files: headers, EXIF, colour profiles, OpenEXR, HEIC, raw files; and the way from code values to radiance."""
+"""Image files: headers, EXIF, colour profiles, OpenEXR, HEIC, raw files; and conversion of code values to radiance."""

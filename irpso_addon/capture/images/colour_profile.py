@@ -1,7 +1,7 @@
 """Colour profiles of image files, from code values to linear Rec. 709: ICC profiles, and the codes of ITU-T H.273.
 
-LittleCMS (Pillow's ImageCms) opens a profile, but transforms pixels of 8 bits only, and the darkest linear values would
-have no digits left. So the curves and the matrix of a profile are applied here, in the precision of the values.
+LittleCMS (Pillow's ImageCms) opens a profile, but transforms pixels of 8 bits only, which are too few for dark linear
+values. So this module applies a profile's curves and matrix in the precision of the values.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ Curve = Callable[[np.ndarray], np.ndarray]
 # Linear Rec. 709 to XYZ relative to D50, white to white: the colorants of sRGB profiles (ICC, sRGB.icc; Bradford).
 _REC709_TO_XYZ = np.array([[0.43607, 0.38515, 0.14307], [0.22249, 0.71687, 0.06061], [0.01392, 0.09708, 0.71410]])
 _GREY = np.linspace(0, 1, 256)
-_SAME_CURVE, _SAME_MATRIX = 0.003, 0.005  # below: the profile counts as linear or as sRGB itself
-_PRIMARIES = {1: REC_709, 9: REC_2020, 12: P3_D65}  # by the codes of ITU-T H.273
+_SAME_CURVE, _SAME_MATRIX = 0.003, 0.005  # largest difference of a profile that counts as linear or as sRGB
+_PRIMARIES = {1: REC_709, 9: REC_2020, 12: P3_D65}  # codes of ITU-T H.273
 _PRIMARY_NAMES = {1: "Rec. 709", 9: "Rec. 2020", 12: "Display P3"}
 _UNSPECIFIED, _PQ, _HLG = 2, 16, 18
 
 
 class ProfileError(ValueError):
-    """A colour profile that cannot be used; says why, without the file."""
+    """An unusable colour profile. The message gives the reason, not the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColourProfile:
-    """curves: red, green, blue; code / largest code to linear. matrix: (3, 3), linear values to linear Rec. 709."""
+    """curves: of red, green, blue: code / largest code → linear. matrix: (3, 3), linear values → linear Rec. 709."""
 
     name: str
     curves: tuple[Curve, Curve, Curve]
@@ -46,21 +46,21 @@ class ColourProfile:
 
     @property
     def srgb(self) -> bool:
-        """Whether the profile is that of sRGB itself."""
+        """Whether curves and primaries are those of sRGB."""
         return self._near(linear_from_srgb(_GREY)) and not self.mixes
 
     @property
     def mixes(self) -> bool:
-        """Whether the primaries are others than those of Rec. 709."""
+        """Whether the primaries differ from those of Rec. 709."""
         return bool(np.abs(self.matrix - np.eye(3)).max() > _SAME_MATRIX)
 
     def linearised(self, values: np.ndarray) -> np.ndarray:
-        """Return linear values (…, 3) of code values, of the profile's own primaries."""
+        """Return linear values (…, 3) of code values, in the profile's own primaries."""
         channels = [curve(values[..., c]) for c, curve in enumerate(self.curves)]
         return np.stack(channels, axis=-1).astype(values.dtype, copy=False)
 
     def in_rec709(self, linear: np.ndarray) -> np.ndarray:
-        """Return values (…, 3) with Rec. 709 primaries; a channel that would be negative (outside) is 0."""
+        """Return values (…, 3) in Rec. 709 primaries; negative channels, outside its gamut, become 0."""
         return np.maximum(linear @ self.matrix.T.astype(linear.dtype), 0) if self.mixes else linear
 
     def _near(self, expected: np.ndarray) -> bool:
@@ -69,21 +69,21 @@ class ColourProfile:
 
 @lru_cache(maxsize=64)
 def profile_of_icc(icc: bytes) -> ColourProfile:
-    """Return an ICC profile of curves, with a matrix (RGB) or without (grey). Raises ProfileError for all others."""
+    """Return the profile of an ICC profile of curves and a matrix (RGB) or of one curve (grey). Raises ProfileError."""
     from PIL import ImageCms
 
     try:
-        found = ImageCms.ImageCmsProfile(io.BytesIO(icc)).profile
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(icc)).profile
         tags = _tags(icc)
-        name = (found.profile_description or "").strip() or "without a name"
+        name = (profile.profile_description or "").strip() or "without a name"
         if b"cicp" in tags:
             _curve_of_h273(tags[b"cicp"][9])
-        if found.xcolor_space.strip() == "GRAY" and b"kTRC" in tags:
+        if profile.xcolor_space.strip() == "GRAY" and b"kTRC" in tags:
             return ColourProfile(name, (_curve(tags[b"kTRC"]),) * 3, np.eye(3))
-        if found.xcolor_space.strip() != "RGB" or not found.is_matrix_shaper:
+        if profile.xcolor_space.strip() != "RGB" or not profile.is_matrix_shaper:
             raise ProfileError(f"its colour profile ({name}) is no matrix with curves")
         red, green, blue = (_curve(tags[tag]) for tag in (b"rTRC", b"gTRC", b"bTRC"))
-        colorants = found.red_colorant, found.green_colorant, found.blue_colorant
+        colorants = profile.red_colorant, profile.green_colorant, profile.blue_colorant
         matrix = np.linalg.solve(_REC709_TO_XYZ, np.array([c[0] for c in colorants if c]).T)
         return ColourProfile(name, (red, green, blue), matrix)
     except ProfileError:
@@ -93,7 +93,7 @@ def profile_of_icc(icc: bytes) -> ColourProfile:
 
 
 def profile_of_h273(primaries: int, transfer: int) -> ColourProfile:
-    """Return the profile of two codes of ITU-T H.273 (nclx of HEIF, cICP of PNG); unspecified ones mean sRGB.
+    """Return the profile of two codes of ITU-T H.273 (nclx of HEIF, cICP of PNG); sRGB for unspecified ones.
 
     Raises ProfileError for HDR (PQ, HLG) and rare codes.
     """
@@ -150,9 +150,9 @@ def _curve(tag: bytes) -> Curve:
     return _parametric(first, [v / 65536 for v in struct.unpack_from(f">{count}i", tag, 12)])
 
 
-def _parametric(kind: int, numbers: list[float]) -> Curve:
-    """Return Y = (a X + b)^g + e from X = d on, c X + f below, by the numbers of one of the five kinds."""
-    g, a, b, c, d, e, f = [*numbers, *[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0][len(numbers) - 1 :]][:7]
+def _parametric(kind: int, coefficients: list[float]) -> Curve:
+    """Return the curve Y = (a X + b)^g + e for X ≥ d, c X + f below, from the coefficients of one of the five kinds."""
+    g, a, b, c, d, e, f = [*coefficients, *[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0][len(coefficients) - 1 :]][:7]
     if kind in (1, 2):
         d, e, f, c = -b / a, c, c, 0.0
 

@@ -1,4 +1,4 @@
-"""Decides whether image files without a stated encoding hold linear or sRGB values."""
+"""Detects whether image files that state no encoding hold linear or sRGB values."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..errors import CaptureError
 from ..inspect.falloff import EncodingTest, encoding_test
 from .image import ImageRef, ImageStore, KnownBy
 
-_IMAGES, _PIXELS, _CANDIDATES = 24, 400, 4000  # most to use
+_IMAGES, _PIXELS, _CANDIDATES = 24, 400, 4000  # most in the test
 _BACKGROUND = 0.2  # of the brightest pixel; without a mask most pixels may be darker
 _WORDS = {"linear": "linear values", "srgb": "sRGB values"}
 
 
 @dataclass(frozen=True)
 class LitImage:
-    """An image under a distant light. direction: (3,) unit, toward it. power: its mean intensity. camera: an index."""
+    """An image under a distant light. direction: (3,) unit, toward it. power: its mean intensity. camera: index."""
 
     image: ImageRef
     direction: tuple[float, float, float]
@@ -31,10 +31,10 @@ class LitImage:
 
 @dataclass(eq=False)
 class Encoding:
-    """The encoding of one camera's images, from their files and from the measured fall-off of light.
+    """The encoding of one camera's images, as stated in their files or as measured from the fall-off of light.
 
-    images: all with the same statement in their files. mask: (H, W) bool. store: reads them. taken_as: "linear" or
-    "srgb", the encoding without a test; the test can change it only if it is a guess.
+    images: all with the same stated encoding, or all without. mask: (H, W) bool. store: reads them. taken_as: "linear"
+    or "srgb", the encoding before the test, which can change it only if ``known_by`` is "guess".
     """
 
     images: tuple[LitImage, ...]
@@ -46,21 +46,21 @@ class Encoding:
 
     @property
     def test(self) -> EncodingTest:
-        """The test; reads at most 24 images, once."""
+        """Result of the test. The first access reads at most 24 images."""
         return run_steps(self.testing())
 
     @property
     def is_tested(self) -> bool:
-        """Whether the test is done: then ``message`` reads no image."""
+        """Whether the test is done, so that ``message`` reads no image."""
         return self._test is not None
 
     def testing(self) -> Generator[None, None, EncodingTest]:
-        """Yield before each image is read, and return the test."""
+        """Return the result of the test; yield before each image is read."""
         if self._test is None:
             chosen = np.unique(np.linspace(0, len(self.images) - 1, _IMAGES).round().astype(int))
             lit = [self.images[k] for k in chosen]
             places = np.random.default_rng(0).permutation(np.flatnonzero(self.mask))[:_CANDIDATES]
-            store, samples = ImageStore(self.store.decoder), []  # its own, because reading a part removes it
+            store, samples = ImageStore(self.store.decoder), []  # a second store: reading an EXR part removes it
             for one in lit:
                 yield
                 with suppress(CaptureError):  # the recovery or inspect reports it
@@ -71,7 +71,7 @@ class Encoding:
         return self._test
 
     def settling(self) -> Generator[None, None, None]:
-        """Yield before each image of the test; no image is read if the files state their encoding."""
+        """Run the test if the files state no encoding; yield before each image is read."""
         if self.known_by == "guess":
             yield from self.testing()
 
@@ -102,7 +102,7 @@ class Encoding:
 
 
 def encoding_of(images: Sequence[LitImage], masks: Sequence[np.ndarray], store: ImageStore) -> Encoding | None:
-    """Return the encoding of the largest group of images that can be tested together, None without images."""
+    """Return the encoding of the largest group of images of one camera and one stated encoding, None without images."""
     groups = defaultdict(list)
     for one in images:
         groups[one.camera, *store.encoding(one.image)].append(one)
@@ -113,12 +113,12 @@ def encoding_of(images: Sequence[LitImage], masks: Sequence[np.ndarray], store: 
 
 
 def _test(samples: Sequence[tuple[LitImage, np.ndarray]]) -> EncodingTest:
-    """Return the test of the subject's pixels from (T, 4) samples of each image."""
+    """Return the test of the subject's bright pixels. samples: each image and its (T, 4) code values and weights."""
     if not samples:
         return EncodingTest(None, None)
     stack = np.stack([rgba for _, rgba in samples])
     bright = np.percentile(stack[..., :3].mean(axis=-1), 80, axis=0)
-    kept = np.flatnonzero(bright >= _BACKGROUND * bright.max(initial=0))[:_PIXELS]
+    used = np.flatnonzero(bright >= _BACKGROUND * bright.max(initial=0))[:_PIXELS]
     directions = np.array([one.direction for one, _ in samples], np.float64)
     power = np.array([one.power for one, _ in samples])
-    return encoding_test(stack[:, kept, :3], stack[:, kept, 3], directions, power)
+    return encoding_test(stack[:, used, :3], stack[:, used, 3], directions, power)

@@ -24,7 +24,7 @@ JPEG_START = b"\xff\xd8"
 _DAMAGE = (SyntaxError, OSError, EOFError, ValueError, LookupError, TypeError, struct.error)  # Pillow's exceptions
 _FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN = 41989, 40962, 40963
 _DIAGONAL_35MM = math.hypot(36.0, 24.0)  # millimetres
-_SAME_SHAPE = 0.01  # by how much the proportions of a picture that is not cropped may differ from its tags'
+_SAME_SHAPE = 0.01  # relative tolerance of proportions: beyond it a picture counts as cropped
 _TIME, _SUBSECOND = 36867, 37521  # when the photograph was taken
 _MAKE, _MODEL, _LENS, _FOCAL_LENGTH = 271, 272, 42036, 37386
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
@@ -88,7 +88,7 @@ def exposure_of(data: bytes) -> Exposure | None:
 
 
 def time_of(data: bytes) -> float | None:
-    """Return when a photograph was taken, in seconds of an epoch of its clock; None if its file does not tell."""
+    """Return the time of a photograph in seconds by the camera's clock, from 1970 on; None without the tag."""
     tags = tiff_tags(_exif_block(data))
     text = str(tags.get(_TIME) or "").strip("\0 ")
     part = str(tags.get(_SUBSECOND) or "").strip("\0 ")
@@ -99,7 +99,7 @@ def time_of(data: bytes) -> float | None:
 
 
 def lens_of(data: bytes) -> dict[str, str | float]:
-    """Return make, model, lens, focal_length and focal_length_35mm in millimetres of a file: those that it has."""
+    """Return a file's make, model, lens, focal_length and focal_length_35mm (millimetres), without missing ones."""
     tags = tiff_tags(_exif_block(data))
     named = {"make": _MAKE, "model": _MODEL, "lens": _LENS}
     texts = {key: str(tags.get(tag) or "").strip("\0 ") for key, tag in named.items()}
@@ -109,10 +109,10 @@ def lens_of(data: bytes) -> dict[str, str | float]:
 
 
 def field_of_view(data: bytes, width: int, height: int) -> float | None:
-    """Return the angle in degrees over the width of an upright picture of this size; None if its file does not tell.
+    """Return the field of view in degrees over the width of an upright picture of this size; None without the tag.
 
-    By FocalLengthIn35mmFilm, which compares diagonals (CIPA DCG-001). None also where the picture's proportions are not
-    those of the photograph in the tags: it was cropped.
+    From FocalLengthIn35mmFilm, which compares diagonals (CIPA DCG-001). None also if the picture's proportions differ
+    from those in the tags: it was cropped.
     """
     tags = tiff_tags(_exif_block(data))
     focal, across, down = (_positive(tags.get(tag)) for tag in (_FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN))
@@ -126,7 +126,7 @@ def field_of_view(data: bytes, width: int, height: int) -> float | None:
 
 
 def focal_in_pixels(focal_35mm: float, width: int, height: int) -> float:
-    """Return the focal length in pixels of a picture of this size, by its 35 mm equivalent in millimetres."""
+    """Return the focal length in pixels of a picture of this size. focal_35mm: 35 mm equivalent in millimetres."""
     return focal_35mm * math.hypot(width, height) / _DIAGONAL_35MM
 
 
@@ -149,7 +149,7 @@ def _positive(value: Any) -> float | None:
 
 
 def upright(image: np.ndarray, orientation: int) -> np.ndarray:
-    """Return an image (H, W, …), row 0 at the BOTTOM, turned as its orientation tag says (5 to 8 swap W and H)."""
+    """Apply an EXIF orientation to an image (H, W, …), row 0 at the BOTTOM; 5 to 8 swap W and H."""
     top_first = image[::-1]
     if orientation >= 5:
         top_first = top_first.swapaxes(0, 1)

@@ -1,4 +1,4 @@
-"""OpenEXR files to arrays and back: parts, layers, half and float, windows. Row 0 is the bottom."""
+"""Reads and writes OpenEXR files: parts, layers, half and float, windows. Row 0 is the bottom."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _image(part: Part) -> ExrImage:
     (x0, y0), (x1, y1) = (np.asarray(corner, int) for corner in part.header["displayWindow"])
     (left, top), (right, bottom) = (np.asarray(corner, int) for corner in part.header["dataWindow"])
     inside = np.zeros((y1 - y0 + 1, x1 - x0 + 1), bool)
-    # The overlap of both windows, in the coordinates of the file; its end is never before its start.
+    # The intersection of both windows, in the file's coordinates; empty, never negative.
     a, b = max(x0, left), max(y0, top)
     c, d = max(min(x1, right) + 1, a), max(min(y1, bottom) + 1, b)
     target = slice(b - y0, d - y0), slice(a - x0, c - x0)
@@ -80,7 +80,7 @@ def _image(part: Part) -> ExrImage:
 
 
 def colour_channels(part: ExrPart, layer: str | None, where: str) -> tuple[list[str], str | None]:
-    """Return the three channels that are red, green and blue, and the one that is alpha or None.
+    """Return the names of the red, green and blue channels, and of alpha or None.
 
     layer: the text before the last dot, as in "diffuse.R"; None takes the unnamed layer, or the only one there is.
     One channel (Y, or any lone one) serves as all three. Raises CaptureError naming the layers there are.
@@ -107,15 +107,15 @@ def _rgb(table: dict[str, str]) -> list[str] | None:
         return [table[c] for c in "RGB"]
     if "Y" in table:
         return [table["Y"]] * 3
-    lone = [name for last, name in table.items() if last != "A"]
-    return lone * 3 if len(lone) == 1 else None
+    colours = [name for last, name in table.items() if last != "A"]
+    return colours * 3 if len(colours) == 1 else None
 
 
 def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None, matrix: np.ndarray | None = None) -> Samples:
     """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
 
     Alpha becomes the weight. Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec.
-    709, or None where that is what it holds.
+    709, or None if the file holds Rec. 709.
     """
     colour = np.stack([image.channels[name] for name in rgb], axis=-1)
     clipped = colour >= _HALF_MAX if colour.dtype == np.float16 else np.zeros(colour.shape, bool)
@@ -123,18 +123,16 @@ def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None, matrix: n
         clipped[:] = clipped.any(axis=-1, keepdims=True)  # the matrix mixes the channels
         with np.errstate(invalid="ignore"):
             colour = colour.astype(np.float64) @ matrix.T
-    found = samples(colour.astype(np.float32), None if alpha is None else image.channels[alpha], clipped)
-    found.rgba[~image.inside] = found.bounds[~image.inside] = 0
-    return found
+    result = samples(colour.astype(np.float32), None if alpha is None else image.channels[alpha], clipped)
+    result.rgba[~image.inside] = result.bounds[~image.inside] = 0
+    return result
 
 
 def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], half: bool = False) -> None:
-    """Write part name → channel name → (H, W), row 0 at the bottom, as one ZIP-compressed EXR file.
+    """Write part name → channel name → (H, W), row 0 at the bottom, as a ZIP-compressed EXR file, whole or not at all.
 
-    The file is written whole or not at all.
-    Floats are written as half where ``half`` is set, else as float; uint32 stays. A single part may be called "".
-    Raises InputError where the place cannot be written, ValueError where shapes differ (the format has one display
-    window for all parts).
+    Floats are written as half if ``half`` is set, else as float; uint32 stays. A single part may be called "". Raises
+    InputError if the path cannot be written, ValueError if shapes differ (all parts share one display window).
     """
     import OpenEXR
 
@@ -142,13 +140,13 @@ def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], h
     if len({np.shape(array) for channels in parts.values() for array in channels.values()}) != 1:
         raise ValueError(f"{path}: all channels of an EXR file must have one shape, and there must be some")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    made = [
+    exr_parts = [
         OpenEXR.Part(dict(header), {c: _stored(array, half) for c, array in channels.items()}, name)
         for name, channels in parts.items()
     ]
     with replacing_file(path) as partial:
         try:
-            OpenEXR.File(made).write(str(partial))
+            OpenEXR.File(exr_parts).write(str(partial))
         except RuntimeError as error:
             raise OSError(str(error)) from error
 

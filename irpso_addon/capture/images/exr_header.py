@@ -1,6 +1,6 @@
-"""The headers of an OpenEXR file, read without its pixels (OpenEXR file layout, openexr.com).
+"""Reads the headers of an OpenEXR file, without its pixels (OpenEXR file layout, openexr.com).
 
-OpenEXR's own reader writes to the terminal when a file is damaged, so files are looked over here first.
+OpenEXR's own reader prints to the terminal if a file is damaged, so this module checks files first.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from .headers import read_bytes, truncated
 _MAGIC = 20000630
 _TILED, _DEEP, _MULTI_PART = 0x200, 0x800, 0x1000
 _PIXEL_TYPES = {0: "uint", 1: "half", 2: "float"}
-# Scan lines in a chunk, by the compression byte of the header.
+# Compression byte of the header → scan lines in a chunk.
 _LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
 
 
 @dataclass(frozen=True)
 class ExrPart:
-    """name: "" for an unnamed single part. channels: name → "uint", "half" or "float". width, height: display window.
+    """One part. name: "" if unnamed. channels: name → "uint", "half" or "float". width, height: display window.
 
     subsampled: whether a channel has fewer samples than pixels. chromaticities: x and y of red, green, blue and white;
     None where the file does not state them. colour_space: its colorInteropID, which Blender 5 writes instead; or "".
@@ -37,7 +37,7 @@ class ExrPart:
 
 
 def is_exr(path: Path) -> bool:
-    """Return whether a file starts as an OpenEXR file does; False where there is none."""
+    """Return whether a file starts with OpenEXR's magic number; False for a missing file."""
     try:
         with path.open("rb") as file:
             return file.read(4) == struct.pack("<I", _MAGIC)
@@ -85,7 +85,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 
 def _check_chunks(data: bytes, at: int, headers: list[dict[str, bytes]], flags: int) -> None:
-    """Raise ValueError where a chunk of pixels lies beyond the end of the file."""
+    """Raise ValueError if a chunk of pixels lies beyond the end of the file."""
     several = bool(flags & _MULTI_PART)
     counts = []
     for header in headers:

@@ -27,11 +27,11 @@ _FLOATS, _SRGB = 3, 1  # of the sample format, of the colour space
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """kind: "EXR", "PNG", "JPEG", "TIFF", "HDR" or "HEIF". width, height: pixels, once upright.
+    """Header of one image. kind: "EXR", "PNG", "JPEG", "TIFF", "HDR" or "HEIF". width, height: pixels, upright.
 
-    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: the turn that the decoder leaves to do, by EXIF,
-    1 to 8. states: the encoding that the file states, "srgb" or "linear", "" for none; a colour profile counts as
-    "srgb", which nearly all are near to. icc, cicp: the colour profile, or two codes of ITU-T H.273 in its place.
+    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
+    (of HEIF 1: libheif applies it). states: the encoding that the file states, "srgb" or "linear", "" for none; a
+    colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of ITU-T H.273.
     """
 
     kind: str
@@ -56,8 +56,8 @@ def read_header(path: Path) -> ImageHeader:
     elif data[:2] == b"#?":
         header = _hdr(path, data)
     elif is_heif(data):
-        found = heif_header(data, str(path))
-        header = ImageHeader("HEIF", found.width, found.height, found.bits, 1, "srgb", found.icc, found.cicp)
+        heif = heif_header(data, str(path))
+        header = ImageHeader("HEIF", heif.width, heif.height, heif.bits, 1, "srgb", heif.icc, heif.cicp)
     else:
         what = "is no PNG, JPEG, TIFF, HDR, HEIC or EXR image; replace it by one" if data else "is empty; copy it again"
         raise CaptureError(f"{path}: {what}", "image_unknown")
@@ -89,12 +89,12 @@ def _png(path: Path, data: bytes) -> ImageHeader:
         raise truncated(path)
     width, height, bits = struct.unpack_from(">IIB", chunks[b"IHDR"])
     states = ""
-    if chunks.keys() & _PROFILES:  # which count before gAMA
+    if chunks.keys() & _PROFILES:  # they override gAMA
         states = "srgb"
     elif b"gAMA" in chunks:
         states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
     orientation = orientation_of(tiff_tags(chunks.get(b"eXIf", b"")))
-    # cICP goes before iCCP (Portable Network Graphics, third edition, 4.3).
+    # cICP overrides iCCP (Portable Network Graphics, third edition, 4.3).
     cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
     icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
     return ImageHeader("PNG", width, height, 16 if bits == 16 else 8, orientation, states, icc, cicp)

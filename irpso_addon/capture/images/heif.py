@@ -1,7 +1,7 @@
-"""HEIC and HEIF photographs of phones, decoded by pillow-heif (libheif), an optional library.
+"""Decodes HEIC and HEIF photographs of phones with pillow-heif (libheif), an optional library.
 
-libheif turns pictures upright (the boxes irot and imir). The orientation tag of their EXIF repeats this turn, so it is
-not applied.
+libheif returns upright pictures (it applies the boxes irot and imir). The EXIF orientation repeats this rotation, so
+this module does not apply it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _DAMAGE = (ValueError, EOFError, SyntaxError, RuntimeError, OSError)  # of pillo
 
 @dataclass(frozen=True)
 class HeifHeader:
-    """width, height: pixels, upright. bits: of a code, 8, 10 or 12. icc: the colour profile, b"" for none.
+    """Header of the primary image. width, height: pixels, upright. bits: 8, 10 or 12. icc: colour profile or b"".
 
     cicp: colour primaries and transfer function by the codes of ITU-T H.273, or None.
     """
@@ -40,7 +40,7 @@ class HeifHeader:
 
 
 def is_heif(data: bytes) -> bool:
-    """Return whether a file begins as a HEIF file of HEVC images does."""
+    """Return whether a file starts with the brand of a HEIF file of HEVC images."""
     return data[4:8] == b"ftyp" and data[8:12] in _BRANDS
 
 
@@ -59,7 +59,7 @@ def heif_exif(data: bytes) -> bytes:
 
 
 def decode_heif(path: Path, data: bytes) -> Picture:
-    """Return the primary image of a HEIF file's bytes, upright, all its bits kept.
+    """Decode the primary image of a HEIF file's bytes, upright, with all its bits.
 
     A gain map, which brightens highlights on HDR displays, is not applied. Raises CaptureError naming ``path`` if
     pillow-heif is not installed or the file is damaged.

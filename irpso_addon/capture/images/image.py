@@ -1,4 +1,4 @@
-"""One image of a capture, in any format: its path, header and pixels."""
+"""``ImageRef`` and ``ImageStore``: one image of a capture in any format; its header, encoding and pixels."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class ImageRef:
 
 @dataclass
 class ImageStore:
-    """Decodes images, and keeps the unread parts of a multi-part EXR.
+    """Decodes images; caches headers and the unread parts of a multi-part EXR.
 
-    OpenEXR's Python reader cannot read a single part: without this, a capture of K parts would be read K times. Reading
-    a part removes it from the store, so memory shrinks while a capture streams.
+    OpenEXR's Python reader cannot read a single part: without the cache, a capture of K parts would be read K times.
+    Reading a part removes it, so memory shrinks while a capture streams.
     """
 
     decoder: Decoder | None = None
@@ -53,7 +53,7 @@ class ImageStore:
         """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
 
         Files of 8 to 12 bits are sRGB unless they state to be linear; all others are linear, except integers with a
-        colour profile. Raises CaptureError, also for a profile that is not read.
+        colour profile. Raises CaptureError, also for an unsupported profile.
         """
         if is_exr(image.path) or is_raw(image.path):
             return "linear", "format"
@@ -66,7 +66,7 @@ class ImageStore:
         return "linear", "depth" if header.bits == 16 else "format"
 
     def coarse(self, image: ImageRef) -> bool:
-        """Return whether an image holds sRGB codes of 8 to 12 bits by its statement. Raises CaptureError."""
+        """Return whether an image's encoding is sRGB of 8 to 12 bits, before any test. Raises CaptureError."""
         if is_exr(image.path) or is_raw(image.path) or self._header(image.path).bits >= 16:
             return False
         return (self.encoding(image)[0] if image.colour_space == "auto" else image.colour_space) == "srgb"
@@ -95,7 +95,7 @@ class ImageStore:
         return None if profile.srgb and header.bits < 16 else profile
 
     def _header(self, path: Path) -> ImageHeader:
-        """Return the header of an image that is no EXR; reads the whole file, once."""
+        """Return the header of an image that is no EXR. The first call reads the whole file."""
         if path not in self._pictures:
             self._pictures[path] = read_header(path)
         return self._pictures[path]
@@ -107,7 +107,7 @@ class ImageStore:
             colour_channels(part, image.layer, str(image))
             return part.width, part.height
         if image.part is not None or image.layer is not None:
-            read_header(image.path)  # raises if it is no image at all
+            read_header(image.path)  # raises if the file is no image
             raise CaptureError(f"{image.path}: only EXR files have parts and layers; remove part and layer", "layer")
         if is_raw(image.path):
             return raw_size(image.path)
@@ -117,7 +117,7 @@ class ImageStore:
         return header.width, header.height
 
     def orientation(self, image: ImageRef) -> int:
-        """Return the EXIF orientation by which a file is turned when it is read, 1 for none."""
+        """Return the EXIF orientation that reading a file applies, 1 for none."""
         return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
 
     def samples(self, image: ImageRef) -> Samples:
@@ -134,8 +134,8 @@ class ImageStore:
     def codes_at(self, image: ImageRef, places: np.ndarray, size: tuple[int, ...]) -> np.ndarray | None:
         """Return (n, 4) the code values and weights of an image's pixels (n,), numbered row by row.
 
-        None where the image has another size, (H, W), than the pixels are of. Converting all pixels of a large
-        photograph takes ten times as long as decoding it.
+        None if the image's size is not ``size``, (H, W). Converting all pixels of a large photograph takes ten times
+        as long as decoding it.
         """
         if is_exr(image.path):
             rgba = self.samples(image).rgba
@@ -149,7 +149,7 @@ class ImageStore:
     def mask(self, image: ImageRef) -> np.ndarray:
         """Return an image as a mask, (H, W) bool."""
         if not is_exr(image.path):
-            return mask_of_picture(self.picture(replace(image, colour_space="linear")))  # whatever its profile
+            return mask_of_picture(self.picture(replace(image, colour_space="linear")))  # ignores its profile
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         channels = self._pixels(image.path, part).channels
@@ -169,7 +169,7 @@ class ImageStore:
             return replace(self.decoder(image.path), profile=profile)
         except CaptureError:
             raise
-        except InputError as error:  # a decoder knows no codes
+        except InputError as error:  # decoders give no code
             raise CaptureError(str(error), "image_truncated") from error
 
     def _no_decoder(self, image: ImageRef) -> CaptureError:
@@ -212,7 +212,7 @@ class ImageStore:
 
 
 def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | None:
-    """Return the matrix from an EXR part's primaries to Rec. 709; None where it has these, or one channel."""
+    """Return the matrix (3, 3) from an EXR part's primaries to Rec. 709; None for equal ones or one channel."""
     chromaticities = part.chromaticities or BY_NAME.get(part.colour_space)
     if len(set(rgb)) == 1:
         return None
@@ -231,14 +231,14 @@ def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | N
 
 
 def find_image(folder: Path, name: str) -> Path:
-    """Return the path of an image in a list; names may be relative, absolute, or stale paths of another machine.
+    """Return the path of a listed image; names may be relative, absolute, or stale paths of another machine.
 
-    Tried in order: the name itself; its last part beside the list; the last part in any letter case. A path without a
-    file is returned too: reading it raises.
+    Tried in order: the name itself; its last part beside the list; the last part in any letter case. Without a match
+    the path has no file, and reading it raises.
     """
     if (folder / name).is_file():
         return folder / name
-    # POSIX takes the backslashes of a Windows path for letters, so both readings are tried.
+    # On POSIX the backslashes of a Windows path are part of the name, so both systems' rules are tried.
     for last in (PurePosixPath(name).name, PureWindowsPath(name).name):
         if (folder / last).is_file():
             return folder / last

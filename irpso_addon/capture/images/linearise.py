@@ -20,8 +20,8 @@ class Picture:
     """A decoded image, upright, in the file's encoding.
 
     values: (H, W, C) float32 with C of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, straight alpha), row 0 at the
-    bottom. An integer file's values are code / largest code, in 0…1, with no colour curve undone. bits: 8, 10, 12 or 16
-    for those, 32 for files of floats. profile: the file's, other than sRGB, or None.
+    bottom. An integer file's values are code / largest code, in 0…1, not linearised. bits: 8, 10, 12 or 16 of integer
+    files, 32 of floats. profile: the file's, other than sRGB, or None.
     """
 
     values: np.ndarray
@@ -29,7 +29,7 @@ class Picture:
     profile: ColourProfile | None = None
 
 
-# Reads an image that is no EXR from its path, turned by its orientation tag. Raises InputError naming the file.
+# Reads an image that is no EXR from its path and applies its orientation tag. Raises InputError naming the file.
 Decoder = Callable[[Path], Picture]
 
 
@@ -51,12 +51,12 @@ class Samples:
 def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     """Return linear radiance of a decoded picture; a pixel with any channel at the file's largest code has weight 0.
 
-    In ``bounds`` that channel is a lower bound. In files of 8 to 12 bits all channels of the pixel are, because JPEG
-    and HEVC mix them: beside a clipped channel the others are too dark. Under 16 lamps the base colour error of a
-    gilding's metal is 0.028 with such bounds and 0.059 with samples; 3 % and 7 % of its values lie beyond three
-    deviations. So they are where a profile's primaries mix channels.
-    colour_space: "srgb", "linear", or "auto": by the profile; without one 8 to 12 bits are sRGB, all others linear.
-    The curve of a profile is not applied to floats, which are linear.
+    In ``bounds`` that channel is a lower bound. All channels of the pixel are lower bounds in files of 8 to 12 bits,
+    because JPEG and HEVC mix channels: beside a clipped channel the others are too dark. Under 16 lamps the base colour
+    error of a gilding's metal is 0.028 with such bounds and 0.059 with samples; 3 % and 7 % of its values lie beyond
+    three deviations. The same applies if a profile's matrix mixes channels.
+    colour_space: "srgb", "linear", or "auto": the profile; without one 8 to 12 bits are sRGB, all others linear. Floats
+    are linear: a profile's curve is not applied to them.
     """
     profile = picture.profile if colour_space == "auto" else None
     if profile is None and picture.bits < 16 and picture.values.shape[-1] == 4:
@@ -91,7 +91,7 @@ def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -
 
 
 def _bounds_of(rgba: np.ndarray, where: np.ndarray, clipped: np.ndarray) -> np.ndarray:
-    """Return Samples.bounds, and give pixels ``where`` (H, W) bool weight 0 in rgba. clipped: (H, W, 3) bool."""
+    """Return Samples.bounds; set the weight of pixels ``where`` (H, W) bool to 0 in rgba. clipped: (H, W, 3) bool."""
     if not where.any():
         return rgba
     bounds = rgba.copy()
@@ -101,15 +101,15 @@ def _bounds_of(rgba: np.ndarray, where: np.ndarray, clipped: np.ndarray) -> np.n
 
 
 def _samples_of_codes(values: np.ndarray, bits: int, linear: bool) -> Samples:
-    """Return ``samples_of_picture`` of (H, W, 4) codes of 8 to 12 bits without a profile, several times as fast."""
+    """Return ``samples_of_picture`` of (H, W, 4) values of 8 to 12 bits without a profile, several times as fast."""
     top = np.float32(2**bits - 1)
     codes = np.rint(values * top).astype(np.uint16)
     rgba = values.copy() if linear else _table(bits)[codes]
     np.clip(values[..., 3], 0, 1, out=rgba[..., 3])
     clipped = _any(codes == codes.dtype.type(top))
     bounds = _bounds_of(rgba, clipped, np.broadcast_to(clipped[..., None], (*clipped.shape, 3)))
-    none = np.zeros(clipped.shape, bool)
-    return Samples(rgba, bounds, clipped, none, none)
+    no_pixels = np.zeros(clipped.shape, bool)
+    return Samples(rgba, bounds, clipped, no_pixels, no_pixels)
 
 
 def mask_of_picture(picture: Picture) -> np.ndarray:
@@ -125,7 +125,7 @@ def mask_of_picture(picture: Picture) -> np.ndarray:
 
 
 def _linear_codes(colour: np.ndarray, bits: int) -> np.ndarray:
-    """Return linear values of an integer file's sRGB codes, as ``linear_from_srgb`` of each code: by a table."""
+    """Return linear values of an integer file's sRGB values, by a table of ``linear_from_srgb`` of each code."""
     return _table(bits)[np.rint(colour * np.float32(2**bits - 1)).astype(np.uint16)]
 
 
@@ -135,7 +135,7 @@ def _table(bits: int) -> np.ndarray:
 
 
 def _any(values: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool of (H, W, 3): any() over an axis of three is ten times slower."""
+    """Return whether any channel is set, (H, W) bool of (H, W, 3): np.any over an axis of three is ten times slower."""
     return values[..., 0] | values[..., 1] | values[..., 2]
 
 

@@ -1,4 +1,4 @@
-"""Raw files of cameras, developed without a curve by rawpy (LibRaw), an optional extra."""
+"""Decodes raw files of cameras to linear values with rawpy (LibRaw), an optional extra."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _SUFFIXES = (
     ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .rw2 .rwl .sr2 .srf"
     " .srw .x3f"
 )
-_FULL = 0.99  # of the way from black to white: a photosite at its end
-_FOOTPRINT = 2  # pixels on each side that demosaicing takes a clipped photosite to
+_SATURATION = 0.99  # of the range from black to white level: from here a photosite is saturated
+_FOOTPRINT = 2  # radius in pixels to which demosaicing spreads a saturated photosite
 
 
 def is_raw(path: Path) -> bool:
-    """Return whether a file's suffix is that of a camera's raw format. Many of them are TIFF inside."""
+    """Return whether a file's suffix is that of a camera's raw format. The content does not tell: many are TIFF."""
     return path.suffix.lower() in _SUFFIXES.split()
 
 
@@ -35,10 +35,10 @@ def raw_size(path: Path) -> tuple[int, int]:
 
 
 def decode_raw(path: Path | str, camera_white: bool = True) -> Picture:
-    """Return a raw file as a linear 16-bit Picture of four channels, Rec. 709 primaries, upright.
+    """Decode a raw file to a linear 16-bit Picture of four channels, Rec. 709 primaries, upright.
 
-    The white balance is the camera's, or none without ``camera_white``; brightness is unchanged. Alpha is 0 at full
-    photosites. Raises CaptureError if rawpy is not installed, or the file is missing, damaged or of an unknown camera.
+    The white balance is the camera's, or none without ``camera_white``; brightness is unchanged. Alpha is 0 at
+    saturated photosites. Raises CaptureError without rawpy, or if the file is missing, damaged or of an unknown camera.
     """
     path = Path(path)
     with _opened(path) as raw:
@@ -53,11 +53,11 @@ def decode_raw(path: Path | str, camera_white: bool = True) -> Picture:
             )  # fmt: skip
         except (rawpy.LibRawError, ValueError) as error:
             raise _damaged(path, error) from error
-        full = _full(raw)
+        saturated = _saturated(raw)
     values = np.ones((*codes.shape[:2], 4), np.float32)
     values[..., :3] = codes / np.float32(65535)
-    if full.shape == codes.shape[:2]:
-        values[..., 3][full] = 0
+    if saturated.shape == codes.shape[:2]:
+        values[..., 3][saturated] = 0
     return Picture(np.ascontiguousarray(values[::-1]), 16)
 
 
@@ -84,18 +84,18 @@ def _damaged(path: Path, error: Exception) -> CaptureError:
     return CaptureError(f"{path}: LibRaw cannot read it ({what}); copy it again or develop it to TIFF", "image_unknown")
 
 
-def _full(raw: RawPy) -> np.ndarray:
-    """Return (H, W) bool, top row first and upright: pixels that a full photosite contributes to."""
+def _saturated(raw: RawPy) -> np.ndarray:
+    """Return (H, W) bool, top row first and upright: pixels to which a saturated photosite contributes."""
     levels = raw.camera_white_level_per_channel
     white = min(level for level in levels if level > 0) if levels and any(levels) else raw.white_level
     black = max(raw.black_level_per_channel)
-    full = raw.raw_image_visible >= black + _FULL * (white - black)
-    height, width = full.shape[:2]
-    padded = np.pad(full, _FOOTPRINT)
-    wide = np.zeros_like(full)
+    saturated = raw.raw_image_visible >= black + _SATURATION * (white - black)
+    height, width = saturated.shape[:2]
+    padded = np.pad(saturated, _FOOTPRINT)
+    affected = np.zeros_like(saturated)
     for i in range(2 * _FOOTPRINT + 1):
         for j in range(2 * _FOOTPRINT + 1):
-            wide |= padded[i : i + height, j : j + width]
+            affected |= padded[i : i + height, j : j + width]
     flip = raw.sizes.flip
-    wide = wide[:: -1 if flip & 2 else 1, :: -1 if flip & 1 else 1]
-    return wide.T if flip & 4 else wide
+    affected = affected[:: -1 if flip & 2 else 1, :: -1 if flip & 1 else 1]
+    return affected.T if flip & 4 else affected

@@ -1,1 +1,1 @@
-"""Checks of a capture: lights, images, encoding, and what the set of lights is sufficient for."""
+"""Checks of a capture: lights, images, encoding, and the goals for which the lights suffice."""

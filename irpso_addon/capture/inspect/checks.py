@@ -8,27 +8,27 @@ import numpy as np
 
 from . import three_images
 
-NARROW = 0.3  # flatness of directions within about 33° of their middle; 0.19 of those within 22°, 0.4 within 45°
+NARROW = 0.3  # flatness of directions within about 33° of their mean; 0.19 of those within 22°, 0.4 within 45°
 _UNIT = 1e-3  # DiLiGenT's six printed digits stay within 1e-6; a table of three digits within 1e-3
 _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side
-# Of a correlation's peak over staying, and in deviations: below, a frame is taken to stay. How many times as far the
-# frame as it is must be from what the others explain as it is once moved back, and their correlation then. Measured on
-# 200 captures in which nothing moves (listed in test_capture_inspect.py): the largest false ratio is 1.31
-# where the correlation is 0.6 or more; frames that were rolled by 2 to 4 px and show texture have 1.5 and more.
+# A shift counts if the correlation's peak exceeds its value at 0 by _SHIFT_GAIN of the peak, and its median by
+# _SHIFT_PEAK deviations; if the residual of a fit by other frames is _BETTER times as large without the shift, and the
+# fit correlates by _AGREE with it. Measured on 200 captures without motion (listed in test_capture_inspect.py): the
+# largest ratio is 1.31 at correlations from 0.6 on; textured frames that were rolled by 2 to 4 px have 1.5 and more.
 _SHIFT_GAIN, _SHIFT_PEAK, _BETTER, _AGREE = 0.05, 5.0, 1.35, 0.6
-_PASS = 0.15  # cycles a pixel: the width of the low pass that keeps noise out of the correlation
+_PASS = 0.15  # cycles per pixel: width of the low pass that suppresses noise in the correlation
 
 
 def not_unit(vectors: np.ndarray) -> np.ndarray:
-    """Return (K,) bool: directions (K, 3) whose length is off 1 by more than 0.001."""
+    """Return (K,) bool: directions (K, 3) whose length differs from 1 by more than 0.001."""
     return np.abs(np.linalg.norm(vectors, axis=1) - 1) > _UNIT
 
 
 def flatness(directions: np.ndarray) -> float:
-    """Return the smallest over the largest singular value of unit directions (K, 3): 0 where all lie in one plane.
+    """Return the smallest over the largest singular value of unit directions (K, 3): 0 if all lie in one plane.
 
-    The plane goes through the origin: the images do not determine the part of a normal across it.
+    The plane contains the origin: the images do not determine a normal's component perpendicular to it.
     """
     values = np.linalg.svd(directions, compute_uv=False)
     return float(values[-1] / values[0]) if len(values) == 3 else 0.0
@@ -45,9 +45,9 @@ def similar_frames(frames: np.ndarray, tolerance: float) -> list[tuple[int, int,
     """Return (i, j, difference) of frames (K, H, W) whose relative RMS difference is at most ``tolerance``."""
     flat = frames.reshape(len(frames), -1).astype(np.float64)
     power = (flat**2).sum(axis=1)
-    apart = np.maximum(power[:, None] + power[None] - 2 * flat @ flat.T, 0)
-    relative = np.sqrt(apart / np.maximum(np.minimum(power[:, None], power[None]), 1e-30))
-    # The difference of squares loses half of the digits, so the few that are near are measured again.
+    squares = np.maximum(power[:, None] + power[None] - 2 * flat @ flat.T, 0)
+    relative = np.sqrt(squares / np.maximum(np.minimum(power[:, None], power[None]), 1e-30))
+    # The difference of squares loses half of the digits, so the few similar pairs are compared exactly.
     near = np.argwhere(np.triu((relative <= tolerance + 1e-5) & (power > 0)[:, None] & (power > 0)[None], 1))
     pairs = []
     for i, j in near.tolist():
@@ -58,7 +58,7 @@ def similar_frames(frames: np.ndarray, tolerance: float) -> list[tuple[int, int,
 
 
 def middle_window(mask: np.ndarray, side: int) -> tuple[slice, slice]:
-    """Return rows and columns about the middle of a mask (H, W) that is not empty, ``side`` of each at most."""
+    """Return at most ``side`` rows and columns about the median position of a mask (H, W) that is not empty."""
 
     def about(places: np.ndarray, size: int) -> slice:
         start = int(np.clip(np.median(places) - side // 2, 0, max(0, size - side)))
@@ -69,12 +69,11 @@ def middle_window(mask: np.ndarray, side: int) -> tuple[slice, slice]:
 
 
 def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
-    """Yield for each frame; return (K, 2) int: by how many pixels (right, up) each of (K, H, W) is off; 0 where unsure.
+    """Return (K, 2) int shifts (right, up) in pixels of frames (K, H, W), 0 if uncertain; yield for each frame.
 
-    Phase correlation of the size of log-brightness gradients (edges stay in place when the light moves, their sign
-    does not) between each frame and the mean of the others, as in Kuglin and Hines 1975. Up to 16 pixels are searched.
-    A raking light moves such edges: a shift counts where three images made of the others explain the frame better once
-    it is moved back.
+    Phase correlation (Kuglin and Hines 1975) of gradient magnitudes of log brightness, whose positions do not depend on
+    the light, as signs do, between each frame and the mean of the others. Up to 16 pixels are searched. A raking light
+    moves edges: so a shift counts only if three basis images of the others explain the frame better after undoing it.
     """
     shifts = np.zeros((len(frames), 2), int)
     reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
@@ -102,17 +101,17 @@ def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
 
 
 def _confirm(frames: np.ndarray, shifts: np.ndarray) -> Generator[None, None, None]:
-    """Set those of the shifts (K, 2) to 0 that explain their frames no better than staying does."""
+    """Set the shifts (K, 2) to 0 that explain their frames no better than no shift does."""
     shape, moved = frames.shape[1:], shifts.any(axis=1)
-    low_pass, fade = three_images.low_pass(shape), three_images.fading(shape)
+    low_pass, window = three_images.low_pass(shape), three_images.fading(shape)
 
     def blurred(frame: np.ndarray) -> np.ndarray:
         return np.fft.irfft2(np.fft.rfft2(frame / three_images.scale_of(frame)) * low_pass, shape).astype(np.float32)
 
-    flat = np.empty((len(frames), fade.size), np.float32)
+    flat = np.empty((len(frames), window.size), np.float32)
     for frame, out in zip(frames, flat, strict=True):
         yield
-        out[:] = (blurred(frame) * fade).ravel()
+        out[:] = (blurred(frame) * window).ravel()
     products = (flat @ flat.T).astype(np.float64)
     for k in np.flatnonzero(moved):
         yield
@@ -121,20 +120,20 @@ def _confirm(frames: np.ndarray, shifts: np.ndarray) -> Generator[None, None, No
             others = np.delete(np.arange(len(frames)), k)
         basis, image = three_images.basis(flat, products, others), blurred(frames[k])
         back = np.roll(image, (-shifts[k][1], -shifts[k][0]), axis=(0, 1))
-        (stays, _), (moves, agreement) = (three_images.explained(one, basis, fade) for one in (image, back))
-        if stays <= _BETTER * moves or agreement < _AGREE:
+        (before, _), (after, agreement) = (three_images.explained(one, basis, window) for one in (image, back))
+        if before <= _BETTER * after or agreement < _AGREE:
             shifts[k] = 0
 
 
 def whitened(cross: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a cross spectrum, as of ``rfft2`` of frames of a shape (H, W), with sizes of 1 below a Gaussian pass."""
+    """Normalise a cross spectrum (of ``rfft2`` of frames (H, W)) to magnitude 1, times a Gaussian low pass."""
     low_pass = np.exp(-(np.fft.fftfreq(shape[0])[:, None] ** 2 + np.fft.rfftfreq(shape[1])[None] ** 2) / (2 * _PASS**2))
     size = np.abs(cross)
     return cross * (low_pass / np.maximum(size, 1e-3 * size.max() + 1e-30))
 
 
 def edge_sizes(frame: np.ndarray) -> np.ndarray:
-    """Return (H, W) float32: gradient size of log brightness, capped, of mean 0 and faded out toward the frame."""
+    """Return (H, W) float32: gradient magnitude of log brightness, capped, with mean 0, faded out toward the border."""
     lit = np.maximum(frame, 0)
     logarithm = np.log(lit + 0.05 * np.percentile(lit, 90) + 1e-9)
     size = np.hypot(*np.gradient(logarithm))
@@ -145,34 +144,34 @@ def edge_sizes(frame: np.ndarray) -> np.ndarray:
 
 
 def lambertian_normals(frames: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) unit normals of frames (K, H, W) under directions (K, 3): plain least squares (Woodham 1980)."""
+    """Return (H, W, 3) unit normals of frames (K, H, W) under directions (K, 3) by least squares (Woodham 1980)."""
     scaled = np.tensordot(np.linalg.pinv(directions), frames, axes=1)
     normals = np.moveaxis(scaled, 0, -1)
     return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
 
 
 def mirror_agreement(normals: np.ndarray, mask: np.ndarray) -> tuple[float, int]:
-    """Return (agreement, count): how far normals (H, W, 3) fit a surface rather than a surface mirrored in x or y.
+    """Return (agreement, count): evidence that normals (H, W, 3) are of a surface, not of one mirrored in x or y.
 
     A surface z(x, y) has ∂p/∂y = ∂q/∂x for p = ∂z/∂x, q = ∂z/∂y; mirroring either axis of the lights, or the rows of
     the images, turns the sign of one side. agreement: the mean of sign(∂p/∂y · ∂q/∂x) over ``count`` squares of 2×2
     texels, −1…1, near 0 for noise. Measured: 0.81, 0.78 and 0.49 on the three bunnies, 0.18 on the icon.
     """
-    seen = mask & (normals[..., 2] > 0.2)
-    depth = np.where(seen, normals[..., 2], 1)
+    usable = mask & (normals[..., 2] > 0.2)
+    depth = np.where(usable, normals[..., 2], 1)
     p, q = -normals[..., 0] / depth, -normals[..., 1] / depth
     p_y = p[1:, :-1] + p[1:, 1:] - p[:-1, :-1] - p[:-1, 1:]
     q_x = q[:-1, 1:] + q[1:, 1:] - q[:-1, :-1] - q[1:, :-1]
-    whole = seen[1:, :-1] & seen[1:, 1:] & seen[:-1, :-1] & seen[:-1, 1:]
+    whole = usable[1:, :-1] & usable[1:, 1:] & usable[:-1, :-1] & usable[:-1, 1:]
     count = int(whole.sum())
     return (float(np.sign(p_y[whole] * q_x[whole]).mean()) if count else 0.0), count
 
 
 def outwardness(normals: np.ndarray, mask: np.ndarray) -> tuple[float, float, int]:
-    """Return (x, y, count): how far normals at the mask's border point out of it along x and along y.
+    """Return (x, y, count): mean components along x and y of border normals in the direction out of the mask.
 
-    At its border a solid object turns away, so both are above 0; a negative one means that this axis is mirrored.
-    Measured on the bunnies: about 0.2 each. count: border texels, without those along the frame.
+    The surface of a solid turns away at its outline, so both are above 0; a negative one means a mirrored axis.
+    Measured on the bunnies: about 0.2 each. count: border texels, without those at the image's border.
     """
     if min(mask.shape) < 2:
         return 0.0, 0.0, 0

@@ -1,4 +1,4 @@
-"""Detects damaged images of a capture by decoding each one, and leaves them out on request."""
+"""Detects damaged images of a capture by decoding each one, and excludes them on request."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ..types import LeftOut
 # Codes of CaptureErrors about a single image.
 DAMAGE = frozenset({"missing", "image_unknown", "image_truncated", "size", "image_nan"})
 _REMEDY = "or leave it out with --skip-damaged"
-_sizes: dict[tuple[Any, ...], tuple[int, int]] = {}  # of intact images, by their file's time and length
+_sizes: dict[tuple[Any, ...], tuple[int, int]] = {}  # of intact images, by file, its time and length
 
 
 @contextmanager
 def naming_remedy(skipping: bool) -> Iterator[None]:
-    """Add the option that leaves damaged images out to their errors, unless it is set."""
+    """Append the option that skips damaged images to their errors, unless ``skipping``."""
     try:
         yield
     except CaptureError as error:
@@ -36,7 +36,7 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
     """Return a spec with damaged images moved to ``left_out``. Raises CaptureError if none is intact.
 
     Yields before each image is decoded. A camera without intact images is removed. Faults of the list, such as an
-    unknown EXR part, stay in for ``build_capture`` to refuse.
+    unknown EXR part, are left to ``build_capture``.
     """
     sizes: dict[int, tuple[int, int]] = {}
     why: dict[int, str] = {}
@@ -48,19 +48,19 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
             if error.code in DAMAGE:
                 why[k] = error.message
     for index, view in enumerate(spec.views):
-        seen = {k: size for k, size in sizes.items() if spec.observations[k].camera == index}
-        if not seen:
+        intact = {k: size for k, size in sizes.items() if spec.observations[k].camera == index}
+        if not intact:
             continue
-        expected = common_size(view, list(seen.values()))
+        expected = common_size(view, list(intact.values()))
         why |= {k: size_fault(spec.observations[k].image, size, expected).message
-                for k, size in seen.items() if size != expected}  # fmt: skip
+                for k, size in intact.items() if size != expected}  # fmt: skip
     if len(why) == len(spec.observations):
         raise CaptureError(f"{why[0]} (like all other images of {spec.source})", "list_empty")
     left_out = tuple(LeftOut(k, str(spec.observations[k].image), why[k]) for k in sorted(why))
-    kept = [shot for k, shot in enumerate(spec.observations) if k not in why]
-    gone = {shot.camera for shot in spec.observations} - {shot.camera for shot in kept}
-    views = [index for index in range(len(spec.views)) if index not in gone]
-    shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in kept)
+    remaining = [shot for k, shot in enumerate(spec.observations) if k not in why]
+    unused = {shot.camera for shot in spec.observations} - {shot.camera for shot in remaining}
+    views = [index for index in range(len(spec.views)) if index not in unused]
+    shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in remaining)
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 
@@ -78,9 +78,9 @@ def _whole_size(image: ImageRef, store: ImageStore) -> tuple[int, int]:
     key = (image, *_stamp(image.path))
     if key not in _sizes:
         store.size(image)
-        found = store.samples(image)
-        check_numbers(image, found)
-        height, width = found.rgba.shape[:2]
+        samples = store.samples(image)
+        check_numbers(image, samples)
+        height, width = samples.rgba.shape[:2]
         _sizes[key] = width, height
     return _sizes[key]
 
@@ -88,6 +88,6 @@ def _whole_size(image: ImageRef, store: ImageStore) -> tuple[int, int]:
 def _stamp(path: Path) -> tuple[int, int]:
     try:
         stat = path.stat()
-    except OSError:  # reading it reports this
+    except OSError:  # reading the file reports the error
         return 0, 0
     return stat.st_mtime_ns, stat.st_size

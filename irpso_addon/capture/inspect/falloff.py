@@ -1,4 +1,4 @@
-"""Fall-off of radiance with the slant of the light, as a test of the encoding of image files."""
+"""Fall-off of radiance with the angle of incidence, as a test of the encoding of image files."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from ...core.encode import linear_from_srgb
 from .checks import flatness
 
 _EXPONENTS = np.geomspace(0.25, 4, 13)
-_LOWEST = 0.4  # of a pixel's bright samples, as code values: darker samples are mostly shadow
-_BRIGHT = 90.0  # percentile of a pixel's samples
+_LOWEST = 0.4  # of a pixel's bright code values: darker samples are mostly shadow
+_BRIGHT = 90.0  # percentile of a pixel's samples that counts as bright
 _DARK = 0.06  # code value under which even a pixel's bright samples are mostly noise
 _WIDTH = 0.03  # of the Cauchy weight, as a fraction of a pixel's bright samples
 _ROUNDS = 3  # of reweighting
-_GROUPS = 6  # of pixels, by their slant
+_GROUPS = 6  # of pixels, by angle of their normals
 _LEAST_LIGHTS, _LEAST_PIXELS = 6, 60
-_FLAT = 0.05  # flatness of lights that lie in a plane, or at one place
+_FLAT = 0.05  # flatness below which lights lie in one plane or direction
 # Measured on rendered captures: linear values of matt and glossy dielectrics have an exponent of 0.96 to 1.22, and of
-# 2.0 to 2.65 once they are decoded as sRGB. sRGB values of rough metals come as near as 0.86 to 1.14, but then differ
-# over the subject, by a factor of 1.5 or more once decoded, where those of dielectrics differ by less than 1.2. On a
-# subject that faces one way nothing differs, so it decides nothing.
+# 2.0 to 2.65 once they are decoded as sRGB. sRGB values of rough metals have 0.86 to 1.14, but then the exponent varies
+# over the subject by a factor of 1.5 or more once decoded; that of dielectrics varies by less than 1.2. On a subject
+# whose normals are alike nothing varies, so the test is inconclusive.
 _MATT, _DECODED_TWICE, _NEVER_DECODED = (0.88, 1.22), (1.95, 2.7), (0.4, 0.51)
 _SPREAD, _MISFIT, _VARIETY = 1.2, 0.022, 20.0
 
@@ -30,10 +30,10 @@ _SPREAD, _MISFIT, _VARIETY = 1.2, 0.022, 20.0
 class FallOff:
     """exponent: k of radiance in proportion to (n·l)^k (Minnaert 1941), one for all pixels.
 
-    spread: how the exponent differs over the subject: the second largest over the second smallest of six groups of
-    pixels, in the order of their angle from the mean normal, or along one of the two axes in which normals differ most,
-    whichever order shows the most. misfit: the median error over a pixel's bright samples. variety: degrees, root mean
-    square, between the normals and their mean.
+    spread: variation of the exponent over the subject: the second largest over the second smallest of six groups of
+    pixels, grouped by angle from the mean normal or along one of the two principal axes of the normals, whichever gives
+    the most. misfit: median error over a pixel's bright samples. variety: root mean square angle in degrees between the
+    normals and their mean.
     """
 
     exponent: float
@@ -43,20 +43,20 @@ class FallOff:
 
     @property
     def matt(self) -> bool:
-        """Whether radiance is proportional to n·l beyond doubt."""
+        """Whether radiance is clearly proportional to n·l."""
         return _within(self.exponent, _MATT) and self.misfit <= _MISFIT and self.variety >= _VARIETY
 
 
 @dataclass(frozen=True)
 class EncodingTest:
-    """The fall-offs of values taken as linear, and decoded from sRGB first; None if undetermined."""
+    """Fall-offs of code values taken as linear and as sRGB; None if undetermined."""
 
     linear: FallOff | None
     srgb: FallOff | None
 
     @property
     def sure(self) -> str:
-        """The encoding, "linear" or "srgb", if the fall-off leaves no doubt; else ""."""
+        """The encoding, "linear" or "srgb", if the fall-off is conclusive; else ""."""
         if not self.likely or not self.linear or not self.srgb or max(self.linear.spread, self.srgb.spread) > _SPREAD:
             return ""
         return self.likely if (self.linear if self.likely == "linear" else self.srgb).matt else ""
@@ -75,8 +75,8 @@ class EncodingTest:
 def encoding_test(codes: np.ndarray, weight: np.ndarray, directions: np.ndarray, power: np.ndarray) -> EncodingTest:
     """Return the fall-offs of code values (K, T, 3), 0…1, of T pixels under K distant lights.
 
-    weight: (K, T), 0 for samples that do not count. directions: (K, 3) unit vectors toward the lights. power: (K,)
-    their intensities. Values above 1 are no sRGB.
+    weight: (K, T), 0 for ignored samples. directions: (K, 3) unit vectors toward the lights. power: (K,) their
+    intensities. Values above 1 exclude sRGB.
     """
     codes = np.where(weight[..., None] > 0, codes, 0).astype(np.float64)
     dark = np.percentile(codes.mean(axis=-1), 80, axis=0) < _DARK
@@ -91,19 +91,19 @@ def encoding_test(codes: np.ndarray, weight: np.ndarray, directions: np.ndarray,
 def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> FallOff | None:
     """Return the fall-off of radiances (K, T) of T pixels under distant lights (K, 3), None for too few.
 
-    For every exponent k on a grid the pixels' scaled normals b are fitted to m = (b·l)^k by weighted least squares of
-    m^(1/k), reweighted so that highlights and shadow count little; the k of least loss is the answer. lowest: samples
-    under this fraction of a pixel's bright ones do not count.
+    For each exponent k on a grid, iteratively reweighted least squares fits the pixels' scaled normals b to m^(1/k) of
+    m = (b·l)^k, with low weights for highlights and shadow; the k of least loss is returned. lowest: samples under this
+    fraction of a pixel's bright ones are ignored.
     """
     if len(directions) < _LEAST_LIGHTS or samples.shape[1] < _LEAST_PIXELS or flatness(directions) < _FLAT:
         return None
     bright = np.maximum(np.percentile(samples, _BRIGHT, axis=0), 1e-9)
     relative = samples / bright
     used = (samples > 0) & (relative > lowest)
-    lit = used.sum(axis=0) >= _LEAST_LIGHTS
-    if lit.sum() < _LEAST_PIXELS:
+    enough = used.sum(axis=0) >= _LEAST_LIGHTS
+    if enough.sum() < _LEAST_PIXELS:
         return None
-    relative, used = relative[:, lit], used[:, lit]
+    relative, used = relative[:, enough], used[:, enough]
     fits = [_fit(relative, used, directions, k) for k in _EXPONENTS]
     losses = np.stack([np.log1p((error / _WIDTH) ** 2).sum(axis=0) for _, error in fits])
     scaled, error = fits[int(losses.sum(axis=1).argmin())]
@@ -119,16 +119,16 @@ def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> Fall
 
 
 def _spread_along(losses: np.ndarray, key: np.ndarray) -> float:
-    """Return how the exponents of groups of pixels, in the order of a key, differ: see FallOff."""
+    """Return FallOff.spread for groups of pixels in the order of ``key``."""
     groups = np.array_split(np.argsort(key, kind="stable"), _GROUPS)
     exponents = sorted(_lowest_at(losses[:, group].sum(axis=1)) for group in groups)
     return exponents[-2] / exponents[1]
 
 
 def _fit(relative: np.ndarray, used: np.ndarray, directions: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 3) scaled normals and (K, T) errors of (b·l)^k, 0 where not used."""
+    """Return (T, 3) scaled normals and (K, T) errors of (b·l)^k, 0 where not used."""
     root = np.where(used, relative, 1) ** (1 / k)
-    # An error of the root is one of k·m^(1−1/k) times as much of the sample.
+    # d m = k m^(1−1/k) d m^(1/k): converts errors of the root to errors of the sample.
     slope = np.where(used, k * np.maximum(relative, 1e-3) ** (1 - 1 / k), 0) ** 2
     squares = (directions[:, :, None] * directions[:, None, :]).reshape(-1, 9)
     weight = slope
@@ -142,7 +142,7 @@ def _fit(relative: np.ndarray, used: np.ndarray, directions: np.ndarray, k: floa
 
 
 def _lowest_at(losses: np.ndarray) -> float:
-    """Return the exponent at which losses over the grid are least, by a parabola through the three around it."""
+    """Return the exponent of least loss over the grid, by a parabola through the three losses around it."""
     i = int(losses.argmin())
     if i in (0, len(losses) - 1):
         return float(_EXPONENTS[i])

@@ -1,4 +1,4 @@
-"""Frames of one camera as the checks keep them, small, and the findings from them."""
+"""``Frames``: reduced frames of one camera; and the findings of comparing them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ..images.linearise import Samples
 from ..types import Capture
 from . import checks
 
-_THUMBNAIL, _CROP = 256, 512  # pixels: the longest side of what is kept of a frame
-_LEAST = 16  # pixels: the shortest side that is kept, of images of that many
-_COMPARED = 64  # pixels: the longest side at which frames are compared with each other, pair by pair
+_THUMBNAIL, _CROP = 256, 512  # pixels: longest side of a frame's thumbnail and of its crop
+_LEAST = 16  # pixels: shortest side of a thumbnail, of images of that many
+_COMPARED = 64  # pixels: longest side of the images that are compared pair by pair
 _MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
 _IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
-_CLIPPED = 0.02  # of the masked pixels of all frames
+_CLIPPED = 0.02  # of the masked pixels of all frames: more are a finding
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong, with the remedy in words. severity: "error" if a recovery cannot use the capture.
+    """A fault of a capture, with the remedy. severity: "error" if a recovery cannot use the capture.
 
-    goal: the obstructed one of sufficiency.GOALS, "" for all.
+    goal: the one of sufficiency.GOALS that it obstructs, "" for all.
     """
 
     code: str
@@ -35,9 +35,10 @@ class Finding:
 
 @dataclass
 class Frames:
-    """Thumbnails and crops of one camera's frames, grey radiance, and counts over its mask.
+    """Thumbnails and crops of one camera's frames, in grey radiance.
 
-    factors: the reduction of thumbnails' rows and columns.
+    factors: reduction of the thumbnails' rows and columns. window: rows and columns of the crops. indices: of the
+    observations. clipped: fraction of each frame's masked pixels.
     """
 
     mask: np.ndarray
@@ -51,6 +52,7 @@ class Frames:
 
 
 def frames_of(capture: Capture, index: int) -> Frames:
+    """Return empty Frames of a camera, reduced so that the crops of all cameras take at most 96 MB."""
     camera, mask = capture.cameras[index], capture.masks[index]
     count = max(1, sum(observation.camera == index for observation in capture.observations))
     affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
@@ -59,39 +61,40 @@ def frames_of(capture: Capture, index: int) -> Frames:
 
 
 def keep_frame(frames: Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
-    """Keep one frame's thumbnail and crop for later checks; yield its own findings."""
-    grey, kept = found.rgba[..., :3].mean(axis=-1), frames.mask
+    """Add one frame's thumbnail and crop to ``frames``; yield the findings of this frame alone."""
+    grey, mask = found.rgba[..., :3].mean(axis=-1), frames.mask
     frames.names.append(name)
     frames.indices.append(index)
     frames.thumbnails.append(shrunk(grey, frames.factors))
     frames.crops.append(grey[frames.window].copy())
-    frames.clipped.append(float(found.clipped[kept].mean()))
-    bad, negative = int(found.not_finite[kept].sum()), int(found.negative[kept].sum())
+    frames.clipped.append(float(found.clipped[mask].mean()))
+    bad, negative = int(found.not_finite[mask].sum()), int(found.negative[mask].sum())
     if bad:
         message = f"{name}: {counted(bad, 'pixel is', 'pixels are')} not a number; they get weight 0, render it again"
         yield Finding("not_finite", message)
     if negative:
         message = f"{name}: {counted(negative, 'pixel is', 'pixels are')} negative; check how it was exported"
         yield Finding("negative", message)
-    if not (grey[kept] > 0).any():
+    if not (grey[mask] > 0).any():
         yield Finding("image_black", f"{name}: is all black; take it and its light out of the list")
 
 
 def _factors(shape: tuple[int, ...], longest: int) -> tuple[int, int]:
-    """Return factors that reduce (rows, columns) to at most ``longest`` pixels; they differ for narrow strips alone."""
+    """Return factors that reduce (rows, columns) to at most ``longest`` pixels; they differ only for narrow strips."""
     factor = -(-max(shape) // longest)
     rows, columns = (min(factor, max(1, side // _LEAST)) for side in shape)
     return rows, columns
 
 
 def shrunk(image: np.ndarray, factors: tuple[int, int]) -> np.ndarray:
-    """Return an image reduced by whole factors by averaging, without the rows and columns left over."""
+    """Return an image reduced by whole factors by averaging; drops incomplete blocks at the end."""
     rows, columns = (side // factor for side, factor in zip(image.shape, factors, strict=True))
     down, across = factors
     return image[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3))
 
 
 def brightness(frames: Frames) -> str:
+    """Return the range of mean radiances and the clipped fraction, as text."""
     means = [float(thumbnail.mean()) for thumbnail in frames.thumbnails]
     return f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
 
@@ -133,7 +136,7 @@ def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
 
 
 def brightest(frames: Frames, capture: Capture) -> np.ndarray:
-    """Return (K,) a bright radiance, the 99th percentile, of each observation in its mask; NaN of unreadable ones."""
+    """Return (K,) the 99th percentile of radiance of each observation in the mask; NaN of unreadable ones."""
     bright = np.full(len(capture.observations), np.nan)
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.5
     if mask.any():
@@ -142,4 +145,5 @@ def brightest(frames: Frames, capture: Capture) -> np.ndarray:
 
 
 def counted(number: int, one: str, many: str) -> str:
+    """Return a number and ``one`` for 1, else ``many``."""
     return f"{number} {one if number == 1 else many}"

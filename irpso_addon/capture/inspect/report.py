@@ -1,4 +1,4 @@
-"""The contents of a capture, and its faults."""
+"""Inspects a capture: facts about its contents, and findings of its faults."""
 
 from __future__ import annotations
 
@@ -28,17 +28,16 @@ from .damage import sound_steps
 from .frames import Finding, Frames, brightest, brightness, counted, frame_steps, frames_of, keep_frame, shrunk
 
 _T = TypeVar("_T")
-_FLAT = 0.05  # flatness: a noise of 1 % becomes one of about 20 % across the plane
-_MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness below which an axis counts as mirrored
-_ENOUGH = 500  # squares or border texels that make either a finding
+_FLAT = 0.05  # flatness: a noise of 1 % becomes about 20 % perpendicular to the plane
+_MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness: below, an axis counts as mirrored
+_ENOUGH = 500  # fewest squares, or border texels, for either finding
 
 
 @dataclass(frozen=True)
 class Report:
-    """What inspect found. facts: (what, how much) in reading order. images: usable ones.
+    """Result of inspect. facts: (name, value) in reading order. images: number of usable ones.
 
-    texels: of the first camera's mask, framed as the capture says. corners: of a card, if the
-    capture has them searched.
+    texels: number of the first camera's mask, after framing. corners: of a card, for a framing with corners "auto".
     """
 
     path: Path
@@ -76,13 +75,12 @@ def inspect_steps(
     skip_damaged: bool = False,
     card_width: float | None = None,
 ) -> Generator[str, None, Report]:
-    """Check a capture, frame by frame; its faults become findings instead of errors. See read_capture.
-    Yields the name of each piece of the work before it starts.
+    """Check a capture, frame by frame; its faults become findings instead of errors. Yields a line before each step.
 
-    goals: of sufficiency.GOALS, the purpose of the recovery: findings warn of lights too few or too narrow for it. The
-    facts have the other goals. card_distance, card_width: override the capture's own. skip_damaged: as for
-    read_capture. It takes at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the number and size of the
-    frames.
+    path, decoder, colour_space, skip_damaged: as of read_capture. goals: of sufficiency.GOALS, the purpose of the
+    recovery: findings warn if the lights are too few or too narrow for it; the facts list all goals. card_distance,
+    card_width: override the capture's own. Memory: at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the
+    number and size of the frames.
     """
     path = Path(path)
     try:
@@ -97,12 +95,12 @@ def inspect_steps(
     left_out = f", {len(spec.left_out)} more left out" if spec.left_out else ""
     facts = [("kind", spec.kind), ("images", f"{len(spec.observations)}{left_out}")]
     findings = [Finding("left_out", f"left out: {one.why}") for one in spec.left_out]
-    lacks = {goal: _lacks(spec, goal) for goal in sufficiency.GOALS}
+    shortfalls = {goal: _shortfalls(spec, goal) for goal in sufficiency.GOALS}
     findings += _light_findings(spec)
-    if all(finding.severity != "error" for finding in findings):  # which says it already
+    if all(finding.severity != "error" for finding in findings):  # errors say it already
         findings += [Finding(f"lights_{s.code}", f"{spec.source}: {s.message}", goal)
-                     for goal in goals for s in lacks[goal]]  # fmt: skip
-    facts.append(("enough for", _enough_for(lacks)))
+                     for goal in goals for s in shortfalls[goal]]  # fmt: skip
+    facts.append(("enough for", _enough_for(shortfalls)))
     try:
         capture = yield from _numbered("Looking at headers", len(spec.observations), build_steps(spec, decoder))
     except CaptureError as error:
@@ -110,8 +108,8 @@ def inspect_steps(
     texels, corners = 0, None
     try:
         if framing.corners == AUTO:
-            looking = found_corner_steps(capture, framing)
-            framing, corners = yield from map_steps(looking, lambda done: f"Looking for corners: {done:.0%}")
+            search = found_corner_steps(capture, framing)
+            framing, corners = yield from map_steps(search, lambda done: f"Looking for corners: {done:.0%}")
         part = framed(capture, framing)
         texels = int(np.count_nonzero(part.masks[0]))
         capture = replace(capture, card_distance=part.card_distance)
@@ -136,7 +134,7 @@ inspect_capture = at_once("inspect_capture", inspect_steps)
 def _image_steps(
     spec: CaptureSpec, capture: Capture, facts: list[tuple[str, str]], findings: list[Finding]
 ) -> Generator[str, None, None]:
-    """Add the facts and findings of the images; yield the name of each piece of the work."""
+    """Append the facts and findings of the images; yield a line before each step."""
     groups = {camera: frames_of(capture, camera) for camera in range(len(capture.cameras))}
     for index, observation in enumerate(capture.observations):
         yield f"Checking images: {index + 1} of {len(capture.observations)}"
@@ -156,7 +154,7 @@ def _image_steps(
 
 
 def _room_light_findings(capture: Capture, frames: Frames) -> Iterator[Finding]:
-    """Yield a finding where distant lights leave light unexplained; near ones would need the pixels' places."""
+    """Yield a finding of room light, under distant lights only: near ones need the pixels' positions."""
     lights = [capture.observations[index].light for index in frames.indices]
     if len(lights) < sufficiency.FEWEST or not all(light.distant for light in lights):
         return
@@ -169,7 +167,7 @@ def _room_light_findings(capture: Capture, frames: Frames) -> Iterator[Finding]:
 
 
 def _numbered(what: str, total: int, steps: Generator[None, None, _T]) -> Generator[str, None, _T]:
-    """Yield ``what`` for each step, with a count up to ``total`` if that is not 0; return the result of the steps."""
+    """Yield ``what`` for each step, with a count up to ``total`` unless it is 0; return the result of the steps."""
     numbers = count(1)
     return (yield from map_steps(steps, lambda _: f"{what}: {min(next(numbers), total)} of {total}" if total else what))
 
@@ -192,17 +190,17 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         ("lights", ", ".join(f"{count} {kind}" for count, kind in kinds if count or kind in ("distant", "near"))),
     ]
     readers = [cast(ImageReader, observation.read) for observation in capture.observations]
-    profiles = Counter(found.name for reader in readers if (found := reader.store.profile(reader.image)))
+    profiles = Counter(profile.name for reader in readers if (profile := reader.store.profile(reader.image)))
     if profiles:
         named = ", ".join(f"{count} {name}" for name, count in profiles.items())
         facts.append(("colours", f"{named}, converted to Rec. 709"))
-    for view, camera, mask, seen in zip(spec.views, capture.cameras, capture.masks, part.cameras, strict=True):
+    for view, camera, mask, used in zip(spec.views, capture.cameras, capture.masks, part.cameras, strict=True):
         kind = "perspective" if camera.perspective else "orthographic"
         kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
         facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
-        if seen is not camera:
-            facts.append(("used", f"{seen.width}×{seen.height} of that"))
+        if used is not camera:
+            facts.append(("used", f"{used.width}×{used.height} of that"))
     if part.card_distance is not None and len(part.cameras) == 1:
         width, height = places.card_size(part.cameras[0], part.card_distance)
         facts.append(("card", f"{part.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
@@ -243,13 +241,13 @@ def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
             "normals",
         )
     cameras = [shot.camera for shot in spec.observations if shot.distant]
-    # Cameras around a subject photograph it under the same lights.
+    # Several cameras may photograph the subject under the same lights.
     twice = [(i, j) for i, j in checks.same_lights(directions) if cameras[i] == cameras[j]]
     for i, j in twice[:3]:
         yield Finding("lights_same", f"{wheres[j]}: the same light as {wheres[i]}; check the list's order")
 
 
-def _lacks(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
+def _shortfalls(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
     """Return the shortfalls of the lights for ``goal``."""
     lights = written_lights(spec)
     if not lights:
@@ -259,7 +257,7 @@ def _lacks(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
     distant = np.array([light.distant for light in lights])
     vectors = np.array([light.vector for light in lights])
     on_card = spec.card_distance is not None and len(spec.views) == 1 and not spec.views[0].placed
-    if on_card:  # near lights as its middle sees them
+    if on_card:  # near lights relative to the card's middle
         vectors[~distant] += (0.0, 0.0, spec.card_distance)
     known = on_card or distant.all()
     if known and not vectors.any(axis=1).all():
@@ -268,14 +266,14 @@ def _lacks(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
     return list(sufficiency.shortfalls(goal, len(lights), directions))
 
 
-def _enough_for(lacks: dict[str, list[sufficiency.Shortfall]]) -> str:
-    good = [goal for goal, found in lacks.items() if not found]
-    bad = [f"{goal} ({', '.join(s.code for s in found)})" for goal, found in lacks.items() if found]
-    return "; ".join([*([", ".join(good)] if good else []), *([f"not for {', '.join(bad)}"] if bad else [])])
+def _enough_for(shortfalls: dict[str, list[sufficiency.Shortfall]]) -> str:
+    met = [goal for goal, lacking in shortfalls.items() if not lacking]
+    unmet = [f"{goal} ({', '.join(s.code for s in lacking)})" for goal, lacking in shortfalls.items() if lacking]
+    return "; ".join([*([", ".join(met)] if met else []), *([f"not for {', '.join(unmet)}"] if unmet else [])])
 
 
 def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: Frames) -> Iterator[Finding]:
-    """Yield findings of axes of lights that look mirrored against one camera's images."""
+    """Yield findings of light axes that are mirrored relative to one camera's images."""
     observations = [capture.observations[i] for i in frames.indices]
     on_card = capture.card_distance is not None and len(capture.cameras) == 1
     if len(observations) < 3 or not (on_card or all(observation.light.distant for observation in observations)):
@@ -309,7 +307,7 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
 
 
 def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iterator[Finding]:
-    """Yield signs of lengths in different units. frames: of the first camera."""
+    """Yield findings of lengths in different units. frames: of the first camera."""
     for view, camera in zip(spec.views, capture.cameras, strict=True):
         for code, message in places.lens_problems(camera):
             yield Finding(code, f"{view.where}: {message}")
@@ -319,12 +317,12 @@ def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iter
         if not view.lens:
             message = "has no lens and is assumed 2 units of the light positions wide; give fov_degrees or world_width"
             yield Finding("lens", f"{view.where}: {message}")
-    found: list[places.Problem] = []
+    problems: list[places.Problem] = []
     if len(capture.cameras) > 1:
-        found += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
+        problems += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
     elif capture.card_distance is not None:
-        found += [*places.card_problems(capture), *places.strength_problems(capture, brightest(frames, capture))]
+        problems += [*places.card_problems(capture), *places.strength_problems(capture, brightest(frames, capture))]
     elif not spec.views[0].placed:
         message = "near lights on a flat card need its distance from the camera, in the unit of their places; add"
-        found.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))
-    yield from (Finding(code, f"{spec.source}: {message}") for code, message in found)
+        problems.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))
+    yield from (Finding(code, f"{spec.source}: {message}") for code, message in problems)

@@ -1,4 +1,4 @@
-"""Sufficiency of a set of lights for normals, the roughness of one lobe, and two lobes, from measurements."""
+"""Measured sufficiency of a set of lights for normals, the roughness of one lobe, and two lobes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..errors import CaptureError
 from ..types import Light
 
 GOALS = ("normals", "roughness", "two lobes")
-FEW = 0.1  # most failed texels under sufficient lights, as a fraction
+FEW = 0.1  # largest fraction of failed texels under sufficient lights
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured set of lights. value: of the varied quantity. failed: fraction of failed texels, for each of GOALS.
+    """Measurement of one set of lights. value: of the varied quantity. failed: fraction of failed texels per GOAL.
 
     A texel fails with a normal error above 5°, or a lobe parameter's error above 10 % of its range.
     """
@@ -35,14 +35,14 @@ NUMBER = (
     Figure(50, (0.0, 0.054, 0.108)),
     Figure(100, (0.0, 0.033, 0.054)),
 )
-# On cards with noise alone, 50 lights: the degrees between their middle and the outermost,
+# On cards with noise alone, 50 lights: the angle in degrees between their mean and the outermost,
 CONE = (
     Figure(10, (0.024, 0.300, 0.789)),
     Figure(20, (0.0, 0.152, 0.368)),
     Figure(30, (0.0, 0.088, 0.172)),
     Figure(45, (0.0, 0.033, 0.040)),
 )
-# and how far they spread across the plane that they are nearest to, over how far along it.
+# and their spread perpendicular to the best-fitting plane over the spread in it.
 ACROSS = (
     Figure(0.02, (0.017, 0.199, 0.409)),
     Figure(0.05, (0.0, 0.179, 0.342)),
@@ -51,24 +51,24 @@ ACROSS = (
     Figure(0.5, (0.0, 0.037, 0.063)),
 )
 FEWEST = 3  # lights of a normal
-FLAT_USELESS = 1e-3  # smallest over largest singular value of lights below which they have no third direction
-_ONE_PLACE = 1e-6  # of their distance from the world's origin: near lights no further apart are at one position
-_SLACK = 0.97  # a set that reaches this part of a measured value counts as reaching it
+FLAT_USELESS = 1e-3  # smallest over largest singular value: below, lights have no third direction
+_ONE_PLACE = 1e-6  # of the distance from the world's origin: closer near lights are at one position
+_SLACK = 0.97  # this fraction of a measured value counts as the value
 
 
 @dataclass(frozen=True)
 class Shortfall:
-    """A lack of lights: a short name, and a sentence with the measured figure."""
+    """A lack of lights: its code, and a sentence with the measured figure."""
 
     code: str
     message: str
 
 
 def no_normal(lights: Sequence[Light]) -> Shortfall | None:
-    """Return why lights cannot give a normal at any texel; None if they can.
+    """Return the shortfall that makes normals impossible at all texels; None if there is none.
 
-    Light directions in one plane do not determine the normal's part across it. This holds at all points for distant
-    lights of rank 2 and for near lights on one line.
+    Light directions in one plane do not determine the normal's component perpendicular to it. This is so at all points
+    for distant lights of rank 2 and for near lights on one line.
     """
     if len(lights) < FEWEST:
         what = f"has {len(lights)} light{'s' * (len(lights) != 1)}"
@@ -86,16 +86,17 @@ def no_normal(lights: Sequence[Light]) -> Shortfall | None:
 
 
 def _projective(lights: Sequence[Light]) -> np.ndarray:
-    """Return (K, 4) lights as points of projective space: (x, y, z, 1) of near ones about their middle, in units of
-    their spread, and (x, y, z, 0) of distant ones. From a point t light (p, w) is seen along p − w t.
+    """Return (K, 4) lights as points (p, w) of projective space, which a point t sees in the direction p − w t.
+
+    Near ones are (x, y, z, 1) about their mean, in units of their spread; distant ones (x, y, z, 0).
     """
     rows = np.array([(*light.vector, 0.0 if light.distant else 1.0) for light in lights])
     near = rows[:, 3] > 0
     if near.any():
-        places = rows[near, :3]
-        about = places - places.mean(axis=0)
-        spread = np.linalg.norm(about, axis=1).max()
-        rows[near, :3] = about / spread if spread > _ONE_PLACE * np.linalg.norm(places, axis=1).max() else 0.0
+        positions = rows[near, :3]
+        relative = positions - positions.mean(axis=0)
+        spread = np.linalg.norm(relative, axis=1).max()
+        rows[near, :3] = relative / spread if spread > _ONE_PLACE * np.linalg.norm(positions, axis=1).max() else 0.0
     return rows
 
 
@@ -107,56 +108,56 @@ def check_normal(source: str, lights: Sequence[Light]) -> None:
 
 
 def half_angle(directions: np.ndarray) -> float:
-    """Return the degrees between the middle and the border of an even cap of lights, from unit directions (K, 3).
+    """Return the half-angle in degrees of the cap that lights of unit directions (K, 3) cover evenly.
 
-    There the cosine to the middle is uniform between 1 and the border's (Archimedes): its mean gives the angle.
+    On an even cap the cosine to its axis is uniform between 1 and the border's (Archimedes): its mean gives the angle.
     """
     total = np.linalg.norm(directions.sum(axis=0)) / len(directions)
     return float(np.degrees(np.arccos(np.clip(2 * total - 1, -1, 1))))
 
 
 def spread_across(directions: np.ndarray) -> float:
-    """Return how far unit directions (K, 3) spread across the plane that they are nearest to, over along it: 0 to 1."""
+    """Return the spread of unit directions (K, 3) perpendicular to their best-fitting plane over that in it: 0 to 1."""
     values = np.linalg.svd(directions, compute_uv=False)
     return float(values[2] / values[1]) if len(values) == 3 and values[1] > 0 else 0.0
 
 
 def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator[Shortfall]:
-    """Yield what ``count`` lights lack for one of GOALS. directions: (K, 3) unit, or None for near lights."""
-    at = GOALS.index(goal)
-    if found := _short(NUMBER, at, count):
-        row, enough = found
+    """Yield the shortfalls of ``count`` lights for one of GOALS. directions: (K, 3) unit, or None for near lights."""
+    index = GOALS.index(goal)
+    if shortfall := _short(NUMBER, index, count):
+        row, enough = shortfall
         yield Shortfall(
             "few",
-            f"{count} lights are few for {goal}: with {row.value:g}, {row.failed[at]:.0%} of the texels failed on a"
+            f"{count} lights are few for {goal}: with {row.value:g}, {row.failed[index]:.0%} of the texels failed on a"
             f" card with cast shadows and interreflection; take {enough:g} or more",
         )
     if directions is None or len(directions) < 3:
         return
     angle = half_angle(directions)
-    if found := _short(CONE, at, angle):
-        row, enough = found
+    if shortfall := _short(CONE, index, angle):
+        row, enough = shortfall
         yield Shortfall(
             "narrow",
             f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {goal}: of 50 lights within"
-            f" {row.value:g}° {row.failed[at]:.0%} of the texels failed; spread them over {enough:g}° or more",
+            f" {row.value:g}° {row.failed[index]:.0%} of the texels failed; spread them over {enough:g}° or more",
         )
     across = spread_across(directions)
-    if found := _short(ACROSS, at, across):
-        row, enough = found
+    if shortfall := _short(ACROSS, index, across):
+        row, enough = shortfall
         yield Shortfall(
             "flat",
             f"the lights spread only {across:.2f} times as far one way as the other, which is little for {goal}: of 50"
-            f" lights with {row.value:g} {row.failed[at]:.0%} of the texels failed; add some off their plane, to"
+            f" lights with {row.value:g} {row.failed[index]:.0%} of the texels failed; add some off their plane, to"
             f" {enough:g} or more",
         )
 
 
-def _short(figures: tuple[Figure, ...], at: int, value: float) -> tuple[Figure, float] | None:
-    """Return the next figure below an insufficient value, and the least sufficient value; None if it suffices."""
-    good = [f.value for f in figures if f.failed[at] <= FEW]
+def _short(figures: tuple[Figure, ...], goal: int, value: float) -> tuple[Figure, float] | None:
+    """Return the next figure below an insufficient value, and the least sufficient value; None for a sufficient one."""
+    sufficient = [f.value for f in figures if f.failed[goal] <= FEW]
     # Sufficient values lie above all insufficient ones: fewer lights may succeed by chance.
-    enough = min(v for v in good if all(f.value < v for f in figures if f.failed[at] > FEW))
+    enough = min(v for v in sufficient if all(f.value < v for f in figures if f.failed[goal] > FEW))
     if value >= _SLACK * enough:
         return None
     below = [f for f in figures if f.value <= value]

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 IMAGES = 3
-_BLUR = 0.7  # pixels: noise out, edges wide enough for their derivatives
-_SHADOW = 0.08  # of a frame's bright tenth: darker pixels are shadow, which the sum does not explain
+_BLUR = 0.7  # pixels: suppresses noise, and widens edges for their derivatives
+_SHADOW = 0.08  # of a frame's 90th percentile: darker pixels are shadow, which the sum does not explain
 _OUTLIER = 1.5  # median residuals: the Cauchy scale of the weights
-_ROUNDS = 5  # of weighing
+_ROUNDS = 5  # of reweighting
 
 
 def scale_of(frame: np.ndarray) -> float:
@@ -27,17 +27,17 @@ def low_pass(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def fading(shape: tuple[int, ...]) -> np.ndarray:
-    """Return (H, W) float32 weights that fade out toward the frame."""
+    """Return (H, W) float32 weights that fade out toward the image's border."""
     return np.outer(*(np.hanning(side + 2)[1:-1] for side in shape)).astype(np.float32)
 
 
 def lit(image: np.ndarray) -> np.ndarray:
-    """Return (H·W,) bool: the pixels of a frame, over its scale, that are in no shadow."""
+    """Return (H·W,) bool: pixels outside shadows of a frame divided by its ``scale_of``."""
     return (image > _SHADOW).ravel()
 
 
 def basis(flat: np.ndarray, products: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return (3, N) float32 the images that span most of frames ``others`` of ``flat`` (K, N), of products (K, K)."""
+    """Return the principal images (3, N) float32 of the frames ``others`` of ``flat`` (K, N), of Gram matrix (K, K)."""
     vectors = np.linalg.eigh(products[np.ix_(others, others)])[1][:, -IMAGES:]
     mixed = np.zeros((vectors.shape[1], len(flat)), np.float32)
     mixed[:, others] = vectors.T
@@ -45,34 +45,34 @@ def basis(flat: np.ndarray, products: np.ndarray, others: np.ndarray) -> np.ndar
 
 
 def factors(rows: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return (R,) float64 by which rows (R, N) sum up to a target (N,), by weighted least squares."""
+    """Return (R,) float64 coefficients of rows (R, N) whose sum fits a target (N,), by weighted least squares."""
     weighted = rows * weight
     normal, right_side = (weighted @ rows.T).astype(np.float64), (weighted @ target).astype(np.float64)
     return np.linalg.lstsq(normal, right_side, rcond=None)[0]
 
 
 def weights(error: np.ndarray, is_lit: np.ndarray) -> np.ndarray:
-    """Return (N,) float32 the weights of pixels for the next fit, of the errors (N,) of this one."""
+    """Return (N,) float32 weights of pixels for the next fit from the errors (N,) of this one."""
     scale = _OUTLIER * float(np.median(np.abs(error))) + 1e-9
     return (is_lit / (1 + (error / scale) ** 2)).astype(np.float32)
 
 
 def correlation(a: np.ndarray, b: np.ndarray, fade: np.ndarray) -> float:
-    """Return the correlation of two faded images (N,) after the part that the fading alone explains is taken out."""
+    """Return the correlation of two faded images (N,) without their components along the fading itself."""
     flat = fade.ravel()
     a, b = (v - flat * float(v @ flat / (flat @ flat)) for v in (a, b))
     return float(a @ b / (np.sqrt(float(a @ a) * float(b @ b)) + 1e-30))
 
 
 def explained(image: np.ndarray, images: np.ndarray, fade: np.ndarray) -> tuple[float, float]:
-    """Return the mean size of what three faded images (3, N) leave of an image (H, W) where it is lit, and the
-    correlation of their best sum with it.
+    """Fit an image (H, W) by three faded images (3, N); return the mean absolute residual where lit, and the fit's
+    correlation with the image.
     """
     is_lit, flat, faded = lit(image), (image * fade).ravel(), fade.ravel()
-    weight, total = is_lit.astype(np.float32), flat
+    weight, fit = is_lit.astype(np.float32), flat
     for _ in range(_ROUNDS):
-        total = factors(images, flat, weight).astype(np.float32) @ images
-        weight = weights((flat - total) / (faded + 1e-3), is_lit)
-    left = np.abs(flat - total) / (faded + 1e-3)
-    count = faded**2 * is_lit
-    return float((count * left).sum() / (count.sum() + 1e-12)), correlation(total, flat, fade)
+        fit = factors(images, flat, weight).astype(np.float32) @ images
+        weight = weights((flat - fit) / (faded + 1e-3), is_lit)
+    residual = np.abs(flat - fit) / (faded + 1e-3)
+    pixel_weight = faded**2 * is_lit
+    return float((pixel_weight * residual).sum() / (pixel_weight.sum() + 1e-12)), correlation(fit, flat, fade)

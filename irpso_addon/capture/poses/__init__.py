@@ -1,4 +1,4 @@
-"""Cameras as photogrammetry programs write them: COLMAP, Agisoft Metashape, AliceVision (Meshroom)."""
+"""Readers of the camera files of COLMAP, Agisoft Metashape and AliceVision (Meshroom)."""
 
 from .posed import PoseFile, moved, of_picture, similarity
 from .read import read_poses

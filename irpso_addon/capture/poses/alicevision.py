@@ -1,4 +1,4 @@
-"""Cameras of AliceVision, which Meshroom runs, in its JSON format: .sfm files.
+"""Reads cameras of AliceVision, which Meshroom runs, from its JSON format: .sfm files.
 
 AliceVision's sfmDataIO with its CHANGES.md: numbers are written as strings; from version 1.2.1 the principal point is
 an offset from the image's middle, from 1.2.2 the focal length is in millimetres; matrices are written column by column,
@@ -18,7 +18,7 @@ from ..camera import is_rotation
 from ..errors import CaptureError
 from .posed import Lens, PoseFile, camera_from_vision, moved
 
-# Distortion, by either of its names → which of OpenCV's coefficients the parameters are, in their order.
+# Distortion model, by either of its names → OpenCV's names of its parameters, in order.
 _DISTORTIONS = {
     "none": (),
     "pinhole": (),
@@ -77,7 +77,7 @@ def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens | s
     """Return (size, focal length, centre, distortion), or the reason why the intrinsics are unsupported."""
     where = f"{path}: intrinsics {row.get('intrinsicId')}"
     kind = str(row.get("type", "")).lower()
-    # Since the distortion has a name of its own, type is that of the projection.
+    # In files with distortionType, type is that of the projection.
     distortion, reverse = (
         str(row.get(key, default)).lower() for key, default in (("distortionType", kind), ("undistortionType", "none"))
     )
@@ -94,9 +94,9 @@ def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens | s
     x, y = _numbers(row, "principalPoint", 2, where)
     if version >= _OFFSET_SINCE:
         x, y = x + width / 2, y + height / 2
-    given = _numbers(row, "distortionParams", len(names), where) if row.get("distortionParams") else [0.0] * len(names)
-    of = dict(zip(names, given, strict=True))
-    coefficients = tuple(of.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3"))
+    values = _numbers(row, "distortionParams", len(names), where) if row.get("distortionParams") else [0.0] * len(names)
+    by_name = dict(zip(names, values, strict=True))
+    coefficients = tuple(by_name.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3"))
     return (int(width), int(height)), focal, (x + 0.5, y + 0.5), coefficients
 
 
@@ -107,11 +107,11 @@ def _focal(row: dict[str, Any], version: tuple[int, ...], width: float, where: s
         if sensor <= 0:
             raise CaptureError(f"{where}: sensorWidth must be above 0; {_AGAIN}", "camera")
         return (_value(row.get("focalLength"), f"{where}: focalLength") / sensor * width,) * 2
-    given = row.get("pxFocalLength")
-    if isinstance(given, list):
+    focal = row.get("pxFocalLength")
+    if isinstance(focal, list):
         x, y = _numbers(row, "pxFocalLength", 2, where)
         return x, y
-    return (_value(given, f"{where}: pxFocalLength"),) * 2
+    return (_value(focal, f"{where}: pxFocalLength"),) * 2
 
 
 def _pose(row: dict[str, Any], path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +121,7 @@ def _pose(row: dict[str, Any], path: Path) -> tuple[np.ndarray, np.ndarray]:
     transform = pose.get("transform") if isinstance(pose, dict) else None
     if not isinstance(transform, dict):
         raise CaptureError(f"{where}: has no transform; {_AGAIN}", "camera")
-    # Column by column world to camera is row by row camera to world.
+    # World to camera in column order is camera to world in row order.
     rotation = np.reshape(_numbers(transform, "rotation", 9, where), (3, 3))
     if not is_rotation(rotation):
         raise CaptureError(f"{where}: its rotation scales or mirrors; {_AGAIN}", "matrix")

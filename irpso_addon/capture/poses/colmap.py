@@ -1,8 +1,8 @@
-"""Cameras of COLMAP (Schönberger and Frahm 2016) in its text format: cameras.txt and images.txt.
+"""Reads cameras of COLMAP (Schönberger and Frahm 2016) from its text format: cameras.txt and images.txt.
 
 COLMAP's documentation, "Output Format" and "Camera Models": poses are quaternion and translation from world to camera,
-x right, y down, z to the front; the upper left pixel's centre is (0.5, 0.5). Models that COLMAP 4.2.1 wrote were read
-back, and all six lenses put points within 2e-13 pixels of where it does.
+x right, y down, z to the front; the upper left pixel's centre is (0.5, 0.5). On models that COLMAP 4.2.1 wrote,
+projections through all six lenses agree with its own within 2e-13 pixels.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ..formats.lists import numbers, read_text
 from .posed import Lens, PoseFile, camera_from_vision
 
 CAMERAS, IMAGES = "cameras.txt", "images.txt"
-# Where COLMAP itself puts the two files below a project's folder.
+# Folders below a project in which COLMAP itself writes the two files.
 _PLACES = (".", "sparse/0", "sparse")
-# Model → what its parameters are, in order.
+# Model → names of its parameters, in order.
 _MODELS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -30,23 +30,23 @@ _MODELS = {
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 _COUNT = re.compile(r"#\s*Number of (?:cameras|images):\s*(\d+)")
-_UNIT = 0.01  # how far a quaternion may be from unit length; COLMAP writes 17 digits, people fewer
+_UNIT = 0.01  # tolerance of a quaternion's length: COLMAP writes 17 digits, people fewer
 _AGAIN = "export the model as text again"
 
 
 def read_colmap(folder: Path) -> PoseFile:
-    """Return the cameras of a folder that holds cameras.txt and images.txt, there or below in sparse/0.
+    """Return the cameras of a folder with cameras.txt and images.txt, or with them below in sparse/0 or sparse.
 
     Raises CaptureError if they are missing or damaged.
     """
-    found = next((folder / place for place in _PLACES if (folder / place / CAMERAS).is_file()), None)
-    if found is None:
+    model = next((folder / place for place in _PLACES if (folder / place / CAMERAS).is_file()), None)
+    if model is None:
         binary = any((folder / place / "cameras.bin").is_file() for place in _PLACES)
         remedy = "export the model as text (File > Export model as text)" if binary else "give the folder that holds it"
         raise CaptureError(f"{folder}: has no {CAMERAS}; {remedy}", "missing")
-    lenses = _lenses(found / CAMERAS)
+    lenses = _lenses(model / CAMERAS)
     cameras, unusable = {}, {}
-    for where, words in _images(found / IMAGES):
+    for where, words in _images(model / IMAGES):
         name, lens = words[9].strip(), lenses.get(words[8])
         if lens is None:
             raise CaptureError(f"{where}: {CAMERAS} has no camera {words[8]}; {_AGAIN}", "camera")
@@ -57,7 +57,7 @@ def read_colmap(folder: Path) -> PoseFile:
             unusable[name] = lens
         else:
             cameras[name] = camera_from_vision(*lens, rotation, position)
-    return PoseFile(found, "COLMAP", cameras, unusable)
+    return PoseFile(model, "COLMAP", cameras, unusable)
 
 
 def _lenses(path: Path) -> dict[str, Lens | str]:
@@ -80,12 +80,12 @@ def _lenses(path: Path) -> dict[str, Lens | str]:
                 f"{where}: {model} has {len(names)} parameters ({', '.join(names)}), not {len(values) - 2}; {_AGAIN}",
                 "camera",
             )
-        of = dict(zip(names, values[2:], strict=True))
-        focal = (of["fx"], of["fy"]) if "fx" in of else (of["f"], of["f"])
+        by_name = dict(zip(names, values[2:], strict=True))
+        focal = (by_name["fx"], by_name["fy"]) if "fx" in by_name else (by_name["f"], by_name["f"])
         if min(*values[:2], *focal) <= 0 or any(value % 1 for value in values[:2]):
             raise CaptureError(f"{where}: size and focal length must be above 0; {_AGAIN}", "camera")
-        distortion = tuple(of.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
-        lenses[words[0]] = (int(values[0]), int(values[1])), focal, (of["cx"], of["cy"]), distortion
+        distortion = tuple(by_name.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+        lenses[words[0]] = (int(values[0]), int(values[1])), focal, (by_name["cx"], by_name["cy"]), distortion
     return lenses
 
 
@@ -116,12 +116,12 @@ def _is_points(line: str) -> bool:
 def _lines(path: Path) -> list[tuple[str, str]]:
     """Return (place, text) of all lines except empty ones and comments. Checks their number against the comment's."""
     rows = [(f"{path}: line {n}", line.strip()) for n, line in enumerate(read_text(path, _AGAIN).splitlines(), 1)]
-    found = [(where, line) for where, line in rows if line and not line.startswith("#")]
+    lines = [(where, line) for where, line in rows if line and not line.startswith("#")]
     stated = next((int(match[1]) for _, line in rows if (match := _COUNT.match(line))), None)
-    listed = len([line for _, line in found if path.name != IMAGES or not _is_points(line)])
+    listed = len([line for _, line in lines if path.name != IMAGES or not _is_points(line)])
     if stated is not None and stated != listed:
         raise CaptureError(f"{path}: says it lists {stated} and lists {listed}; it is cut short: {_AGAIN}", "count")
-    return found
+    return lines
 
 
 def _pose(values: list[float], where: str) -> tuple[np.ndarray, np.ndarray]:

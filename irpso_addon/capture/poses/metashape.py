@@ -1,8 +1,8 @@
-"""Cameras of Agisoft Metashape as File > Export > Export Cameras writes them in its own XML.
+"""Reads cameras of Agisoft Metashape from the XML of File > Export > Export Cameras.
 
 Metashape's user manual, appendix "Camera models", frame cameras: x right, y down, z along the view, r² = x² + y²,
 x′ = x (1 + K1 r² + K2 r⁴ + K3 r⁶ + K4 r⁸) + (P1 (r² + 2x²) + 2 P2 xy)(1 + P3 r² + P4 r⁴), y′ likewise with P1 and P2
-changed about (so that its P1 is OpenCV's p2), u = w/2 + cx + x′ f + x′ B1 + y′ B2, v = h/2 + cy + y′ f; the upper
+exchanged (its P1 is OpenCV's p2), u = w/2 + cx + x′ f + x′ B1 + y′ B2, v = h/2 + cy + y′ f; the upper
 left pixel's centre is (0.5, 0.5).
 """
 
@@ -20,10 +20,10 @@ from ..errors import CaptureError
 from .posed import Lens, PoseFile, camera_from_vision, similarity
 
 _AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
-_NEGLIGIBLE = 0.1  # pixels at the image's corners: most effect of an unsupported term
+_NEGLIGIBLE = 0.1  # pixels at the image's corners: largest ignored effect of an unsupported term
 _NO = ("0", "false")
 _TERMS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-_EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEODCRS", "PROJCRS", "COMPD_CS")  # of WKT: worlds that are the Earth
+_EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEODCRS", "PROJCRS", "COMPD_CS")  # WKT keywords of systems on the Earth
 
 
 def read_metashape(path: Path) -> PoseFile:
@@ -79,10 +79,10 @@ def _parsed(path: Path) -> ElementTree.Element:
     def refuse(*_: object) -> None:
         raise CaptureError(f"{path}: declares a document type, which Metashape's files do not; {_AGAIN}", "kind")
 
-    looker = expat.ParserCreate()
-    looker.StartDoctypeDeclHandler = refuse
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
     try:
-        looker.Parse(data, True)
+        parser.Parse(data, True)
         return ElementTree.fromstring(data)
     except (expat.ExpatError, ElementTree.ParseError) as error:
         raise CaptureError(f"{path}: is cut short or no XML ({error}); {_AGAIN}", "not_text") from error
@@ -90,8 +90,8 @@ def _parsed(path: Path) -> ElementTree.Element:
 
 def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     """Return (size, focal length, centre, distortion), or the reason why the sensor is unsupported."""
-    found = sensor.findall("calibration")
-    calibration = next((item for item in found if item.get("class") == "adjusted"), found[0] if found else None)
+    items = sensor.findall("calibration")
+    calibration = next((item for item in items if item.get("class") == "adjusted"), items[0] if items else None)
     if calibration is None:
         raise CaptureError(f"{where}: has no calibration; {_AGAIN}", "camera")
     kind = calibration.get("type") or sensor.get("type") or "frame"
@@ -102,37 +102,37 @@ def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     if resolution is None:
         raise CaptureError(f"{where}: has no resolution; {_AGAIN}", "camera")
     size = tuple(_numbers(resolution.get(side), 1, f"{where}: its resolution")[0] for side in ("width", "height"))
-    of = {item.tag: _numbers(item.text, 1, f"{where}: {item.tag}")[0] for item in calibration if item.tag in _TERMS}
-    if "f" not in of:
+    terms = {item.tag: _numbers(item.text, 1, f"{where}: {item.tag}")[0] for item in calibration if item.tag in _TERMS}
+    if "f" not in terms:
         raise CaptureError(f"{where}: its calibration has no f; {_AGAIN} with Metashape 1 or later", "camera")
-    if min(of["f"], of["f"] + of.get("b1", 0), *size) <= 0 or any(side % 1 for side in size):
+    if min(terms["f"], terms["f"] + terms.get("b1", 0), *size) <= 0 or any(side % 1 for side in size):
         raise CaptureError(f"{where}: resolution and f must be above 0; {_AGAIN}", "camera")
-    if term := _unknown_term(of, size):
+    if term := _unsupported_term(terms, size):
         return (
             f"has {term}, which is not read; optimize the alignment without it, or export undistorted photographs from"
             " Metashape"
         )
-    centre = (size[0] / 2 + of.get("cx", 0), size[1] / 2 + of.get("cy", 0))
-    distortion = tuple(of.get(name, 0.0) for name in ("k1", "k2", "p2", "p1", "k3"))
-    return (int(size[0]), int(size[1])), (of["f"] + of.get("b1", 0), of["f"]), centre, distortion
+    centre = (size[0] / 2 + terms.get("cx", 0), size[1] / 2 + terms.get("cy", 0))
+    distortion = tuple(terms.get(name, 0.0) for name in ("k1", "k2", "p2", "p1", "k3"))
+    return (int(size[0]), int(size[1])), (terms["f"] + terms.get("b1", 0), terms["f"]), centre, distortion
 
 
-def _unknown_term(of: dict[str, float], size: tuple[float, ...]) -> str:
-    """Return the name of an unsupported term that moves the image's corners, "" for none."""
-    x = (size[0] / 2 + abs(of.get("cx", 0))) / of["f"]
-    y = (size[1] / 2 + abs(of.get("cy", 0))) / of["f"]
+def _unsupported_term(terms: dict[str, float], size: tuple[float, ...]) -> str:
+    """Return the name of an unsupported term that moves the image's corners by over 0.1 pixels, "" for none."""
+    x = (size[0] / 2 + abs(terms.get("cx", 0))) / terms["f"]
+    y = (size[1] / 2 + abs(terms.get("cy", 0))) / terms["f"]
     r = math.hypot(x, y)
-    tangential = 3 * r**2 * (abs(of.get("p1", 0)) + abs(of.get("p2", 0)))
+    tangential = 3 * r**2 * (abs(terms.get("p1", 0)) + abs(terms.get("p2", 0)))
     pixels = {
-        "B2": abs(of.get("b2", 0)) * y,
-        "K4": abs(of.get("k4", 0)) * r**9 * of["f"],
-        "P3 and P4": tangential * (abs(of.get("p3", 0)) * r**2 + abs(of.get("p4", 0)) * r**4) * of["f"],
+        "B2": abs(terms.get("b2", 0)) * y,
+        "K4": abs(terms.get("k4", 0)) * r**9 * terms["f"],
+        "P3 and P4": tangential * (abs(terms.get("p3", 0)) * r**2 + abs(terms.get("p4", 0)) * r**4) * terms["f"],
     }
     return next((name for name, moved in pixels.items() if moved > _NEGLIGIBLE), "")
 
 
 def _transform(element: ElementTree.Element | None, where: str) -> np.ndarray:
-    """Return (4, 4) what brings a component's points into the world: rotation, translation and scale."""
+    """Return the (4, 4) similarity from a component's coordinates to the world."""
     matrix = np.eye(4)
     if element is None:
         return matrix
@@ -154,8 +154,8 @@ def _pose(element: ElementTree.Element, world: np.ndarray, where: str) -> tuple[
     pose = np.reshape(_numbers(element.findtext("transform"), 16, f"{where}: its transform"), (4, 4))
     if not is_rotation(pose[:3, :3]):
         raise CaptureError(f"{where}: its transform must be a rotation and a position; {_AGAIN}", "matrix")
-    whole = world @ pose
-    return whole[:3, :3] / np.cbrt(np.linalg.det(world[:3, :3])), whole[:3, 3]
+    matrix = world @ pose
+    return matrix[:3, :3] / np.cbrt(np.linalg.det(world[:3, :3])), matrix[:3, 3]
 
 
 def _numbers(text: str | None, count: int, where: str) -> list[float]:

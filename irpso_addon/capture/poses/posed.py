@@ -1,4 +1,4 @@
-"""Named cameras of other programs, and their conversion to our axes, world and image sizes."""
+"""``PoseFile``: named cameras of another program; and their conversion to our axes, world and image sizes."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
 
-# Quarter turns clockwise that bring a picture upright, by its orientation tag (EXIF 2.3, tag 274); others mirror it.
+# EXIF orientation (2.3, tag 274) → quarter turns clockwise from the stored to the upright image; the others mirror.
 _TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
 _LISTED = 6  # most names in an error
-_SIZE = 0.75  # pixels by which the height of a scaled picture may be off its camera's proportions, by rounding
+_SIZE = 0.75  # pixels: tolerance of a scaled image's height, for rounding
 _BACK = np.diag([1.0, -1.0, -1.0])  # y down and z away, as in computer vision, to y up and z toward the viewer
 
 
 @dataclass(frozen=True)
 class PoseFile:
-    """The cameras of one file or folder. program: its writer. cameras: by image name as written there.
+    """Cameras of one file or folder. program: its writer. cameras: image name in the file → Camera.
 
-    unusable: image name → why it has no camera.
+    unusable: image name → reason why its camera cannot be used.
     """
 
     path: Path
@@ -31,19 +31,19 @@ class PoseFile:
     unusable: Mapping[str, str]
 
     def name_of(self, wanted: str, where: str) -> str:
-        """Return the name of an image's camera: matched as written, by the last part, or without suffix.
+        """Return the name of an image's camera: equal, else equal in the last part, else without suffix and case.
 
         Raises CaptureError, beginning with ``where``, for none or several.
         """
-        found = self._matches(wanted, self.cameras)
-        if len(found) == 1:
-            return found[0]
-        if found:
+        names = self._matches(wanted, self.cameras)
+        if len(names) == 1:
+            return names[0]
+        if names:
             raise CaptureError(
-                f"{where}: '{wanted}' may be any of {_some(found)} of {self.path}; give camera its whole name", "camera"
+                f"{where}: '{wanted}' may be any of {_some(names)} of {self.path}; give camera its whole name", "camera"
             )
-        if lost := self._matches(wanted, self.unusable):
-            why = f"its '{lost[0]}' {self.unusable[lost[0]]}"
+        if unusable := self._matches(wanted, self.unusable):
+            why = f"its '{unusable[0]}' {self.unusable[unusable[0]]}"
         else:
             why = f"it has no '{wanted}'; set camera to one that it has: {_some(list(self.cameras))}"
         raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
@@ -53,8 +53,8 @@ class PoseFile:
         if wanted in names:
             return [wanted]
         for key in (_last, lambda name: _last(name).lower(), lambda name: PurePosixPath(_last(name).lower()).stem):
-            if found := [name for name in names if key(name) == key(wanted)]:
-                return found
+            if matches := [name for name in names if key(name) == key(wanted)]:
+                return matches
         return []
 
 
@@ -106,14 +106,14 @@ def moved(camera: Camera, world: np.ndarray) -> Camera:
 
 
 def of_picture(camera: Camera, width: int, height: int, orientation: int, where: str) -> Camera:
-    """Return the camera of the upright picture for the camera of the stored one, scaled to the picture's size.
+    """Return the camera of an upright image of width × height pixels from the camera of the stored image.
 
-    orientation: its EXIF tag. Raises CaptureError if the picture has other proportions or is mirrored.
+    orientation: the image's EXIF tag. Raises CaptureError if the picture has other proportions or is mirrored.
     """
     if orientation not in _TURNS:
         raise CaptureError(f"{where}: the picture is stored mirrored; save it upright, and align that one", "size")
-    # A program that turned the picture itself has the upright size. Half a turn and squares are ambiguous: these
-    # programs leave such pictures as stored.
+    # A program that rotated the image itself gives the upright size. Half a turn and square images are ambiguous:
+    # these programs leave them as stored.
     turned_already = _fits(camera, width, height) and not _fits(camera, height, width)
     if not (turned_already and _TURNS[orientation] % 2):
         for _ in range(_TURNS[orientation]):
@@ -136,7 +136,7 @@ def _fits(camera: Camera, width: int, height: int) -> bool:
 
 
 def _quarter_turn(camera: Camera) -> Camera:
-    """Return the camera of the picture turned by 90° clockwise."""
+    """Return the camera of the image rotated by 90° clockwise."""
     matrix = camera.matrix.copy()
     matrix[:3, 0], matrix[:3, 1] = camera.matrix[:3, 1], -camera.matrix[:3, 0]
     k1, k2, p1, p2, *rest = (*camera.distortion, *(0.0,) * (4 - len(camera.distortion)))
@@ -147,7 +147,7 @@ def _quarter_turn(camera: Camera) -> Camera:
 
 
 def _last(name: str) -> str:
-    """Return the last part of a path of any system."""
+    """Return the last part of a POSIX or Windows path."""
     return PureWindowsPath(PurePosixPath(name).name).name
 
 

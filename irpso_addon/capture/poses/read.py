@@ -1,4 +1,4 @@
-"""Reads camera files of other programs: ``read_poses`` detects the program of a path."""
+"""Reads camera files of other programs: ``read_poses`` detects the program from the path."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def read_poses(path: Path | str) -> PoseFile:
         if not path.exists():
             raise CaptureError(f"{path}: is not there; {_KINDS}", "missing")
         if path.is_dir() or path.name.lower() in (colmap.CAMERAS, colmap.IMAGES):
-            found = colmap.read_colmap(path if path.is_dir() else path.parent)
+            poses = colmap.read_colmap(path if path.is_dir() else path.parent)
         elif path.suffix.lower() == ".xml":
-            found = metashape.read_metashape(path)
+            poses = metashape.read_metashape(path)
         elif path.suffix.lower() in (".sfm", ".json"):
-            found = alicevision.read_alicevision(path)
+            poses = alicevision.read_alicevision(path)
         else:
             raise CaptureError(f"{path}: is no file of cameras; {_KINDS}", "kind")
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}); check its permissions", "missing") from error
-    if not found.cameras:
-        name, why = next(iter(found.unusable.items()), ("", ""))
+    if not poses.cameras:
+        name, why = next(iter(poses.unusable.items()), ("", ""))
         what = f"none of its cameras can be used: '{name}' {why}" if why else "holds no camera; align the photographs"
         raise CaptureError(f"{path}: {what}", "camera")
-    return found
+    return poses
