@@ -1,4 +1,4 @@
-"""``calibrate CAPTURE_OR_IMAGES``: finds the lights of photographs from balls, or from the subject's shading."""
+"""``calibrate CAPTURE_OR_IMAGES``: calibrates lights from balls in photographs, or from the subject's shading."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from .options.job import subject_of
 from .options.values import numbers_of_text, positive, silent, warn_quietly
 from .options.videos import frames_of_videos
 
-NONE = "none"  # in place of a ball
+NONE = "none"  # value of --ball
 _SHOWN_WARNINGS = 12
-_ALL_CARD = (
+_WHOLE_IS_CARD = (
     "all of each photograph counts as the flat card; if it shows more, name the card's part by crop or corners in"
     " capture.toml and calibrate that"
 )
@@ -51,7 +51,7 @@ def run(options: Namespace) -> dict:
 
 
 def _calibrated(options: Namespace) -> dict:
-    """Find the lights and write them. options: and ``frames``, of videos."""
+    """Find the lights and write them. options: the command's, and ``frames`` of videos."""
     keys = _camera(options)
     if NONE in (options.ball or []):
         _check_ballless(options)
@@ -88,8 +88,8 @@ def _check_ballless(options: Namespace) -> None:
     """Raise InputError for an option that contradicts --ball none."""
     if options.ball != [NONE]:
         raise InputError("--ball none: finds lights without a ball; omit the other --ball")
-    for name, usual in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
-        if getattr(options, name) != usual:
+    for name, default in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
+        if getattr(options, name) != default:
             raise InputError(f"--{name}: is of balls; leave it out with --ball none")
     if options.flat and options.blend:
         raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
@@ -105,7 +105,7 @@ def _check_ballless(options: Namespace) -> None:
 
 
 def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find lights over a mesh and write them. Raises InputError and then writes nothing."""
+    """Find lights from the shading of a mesh and write them. Raises InputError and then writes nothing."""
     checked_output(Path(options.output))
     mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
@@ -116,13 +116,13 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
 
 
 def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find near lights over a flat card and write them. Raises InputError and then writes nothing."""
+    """Find near lights from the fall-off over a flat card and write them. Raises InputError and then writes nothing."""
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
     found = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
     if spec.framing.crop is None and not spec.framing.corners and whole.masks[0].all():
-        found = replace(found, warnings=(*found.warnings, _ALL_CARD))
+        found = replace(found, warnings=(*found.warnings, _WHOLE_IS_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     stated = spec.card_distance is not None or spec.framing.card_width is not None
@@ -135,7 +135,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
 
 
 def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find distant lights without a ball and write them. Raises InputError and then writes nothing."""
+    """Find distant lights from the subject's shading and write them. Raises InputError and then writes nothing."""
     if options.lights == "near":
         raise InputError(
             "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
@@ -164,7 +164,7 @@ def _whole(spec: CaptureSpec) -> Capture:
 
 
 def _without_ball(options: Namespace, steps: Generator[float, None, Found]) -> Found:
-    """Return what the steps find, with a progress bar."""
+    """Run the steps with a progress bar; return their result."""
     return ProgressBar("calibrate", silent(options)).run(steps, lambda part: (part, "shading"))
 
 
@@ -176,7 +176,7 @@ def _written_without_ball(
     line: str,
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict:
-    """Write the lights, print a line and the warnings, and return the answer."""
+    """Write the lights, print a line and the warnings, and return the result of the command."""
     report, out = found.report(), Path(options.output)
     write_lights(spec, keys, found.lights, report, out, card)
     if not silent(options):
@@ -191,7 +191,7 @@ def _errors(degrees: np.ndarray) -> str:
 
 
 def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:
-    """Return the photographs, and the keys of their camera: those given, or those of their EXIF."""
+    """Return the photographs, and the keys of their camera: ``keys``, or else those of their EXIF."""
     spec = read_photographs(Path(options.capture), options.colour_space, masks, options.frames)
     where = "--camera" if options.camera else "--fov"
     if not keys and (keys := lens_of_files(spec, decode)):
@@ -230,10 +230,10 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
     lines = [f"{len(errors)} lights of {len(found.names)} photographs, {result.how}", _errors(np.array(errors))]
     for ball in found.found:
         x, y = ball.centre[0], camera.height - ball.centre[1]
-        sure = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
+        shadow_text = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
         lines.append(
             f"found: {ball.kind} ball at {x:.1f},{y:.1f} of radius {ball.radius:.1f}; {ball.support:.0%} of its outline"
-            f" shows, {sure}"
+            f" shows, {shadow_text}"
         )
     for ball in (view.ball for view in result.views):
         lines.append(f"{ball.name}: radius {ball.radius_px:.1f} pixels, error of the outline {ball.error_px[0]:.2f}")

@@ -19,10 +19,10 @@ def run(options: Namespace) -> dict:
     check_unused(out)
     count = COUNT if options.count is None else options.count
     bar = ProgressBar("frames", silent(options))
-    videos = [video for given in map(Path, options.videos) for video in videos_of(given) or [given]]
+    videos = [video for path in map(Path, options.videos) for video in videos_of(path) or [path]]
     found = bar.run(frame_steps(videos, out, count), tuple)
     warn(found.warnings)
     if not silent(options):
-        next_one = f"irpso calibrate {pasted(out)}"
-        sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_one}\n")
+        next_command = f"irpso calibrate {pasted(out)}"
+        sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_command}\n")
     return {"output": str(out), "frames": list(found.numbers), "warnings": list(found.warnings)}

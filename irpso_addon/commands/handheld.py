@@ -65,7 +65,7 @@ def _photographs(options: Namespace) -> CaptureSpec:
 
 
 def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:
-    """Return the capture with one focal length in all cameras, and how sure it is. Raises InputError."""
+    """Return the capture with one focal length, and "known", "likely" or "unknown" for it. Raises InputError."""
     sizes = [(camera.width, camera.height) for camera in capture.cameras]
     if fov is not None and not 0 < fov < 180:
         raise InputError(f"--fov {fov:g}: give the full angle over the image's width, above 0 and below 180")
@@ -79,7 +79,7 @@ def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[
     width = max(sizes[0])
     focals = [size[0] / 2 / math.tan(math.radians(angle) / 2)
               for angle, size in zip(angles, sizes, strict=True) if angle is not None]  # fmt: skip
-    if fov is not None:  # over the width of the first photograph; others may be upright
+    if fov is not None:  # --fov is over the first photograph's width; others may be upright
         focals = focals[:1]
     focal = float(np.median(focals)) if focals else float(width)
     if focals and max(abs(value / focal - 1) for value in focals) > _SAME_ZOOM:

@@ -22,7 +22,7 @@ from .options.photographs import exposure_list, greys_option
 from .options.values import silent, warn
 
 _SAMPLES = 4000  # pixels from all brackets
-_WIDE = 1.6  # stops: with wider steps only smoothness determines a part of the curve
+_WIDE_STEP = 1.6  # stops: with wider steps only the smoothness term determines a part of the curve
 
 
 def run(options: Namespace) -> dict:
@@ -74,7 +74,7 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
     bar.show(1.0)
     bar.close()
     step = bracket_step(exposures)
-    if step > _WIDE:
+    if step > _WIDE_STEP:
         warnings.append(
             f"{path}: exposures are {step:.1f} stops apart, which leaves much of the curve undetermined;"
             " photograph brackets with steps of one stop"
@@ -98,8 +98,8 @@ def spread_samples(codes: np.ndarray, count: int) -> np.ndarray:
     """
     height, width, frames, _ = codes.shape
     middle = codes[:, :, frames // 2].mean(axis=-1)
-    rough = np.hypot(*np.gradient(middle))
-    flat = codes.reshape(-1, frames, 3)
-    smooth = np.flatnonzero((rough <= np.quantile(rough, 0.7)).ravel())
-    order = smooth[np.argsort(flat[smooth].mean(axis=(1, 2)), kind="stable")]
-    return flat[order[np.linspace(0, len(order) - 1, min(count, len(order))).astype(int)]]
+    gradient = np.hypot(*np.gradient(middle))
+    pixels = codes.reshape(-1, frames, 3)
+    flat_pixels = np.flatnonzero((gradient <= np.quantile(gradient, 0.7)).ravel())
+    order = flat_pixels[np.argsort(pixels[flat_pixels].mean(axis=(1, 2)), kind="stable")]
+    return pixels[order[np.linspace(0, len(order) - 1, min(count, len(order))).astype(int)]]

@@ -21,10 +21,10 @@ def files_option(option: str, names: Sequence[str] | None) -> list[Path]:
         path = Path(name)
         if not path.exists():
             raise InputError(f"{option} {name}: is not there; give image files, or folders of them")
-        found = images_in(path) if path.is_dir() else [path]
-        if not found:
+        images = images_in(path) if path.is_dir() else [path]
+        if not images:
             raise InputError(f"{option} {name}: holds no images; give image files, or folders of them")
-        files += found
+        files += images
     return files
 
 

@@ -1,4 +1,4 @@
-"""Converts options to settings; errors name the option."""
+"""Converts texts and numbers of options to settings; errors name the option."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def silent(options: Namespace) -> bool:
 
 
 def pasted(path: Path | str) -> str:
-    """Return a path as a shell of this system takes it, for a command that is printed."""
+    """Return a path quoted for this system's shell, for printed commands."""
     return subprocess.list2cmdline([str(path)]) if os.name == "nt" else quote(str(path))
 
 
 def warn_quietly(options: Namespace, warnings: Iterable[str]) -> None:
-    """Print warnings where --quiet keeps back the lines that hold them; --json has its own."""
+    """Print warnings if --quiet suppresses the summary that has them; not with --json, whose result has them."""
     if options.quiet and not options.json:
         warn(warnings)
 
@@ -48,7 +48,7 @@ def warn(warnings: Iterable[str]) -> None:
 
 
 def shelf_of(options: Namespace, library: str) -> Shelf:
-    """Return where an asset goes and what is written on it. Raises InputError naming the option."""
+    """Return the place of an asset in its library, and its metadata. Raises InputError naming the option."""
     words = (options.catalog or "", options.author or "", options.license or "")
     return Shelf(Path(library), *words, tuple(options.tag))
 
