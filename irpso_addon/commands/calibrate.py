@@ -68,16 +68,16 @@ def _calibrated(options: Namespace) -> dict:
     request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
-    found = bar.run(steps, lambda part: (part, "reading"))
-    write_calibration(found, out, keys)
-    report = report_of(found)
+    calibrated = bar.run(steps, lambda part: (part, "reading"))
+    write_calibration(calibrated, out, keys)
+    report = report_of(calibrated)
     if not silent(options):
-        sys.stdout.write(_summary(found, out, options.radius))
-    warn_quietly(options, found.warnings)
-    errors = [light.error for light in found.result.lights if light.light is not None]
+        sys.stdout.write(_summary(calibrated, out, options.radius))
+    warn_quietly(options, calibrated.warnings)
+    errors = [light.error for light in calibrated.result.lights if light.light is not None]
     return {
         "output": str(out),
-        "photographs": len(found.names),
+        "photographs": len(calibrated.names),
         "lights": len(errors),
         "error_degrees": round(float(np.median(errors)), 4),
         **{key: report[key] for key in ("kind", "near", "how", "camera", "warnings")},
@@ -109,10 +109,10 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
     checked_output(Path(options.output))
     mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
-    found = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
-    kind = "near lights, with their positions," if found.near else "distant lights"
-    line = f"{len(found.lights)} {kind} by the shading of '{mesh.name}'; {_errors(found.found.degrees)}"
-    return _written_without_ball(options, spec, keys, found, line)
+    result = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
+    kind = "near lights, with their positions," if result.near else "distant lights"
+    line = f"{len(result.lights)} {kind} by the shading of '{mesh.name}'; {_errors(result.found.degrees)}"
+    return _written_without_ball(options, spec, keys, result, line)
 
 
 def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
@@ -120,18 +120,18 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
-    found = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
+    result = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
     if spec.framing.crop is None and not spec.framing.corners and whole.masks[0].all():
-        found = replace(found, warnings=(*found.warnings, _WHOLE_IS_CARD))
+        result = replace(result, warnings=(*result.warnings, _WHOLE_IS_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     stated = spec.card_distance is not None or spec.framing.card_width is not None
-    card = {} if stated else {CARD_DISTANCE: found.capture.card_distance}
+    card = {} if stated else {CARD_DISTANCE: result.capture.card_distance}
     line = (
-        f"{len(found.lights)} near lights, with their positions, by their fall-off over a flat card;"
-        f" {_errors(found.found.degrees)}, and {found.distance_error:.0%} of their distance"
+        f"{len(result.lights)} near lights, with their positions, by their fall-off over a flat card;"
+        f" {_errors(result.found.degrees)}, and {result.distance_error:.0%} of their distance"
     )
-    return _written_without_ball(options, spec, keys, found, line, card)
+    return _written_without_ball(options, spec, keys, result, line, card)
 
 
 def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
@@ -144,13 +144,13 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
     steps = uncalibrated_steps(_capture(spec), load_model(DEFAULT_MODEL), inside_out=options.inside_out)
-    found = _without_ball(options, steps)
-    turned = f"; it turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
+    result = _without_ball(options, steps)
+    turned = f"; it turned them by {result.refined.turned.mean():.1f}°" if result.kept else ""
     line = (
-        f"{len(found.lights)} distant lights by shading; parts of the subject agree to {found.errors.mean():.1f}°,"
-        f" before its material is known to {found.first.errors.mean():.1f}°{turned}"
+        f"{len(result.lights)} distant lights by shading; parts of the subject agree to {result.errors.mean():.1f}°,"
+        f" before its material is known to {result.first.errors.mean():.1f}°{turned}"
     )
-    return _written_without_ball(options, spec, keys, found, line)
+    return _written_without_ball(options, spec, keys, result, line)
 
 
 def _capture(spec: CaptureSpec) -> Capture:
@@ -172,18 +172,18 @@ def _written_without_ball(
     options: Namespace,
     spec: CaptureSpec,
     keys: dict[str, Any],
-    found: Uncalibrated | KnownShape | FlatCard,
+    result: Uncalibrated | KnownShape | FlatCard,
     line: str,
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict:
     """Write the lights, print a line and the warnings, and return the result of the command."""
-    report, out = found.report(), Path(options.output)
-    write_lights(spec, keys, found.lights, report, out, card)
+    report, out = result.report(), Path(options.output)
+    write_lights(spec, keys, result.lights, report, out, card)
     if not silent(options):
-        lines = [line, *(f"warning: {warning}" for warning in found.warnings), f"written to {out}"]
+        lines = [line, *(f"warning: {warning}" for warning in result.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")
-    warn_quietly(options, found.warnings)
-    return {"output": str(out), **report, "photographs": len(found.lights), "lights": len(found.lights)}
+    warn_quietly(options, result.warnings)
+    return {"output": str(out), **report, "photographs": len(result.lights), "lights": len(result.lights)}
 
 
 def _errors(degrees: np.ndarray) -> str:
@@ -223,12 +223,12 @@ def _albedo(text: str | None) -> tuple[float, float, float] | None:
     return r, g, b
 
 
-def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
-    result = found.result
+def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
+    result = calibrated.result
     errors = [light.error for light in result.lights if light.light is not None]
     camera = result.views[0].ball.camera
-    lines = [f"{len(errors)} lights of {len(found.names)} photographs, {result.how}", _errors(np.array(errors))]
-    for ball in found.found:
+    lines = [f"{len(errors)} lights of {len(calibrated.names)} photographs, {result.how}", _errors(np.array(errors))]
+    for ball in calibrated.found:
         x, y = ball.centre[0], camera.height - ball.centre[1]
         shadow_text = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
         lines.append(
@@ -241,12 +241,12 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("camera: orthographic")
     elif result.near and radius is None:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
-    if result.near and found.spec.card_distance is None and len(found.spec.views) == 1:
+    if result.near and calibrated.spec.card_distance is None and len(calibrated.spec.views) == 1:
         lines.append(
             "a flat card under these lights needs its distance from the camera in capture.toml; for a card under the"
-            f" balls: card_distance = {found.card_distance:.6g}"
+            f" balls: card_distance = {calibrated.card_distance:.6g}"
         )
-    lines += [f"warning: {warning}" for warning in found.warnings[:_SHOWN_WARNINGS]]
-    if len(found.warnings) > _SHOWN_WARNINGS:
-        lines.append(f"and {len(found.warnings) - _SHOWN_WARNINGS} more warnings in the report")
+    lines += [f"warning: {warning}" for warning in calibrated.warnings[:_SHOWN_WARNINGS]]
+    if len(calibrated.warnings) > _SHOWN_WARNINGS:
+        lines.append(f"and {len(calibrated.warnings) - _SHOWN_WARNINGS} more warnings in the report")
     return "\n".join([*lines, f"written to {out}"]) + "\n"

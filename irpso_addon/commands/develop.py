@@ -101,12 +101,12 @@ def _white(text: str) -> Patch | SearchedCard | tuple[float, float, float]:
     return red, green, blue
 
 
-def _colours(found: dict) -> str:
-    before, after = found["delta_e_2000"]["before"], found["delta_e_2000"]["after"]
+def _colours(chart: dict) -> str:
+    before, after = chart["delta_e_2000"]["before"], chart["delta_e_2000"]["after"]
     means, largest = (f"{before[key]:.1f} → {after[key]:.1f}" for key in ("mean", "largest"))
     place = ""
-    if "found" in found:
-        corners = np.reshape(found["corners"], (4, 2))
-        place = f"colour chart: found in {found['file']} at {','.join(f'{v:.0f}' for v in corners.ravel())}\n"
-    shine = f"; it shines by {found['gloss']:.1%} of white, which is kept out" if found["gloss"] else ""
+    if "found" in chart:
+        corners = np.reshape(chart["corners"], (4, 2))
+        place = f"colour chart: found in {chart['file']} at {','.join(f'{v:.0f}' for v in corners.ravel())}\n"
+    shine = f"; it shines by {chart['gloss']:.1%} of white, which is kept out" if chart["gloss"] else ""
     return f"{place}colour chart: ΔE2000 mean {means}, largest {largest}{shine}\n"

@@ -20,9 +20,9 @@ def run(options: Namespace) -> dict:
     count = COUNT if options.count is None else options.count
     bar = ProgressBar("frames", silent(options))
     videos = [video for path in map(Path, options.videos) for video in videos_of(path) or [path]]
-    found = bar.run(frame_steps(videos, out, count), tuple)
-    warn(found.warnings)
+    frames = bar.run(frame_steps(videos, out, count), tuple)
+    warn(frames.warnings)
     if not silent(options):
         next_command = f"irpso calibrate {pasted(out)}"
-        sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_command}\n")
-    return {"output": str(out), "frames": list(found.numbers), "warnings": list(found.warnings)}
+        sys.stdout.write(f"{len(frames.files)} of {frames.total} frames written to {out}; next: {next_command}\n")
+    return {"output": str(out), "frames": list(frames.numbers), "warnings": list(frames.warnings)}

@@ -89,17 +89,17 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     size = float(np.linalg.norm(samples.points - middle, axis=-1).max())
     steps = count(1)
     fitting = falloff_steps(samples, views, middle, size)
-    found = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
-    even = yield from map_steps(even_steps(samples, found.lamps), lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
-    _check_known(found, even)
-    check_explained(capture, found, "the card")
-    lights = found.lamps.lights(near=True, scale=free_scale(samples, found))
+    fit = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
+    even = yield from map_steps(even_steps(samples, fit.lamps), lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
+    _check_known(fit, even)
+    check_explained(capture, fit, "the card")
+    lights = fit.lamps.lights(near=True, scale=free_scale(samples, fit))
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
     shots = tuple(
         replace(shot, light=replace(light, vector=triple(place)))
         for shot, light, place in zip(capture.observations, lights, places, strict=True)
     )
-    return FlatCard(replace(capture, observations=shots), found)
+    return FlatCard(replace(capture, observations=shots), fit)
 
 
 def _unit_width_distance(camera: Camera) -> float:
@@ -136,13 +136,13 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
         )
 
 
-def _check_known(found: Found, even: Found) -> None:
-    if not nearer(found, even):
+def _check_known(fit: Found, even: Found) -> None:
+    if not nearer(fit, even):
         raise InputError(
             "the card does not show that its lamps are near and apart: distant ones light it evenly, and nothing in"
             " matt shading tells their directions; put a ball into the photographs"
         )
-    degrees, distance = float(found.degrees.mean()), float(found.distance_errors.mean())
+    degrees, distance = float(fit.degrees.mean()), float(fit.distance_errors.mean())
     if degrees > _MOST_DEGREES or distance > _MOST_DISTANCE:
         raise InputError(
             f"the fall-off over the card tells its lamps only to {degrees:.0f}° and {distance:.0%} of their distance:"

@@ -135,14 +135,14 @@ def known_shape_steps(
     caster = ShadowCaster(mesh, bake, texel_size(mesh, bake))
     fitting = _fit(samples, caster, rows * domain.shape[1] + columns, kind)
     steps = count(1)
-    found, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
-    mismatch = float(np.nanmedian(free_normals(samples, found)))
-    _check_known(capture, mesh, found, determined, mismatch)
-    lights = found.lamps.lights(near, free_scale(samples, found))
+    fit, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
+    mismatch = float(np.nanmedian(free_normals(samples, fit)))
+    _check_known(capture, mesh, fit, determined, mismatch)
+    lights = fit.lamps.lights(near, free_scale(samples, fit))
     shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
     warnings = _warnings(mesh, mismatch, outside)
     return KnownShape(
-        replace(capture, observations=shots), found, near, determined, mismatch, len(rows), warnings
+        replace(capture, observations=shots), fit, near, determined, mismatch, len(rows), warnings
     )  # fmt: skip
 
 
@@ -198,15 +198,15 @@ def _fit(
     lamps, determined = linear_lamps(samples, centre, size)
     shaded = samples
     for number in range(_SHADOW_ROUNDS + 1):
-        found, near = yield from _of_kind(shaded, lamps, kind)
-        lamps = found.lamps
+        fit, near = yield from _of_kind(shaded, lamps, kind)
+        lamps = fit.lamps
         if number < _SHADOW_ROUNDS:
             weights = []
             for light in lamps.lights(near):
                 weights.append(caster.weights(light, texels))
                 yield
             shaded = replace(samples, weight=samples.weight * np.stack(weights))
-    return found, near, determined
+    return fit, near, determined
 
 
 def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None, tuple[Found, bool]]:
@@ -220,7 +220,7 @@ def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None,
     return (close, True) if far is None or nearer(close, far) else (far, False)
 
 
-def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: float, mismatch: float) -> None:
+def _check_known(capture: Capture, mesh: MeshData, fit: Found, determined: float, mismatch: float) -> None:
     if not determined >= _LEAST_DETERMINED:
         raise InputError(
             f"'{mesh.name}': its visible part faces too few directions to tell lights from albedo; put a ball beside"
@@ -231,10 +231,10 @@ def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: flo
             f"'{mesh.name}': the photographs' shading contradicts the mesh, whose normals are off by {mismatch:.0f}° in"
             " the median; check that mesh and cameras are in one place and unit, or put a ball into the photographs"
         )
-    check_explained(capture, found, f"'{mesh.name}'")
-    if not found.degrees.mean() <= _MOST_ERROR:
+    check_explained(capture, fit, f"'{mesh.name}'")
+    if not fit.degrees.mean() <= _MOST_ERROR:
         raise InputError(
-            f"'{mesh.name}': parts of it tell lights that differ by {found.degrees.mean():.0f}°: they cannot be found"
+            f"'{mesh.name}': parts of it tell lights that differ by {fit.degrees.mean():.0f}°: they cannot be found"
             " from its shading; put a ball into the photographs"
         )
 
