@@ -30,13 +30,13 @@ def held_back() -> Iterator[Callable[[], bool]]:
     """
     came = False
 
-    def handle(number: int, frame: object) -> None:
+    def note(number: int, frame: object) -> None:
         nonlocal came
         if came:
             raise KeyboardInterrupt
         came = True
 
-    before = {number: signal.signal(number, handle) for number in SIGNALS}
+    before = {number: signal.signal(number, note) for number in SIGNALS}
     try:
         yield lambda: came
     finally:
