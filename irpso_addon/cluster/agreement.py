@@ -92,11 +92,11 @@ def going_down_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None
 
 def _about(options: Namespace, capture: Capture) -> dict[str, tuple[str, str]]:
     """Return what must be equal on all ranks: subject → (description, digest)."""
-    own_versions = versions()
-    packages = f"Blender {own_versions['blender']}, numpy {own_versions['numpy']}, Python {own_versions['python']}"
+    own = versions()
+    packages = f"Blender {own['blender']}, numpy {own['numpy']}, Python {own['python']}"
     values = {name: str(value) for name, value in sorted(vars(options).items())}
     return {
-        "program": (f"version {own_versions['irpso']}", _digest_of_files()),
+        "program": (f"version {own['irpso']}", _digest_of_files()),
         "Python packages": (packages, packages),
         "options": (f"{len(values)} of them", repr(values)),
         "capture": (f"'{capture.name}', {len(capture.observations)} observations", _digest_of_capture(capture)),

@@ -47,7 +47,7 @@ class RankTransport:
         return self._team.all(value)
 
     def _between(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
-        """Return rank → overlap of what this one sends and of what it reads. reach: of halos, in texels; None: all."""
+        """Return rank → overlap that this one sends, and reads. reach: of halos, in texels; None: all."""
         if reach not in self._overlaps:
             here, own = self._ranks.rank, self._places[self._ranks.rank]
             others = {rank: place for rank, place in self._places.items() if rank != here}

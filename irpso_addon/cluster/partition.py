@@ -1,4 +1,4 @@
-"""Division of a domain into one box per rank, and the check that each fits its device."""
+"""Divides a domain into a box per rank, and checks that each fits its device."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Split:
         }  # fmt: skip
 
     def lines(self) -> list[str]:
-        """Return the lines of the plan that ``--dry-run`` prints."""
+        """Return the split as lines of text."""
         texels = [tile.texels for tile in self.tiles]
         idle = self.ranks - len(self.tiles)
         return [

@@ -39,17 +39,17 @@ class Leader:
     def ask(
         self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
     ) -> Result:
-        """Have all ranks call a method of their Worker; return rank 0's result."""
+        """As ``Orders.ask``."""
         call = methodcaller(order.__name__, *arguments, **named)
         return self._dispatch(call, call)
 
     def send(self, order: Callable[Concatenate[Worker, P], None], *arguments: P.args, **named: P.kwargs) -> None:
-        """Have all ranks call a method of their Worker that returns nothing."""
+        """As ``ask``, for a method that returns nothing."""
         call = methodcaller(order.__name__, *arguments, **named)
         self._dispatch(call, call)
 
     def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """Have rank 0 call a method with a large value, and the other ranks with None; return rank 0's result."""
+        """As ``Orders.deal``."""
         return self._dispatch(methodcaller(order.__name__, value), methodcaller(order.__name__, None))
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
@@ -134,7 +134,7 @@ class RankedRecovery(RecoveryEngine):
         return self._separation[1]
 
     def mean_error(self) -> float:
-        """Return the mean error over a few thousand texels of each rank, as RecoveryEngine.mean_error."""
+        """Return the mean error over some texels of each rank, as RecoveryEngine.mean_error."""
         return self._leader.ask(Worker.mean_error)
 
     def state(self, running: bool = True) -> Checkpoint:

@@ -92,7 +92,7 @@ class Ranks:
         raise Agreed(error)
 
     def order(self, order: Any) -> None:
-        """Send every other rank an order, for ``next_order``."""
+        """Send every other rank an order."""
         for rank in range(1, self.size):
             self._world.send(order, dest=rank, tag=_COMMAND)
 

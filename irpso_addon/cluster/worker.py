@@ -235,7 +235,7 @@ class Worker:
         return self.ranks.all(self.ranks.sent)
 
     def digest(self) -> int:
-        """Return the 64-bit digest of all solved texels' samples, the same for every division of the domain."""
+        """Return the 64-bit digest of all solved texels' samples, for any division of the domain."""
         return sum(self.ranks.all(0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain))) % 2**64
 
     def close(self) -> None:

@@ -105,7 +105,7 @@ def _check_ballless(options: Namespace) -> None:
 
 
 def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find lights from the shading of a mesh and write them. Raises InputError and then writes nothing."""
+    """Find lights from the shading of a mesh and write them."""
     checked_output(Path(options.output))
     mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
@@ -116,7 +116,7 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
 
 
 def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find near lights from the fall-off over a flat card and write them. Raises InputError and then writes nothing."""
+    """Find near lights from the fall-off over a flat card and write them."""
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
@@ -135,7 +135,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
 
 
 def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find distant lights from the subject's shading and write them. Raises InputError and then writes nothing."""
+    """Find distant lights from the subject's shading and write them."""
     if options.lights == "near":
         raise InputError(
             "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
@@ -176,7 +176,7 @@ def _written_without_ball(
     line: str,
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict:
-    """Write the lights, print a line and the warnings, and return the result of the command."""
+    """Write the lights, print a line and the warnings, and return the command's result."""
     report, out = result.report(), Path(options.output)
     write_lights(spec, keys, result.lights, report, out, card)
     if not silent(options):

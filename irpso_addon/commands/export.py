@@ -43,7 +43,7 @@ def run(options: Namespace) -> dict:
         probe.probe()
         context.ensure()
     subject = partial(_subject, result, options.object)
-    if options.format == "gltf":  # raises InputError before a slow bake
+    if options.format == "gltf":  # checked before a slow bake
         file_place(options.output, file_stem(result.name), [ONE_FILE["gltf"]], options.replace)
     result = with_occlusion(result, options, subject)
     report = export(

@@ -75,7 +75,7 @@ def _recover(options: Namespace, job: Job) -> dict:
 
 
 def _preview(options: Namespace, job: Job, work: float) -> bool:
-    """Write the maps of a smaller job into OUT/preview; print a forecast of the seconds of ``work``, the whole job's.
+    """Write the maps of a smaller job into OUT/preview; print the forecast time of ``work``, the whole's.
 
     Returns False where the smaller job fails.
     """

@@ -98,8 +98,8 @@ def spread_samples(codes: np.ndarray, count: int) -> np.ndarray:
     """
     height, width, frames, _ = codes.shape
     middle = codes[:, :, frames // 2].mean(axis=-1)
-    gradient = np.hypot(*np.gradient(middle))
-    pixels = codes.reshape(-1, frames, 3)
-    flat_pixels = np.flatnonzero((gradient <= np.quantile(gradient, 0.7)).ravel())
-    order = flat_pixels[np.argsort(pixels[flat_pixels].mean(axis=(1, 2)), kind="stable")]
-    return pixels[order[np.linspace(0, len(order) - 1, min(count, len(order))).astype(int)]]
+    rough = np.hypot(*np.gradient(middle))
+    flat = codes.reshape(-1, frames, 3)
+    smooth = np.flatnonzero((rough <= np.quantile(rough, 0.7)).ravel())
+    order = smooth[np.argsort(flat[smooth].mean(axis=(1, 2)), kind="stable")]
+    return flat[order[np.linspace(0, len(order) - 1, min(count, len(order))).astype(int)]]

@@ -19,7 +19,7 @@ FAINT = (0.62, 0.62, 0.63)
 
 Color = Sequence[float]
 _SCALE = 4  # lines are drawn larger by this and reduced: ImageDraw has no anti-aliasing
-_CAPITAL_HEIGHT = 0.70  # height of capitals over font size, of Pillow's font (Aileron)
+_CAPITAL = 0.70  # height of capitals over font size, of Pillow's font (Aileron)
 _GLYPHS = str.maketrans({"×": "x", "–": "-", "—": "-", "−": "-", "·": ".", "→": "to", "σ": "sigma"})  # not in the font
 
 
@@ -61,11 +61,11 @@ class Canvas:
         corners, reach = np.concatenate(points), width / 2 + 1
         left, top = np.floor(corners.min(axis=0) - reach).astype(int).tolist()
         right, bottom = np.ceil(corners.max(axis=0) + reach).astype(int).tolist()
-        coverage = Image.new("L", ((right - left) * _SCALE, (bottom - top) * _SCALE))
-        pen = ImageDraw.Draw(coverage)
+        ink = Image.new("L", ((right - left) * _SCALE, (bottom - top) * _SCALE))
+        pen = ImageDraw.Draw(ink)
         for stroke in points:
             pen.line(((stroke - (left, top)) * _SCALE).ravel().tolist(), 255, round(width * _SCALE), joint="curve")
-        self._sheet.paste(_code(color), (left, top), coverage.reduce(_SCALE))
+        self._sheet.paste(_code(color), (left, top), ink.reduce(_SCALE))
 
     def ring(self, x: float, y: float, radius: float, width: float, color: Color) -> None:
         """Draw a circle."""
@@ -85,17 +85,17 @@ class Canvas:
         from PIL import Image, ImageDraw
 
         font, line, text = _font(height), round(2 * height), text.translate(_GLYPHS)
-        coverage = Image.new("L", (round(font.getlength(text)) + 2, line))
-        ImageDraw.Draw(coverage).text((1, 1.5 * height), text, 255, font, "ls")
-        place = round(x - 1.5 * height), round(y - coverage.width / 2)
-        self._sheet.paste(_code(color), place, coverage.transpose(Image.Transpose.ROTATE_90))
+        ink = Image.new("L", (round(font.getlength(text)) + 2, line))
+        ImageDraw.Draw(ink).text((1, 1.5 * height), text, 255, font, "ls")
+        place = round(x - 1.5 * height), round(y - ink.width / 2)
+        self._sheet.paste(_code(color), place, ink.transpose(Image.Transpose.ROTATE_90))
 
 
 @cache
 def _font(height: float) -> FreeTypeFont | ImageFont:
     from PIL import ImageFont
 
-    return ImageFont.load_default(height / _CAPITAL_HEIGHT)
+    return ImageFont.load_default(height / _CAPITAL)
 
 
 def _code(color: Color) -> tuple[int, ...]:

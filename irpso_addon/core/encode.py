@@ -69,10 +69,10 @@ def nearest_covered(
     for dy, dx in sorted(disc, key=lambda offset: offset[0] ** 2 + offset[1] ** 2):
         y, x = row + dy, column + dx
         inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-        on_covered = inside.copy()
-        on_covered[inside] = covered[y[inside], x[inside]]
-        pairs.append((row[on_covered], column[on_covered], y[on_covered], x[on_covered]))
-        row, column = row[~on_covered], column[~on_covered]
+        hit = inside.copy()
+        hit[inside] = covered[y[inside], x[inside]]
+        pairs.append((row[hit], column[hit], y[hit], x[hit]))
+        row, column = row[~hit], column[~hit]
         if not row.size:
             break
     rows, columns, source_rows, source_columns = map(np.concatenate, zip(*pairs, strict=True))

@@ -21,7 +21,7 @@ CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between updates of the progress bar and checks for Ctrl-C
 _SLOW_SAVE, _MOST_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
 _ELAPSED = "seconds"  # key of the run's seconds among a checkpoint's notes
-_MOST_ITERATIONS = 100  # in a slice: a driver queues work before the GPU has done it, so seconds do not limit a slice
+_MOST_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Saving:
 
 
 def check_every(seconds: float | None) -> None:
-    """Raise InputError unless --checkpoint-every is None or a finite number of seconds, 0 or more."""
+    """Raise InputError unless --checkpoint-every is None or finite and 0 or more."""
     if seconds is not None and not 0 <= seconds < float("inf"):
         raise InputError(f"--checkpoint-every {seconds:g}: give seconds, 0 or more, as in --checkpoint-every 60")
 
@@ -91,7 +91,7 @@ class _Saver:
         self.before = 0.0
         self._began = self._last_save = time.perf_counter()
         self._save_time = 0.0  # seconds of the last one
-        self._saved_stage: int | None = None  # the stage of which the last checkpoint holds all that can be saved
+        self._saved_stage: int | None = None  # a stage that the last checkpoint holds whole
         if saving.path is not None:
             remove_partials(saving.path)
 

@@ -43,12 +43,12 @@ _NEUTRAL_LIGHT = Light((0.0, 0.0, 1.0))  # of all photographs while reading: the
 _LEAST_DETERMINED = 0.2  # 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
 _LEAST_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, else 0.5 to 0.9
 _MOST_ERROR = 10.0  # degrees, mean standard error of the directions
-# Median angle in degrees between the mesh's normals and those of the photographs, for a warning and for an error: 0.5
-# where a pot's mesh is exact, 8.7 where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is
+# Median angle in degrees between the mesh's normals and those of the photographs (warning, error): 0.5 where a
+# pot's mesh is exact, 8.7 where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is
 # moved by 5 % of its width (11°), 15 where it is turned by 20° (10°), 20 where it is moved by 25 % of its width (31°).
 _DOUBTFUL_MISMATCH, _MOST_MISMATCH = 10.0, 18.0
-# Share of the outline that does not fit, for a warning and for an error. A displaced ball is shaded like one in place
-# under rotated lights: only its outline differs. Moved by 5 % of its width, 6 % of its mask are off, and lights 8°.
+# Share of the outline that does not fit (warning, error). A displaced ball is shaded like one in place under rotated
+# lights: only its outline differs. Moved by 5 % of its width, 6 % of its mask are off, and lights 8°.
 _DOUBTFUL_OUTSIDE, _MOST_OUTSIDE = 0.04, 0.2
 _BLACK_SHARE = 0.02  # of the 90th percentile of radiance: darker texels are black
 

@@ -14,7 +14,7 @@ PART = 4  # divides both sides of the domain
 
 
 def can_be_smaller(job: Job) -> bool:
-    """Return whether no fixed map has texels, so that the domain can have another size."""
+    """Return whether no fixed map has texels, which fix the size."""
     return not any(np.ndim(value) > 1 for value in job.fixed.values())
 
 

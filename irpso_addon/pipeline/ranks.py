@@ -91,8 +91,8 @@ def run_on_ranks(
 ) -> dict[str, Any]:
     """Return the result of ``lead`` on rank 0, or the plan of a dry run; on the other ranks an exit code.
 
-    options: of ``recover``, the same on all ranks. checked: checks them and returns the job. An error on one rank stops
-    all, within seconds; the last checkpoint stays.
+    options: of ``recover``, the same on all ranks. checked: returns the job. An error on one rank stops all, within
+    seconds; the last checkpoint stays.
     """
     result: dict[str, Any]
     leader: Leader | None = None
@@ -101,9 +101,9 @@ def run_on_ranks(
             started = time.perf_counter()
             job = ranks.agreed(lambda: _divisible(checked()))
             check_alike(ranks, options, job.capture)
-            worker, domain_split = _worker_and_split(ranks, options, job)
+            worker, division = _worker_and_split(ranks, options, job)
             if worker is None:
-                result = {"plan": domain_split}
+                result = {"plan": division}
             elif ranks.leads:
                 leader = Leader(worker)
                 run = RankedRun(job, leader, time.perf_counter() - started, show)
@@ -142,7 +142,7 @@ def _divisible(job: Job) -> Job:
 
 
 def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worker | None, Split]:
-    """Return this rank's worker, its samples read, and the split of the domain; a dry run has no worker."""
+    """Return this rank's worker with its samples, and the domain's split; a dry run has no worker."""
     if not ranks.leads:
         options.quiet, options.json = True, False
     sharing = choose_device(ranks) if ranks.size > 1 else 1
@@ -150,15 +150,15 @@ def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worke
     ranks.agreed(context.ensure)
     # Rank 0 splits the geometry itself: devices may differ in texels at a border.
     surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
-    domain_split = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
-    ranks.agreed(lambda: _check_fits(ranks, job, domain_split, sharing, options.checkpoint_every is not None))
+    division = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
+    ranks.agreed(lambda: _check_fits(ranks, job, division, sharing, options.checkpoint_every is not None))
     if options.dry_run:
-        return None, domain_split
-    partition = _partition(ranks, job, domain_split, present(surface))
+        return None, division
+    partition = _partition(ranks, job, division, present(surface))
     fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
     worker = Worker(ranks, partition, fixed)
     ranks.agreed(lambda: _check_lit(worker, job))
-    return worker, domain_split
+    return worker, division
 
 
 def _surface(job: Job) -> Surface:
@@ -175,19 +175,19 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     return split(coverage, cost, ranks.size, borders)
 
 
-def _check_fits(ranks: Ranks, job: Job, domain_split: Split, sharing: int, gathers: bool) -> None:
+def _check_fits(ranks: Ranks, job: Job, division: Split, sharing: int, gathers: bool) -> None:
     """Raise InputError where memory is too small. gathers: whether checkpoints gather all state on rank 0."""
     memory = machine_memory(job.memory, str(context.describe()["renderer"]), context.free_device_memory())
-    check_fits(domain_split, ranks, memory, sharing)
+    check_fits(division, ranks, memory, sharing)
     if ranks.leads and gathers:
-        check_gathered(domain_split, memory)
+        check_gathered(division, memory)
 
 
-def _partition(ranks: Ranks, job: Job, domain_split: Split, surface: Surface) -> Partition:
+def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Partition:
     """Read this rank's samples; return its part of the domain."""
     bake, seams = surface
-    box = domain_split.boxes[ranks.rank]
-    part = None if box is None else around(domain_split.shape, box, domain_split.halo)
+    box = division.boxes[ranks.rank]
+    part = None if box is None else around(division.shape, box, division.halo)
 
     def read() -> Domain | None:
         if part is None:
@@ -205,7 +205,7 @@ def _partition(ranks: Ranks, job: Job, domain_split: Split, surface: Surface) ->
         lights_only = laid_on(window, none, np.zeros((window.observations, 0, 0, 4)))
     of_all = ranks.given(lights_only)
     whole = replace(of_all, bake=bake, seams=seams)
-    return Partition(whole, domain_split.boxes, domain_split.halo, window)
+    return Partition(whole, division.boxes, division.halo, window)
 
 
 def _check_lit(worker: Worker, job: Job) -> None:

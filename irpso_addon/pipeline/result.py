@@ -151,9 +151,9 @@ def make_material(
     """
     maps = found.written
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)
-    new_material = material.build_material(maps, job.name, folder, uv_map, height)
+    built = material.build_material(maps, job.name, folder, uv_map, height)
     if job.mesh is None:
         rows, columns = maps.covered.shape
         subject = material.card_object(job.name, rows, columns, height is not None)
-    material.apply_material(subject, new_material, () if job.mesh is None else job.mesh.solved_slots)
-    return new_material, subject
+    material.apply_material(subject, built, () if job.mesh is None else job.mesh.solved_slots)
+    return built, subject

@@ -38,7 +38,7 @@ from .job import Job
 T = TypeVar("T")
 MapsOf = Mapping[str, np.ndarray]  # parameter name → its map
 READ, LIGHTS, PREPARE = "read", "lights", "prepare"  # the steps, as shown
-_CACHE_SHARE = 0.1  # of the free memory: most that a cached preparation takes
+_CACHE_SHARE = 0.1  # of the free memory, for a cached preparation
 
 
 @dataclass
@@ -75,7 +75,7 @@ class Run:
         elsewhere: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
         kept: Kept | None = None,
     ):
-        """Set the attributes; ``open`` begins the work.
+        """``open`` begins the work.
 
         show: called with a step and its fraction done, 0…1, from any thread. elsewhere: runs a numpy function and
         yields meanwhile. kept: the cache of former runs.

@@ -26,10 +26,10 @@ from ..solver.views.forward import Renderer, dome
 
 _PRESET = "standard"
 _SIDE = {True: 192, False: 1024}  # texels of the card, by whether the renderer is software: some seconds
-_WARM_SIDE = 16  # texels of a side, in the recovery that compiles the shaders
+_WARM = 16  # texels of a side, in the recovery that compiles the shaders
 _LIGHTS = (6, 8)  # latitudes and longitudes of a sphere of lights, whose upper half lights the card
-_TRANSFER, _REPEATS = 64 << 20, 5  # bytes of the texture that is uploaded and read back; transfers
-_FORECAST_SPREAD = 1.5  # factor by which a forecast may be off: other subjects, other load of the machine
+_TRANSFER, _REPEATS = 64 << 20, 5  # bytes of the texture that is uploaded and read back
+_SPREAD = 1.5  # factor by which a forecast may be off: other subjects, other load of the machine
 _CAPTURES = {
     "the sample's tile": (378**2, 14),
     "a card of one megapixel": (10**6, 24),
@@ -89,7 +89,7 @@ class Speed:
             yield f"  {name:26} {size}   {forecast_text(seconds):18} {amount(device)}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as plain data, for JSON."""
+        """Return plain data, for JSON."""
         return {
             "texels": self.texels, "photographs": self.observations, "model": DEFAULT_MODEL, "preset": _PRESET,
             "compiling_seconds": self.compiling, "upload_bytes_per_second": self.upload,
@@ -112,8 +112,8 @@ def measure_speed(side: int | None = None) -> Speed:
     model, schedule = load_model(DEFAULT_MODEL), load_schedule(_PRESET)
     domain = make_card(model, side)
     with closing(KeptPrograms()):
-        middle = (side - min(side, _WARM_SIDE)) // 2
-        small = tile(domain, middle, middle, min(side, _WARM_SIDE), min(side, _WARM_SIDE))
+        middle = (side - min(side, _WARM)) // 2
+        small = tile(domain, middle, middle, min(side, _WARM), min(side, _WARM))
         started = time.perf_counter()
         list(_timed(small, model, schedule))
         compiling = time.perf_counter() - started
@@ -125,7 +125,7 @@ def measure_speed(side: int | None = None) -> Speed:
     for name, (count, observations) in _CAPTURES.items():
         other = recovery_cost(model, schedule, (), observations)
         seconds = rate * other.work * count
-        captures[name] = (seconds / _FORECAST_SPREAD, seconds * _FORECAST_SPREAD), other.device * count
+        captures[name] = (seconds / _SPREAD, seconds * _SPREAD), other.device * count
     return Speed(texels, domain.observations, compiling, phases, *_transfers(), captures)
 
 

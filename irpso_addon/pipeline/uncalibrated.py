@@ -30,9 +30,9 @@ _TEXELS = 15_000  # of the reduced capture, about: lights need no more
 _LEAST_SCALE = 0.05
 _READ_PART, _SHADED_PART = 0.1, 0.25  # of the work, at the ends of reading and of the first estimate
 _ROUNDS = 2  # of refinement, each from the lights of the one before
-_FIRST_ERROR = 10.0  # degrees: standard deviation of the first estimate's directions, as the refinement assumes it
-# Degrees between the lights of different parts of the subject, for a warning and for an error. Of nine captures those
-# with 8 or less ended 1 to 3° off, 31 (a cow of metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
+_FIRST_ERROR = 10.0  # degrees: assumed standard deviation of the first estimate's directions
+# Degrees between the lights of different parts of the subject (warning, error). Of nine captures 8 or less ended 1 to 3°
+# off, 31 (a cow of metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
 _DOUBTFUL_DISAGREEMENT, _MOST_DISAGREEMENT = 15.0, 40.0
 # The most where the model does not fit. Disagreement and error are 10 and 3° on bunnies that darken as no material of
 # the model does, 15 and 36° on a goblet of satin brass.
@@ -41,13 +41,12 @@ _MOST_UNFIT = 12.0
 # bunny that darkens as no material of the model does, it rises from 0.8 to 11 %, the lights' error from 3.5 to 11°.
 _SPREAD_FACTOR, _SPREAD_MARGIN = 2.0, 0.03
 _BRIGHT = 95.0  # percentile of radiance, which becomes WHITE
-_OPEN, _LEAST_OPEN = 0.9, 0.65  # least part of the sky that texels of the refinement see; least part of all texels
+_OPEN, _LEAST_OPEN = 0.9, 0.65  # least part of the sky that texels of the refinement see; of all texels
 _JACKKNIFE_TEXELS = 256  # in each fit without one part
 # Degrees of the rotation that makes the normals under refined lights integrable: at most 2 for clay, glaze and
 # terracotta, 17 to 24 for matt and brass goblets, whose lights are 18 and 36° off.
 _MOST_ROTATION = 10.0
-# Degrees between the refined lights of different parts, for a warning and for an error: 12 on golden fruits, 49° off.
-_DOUBTFUL_REFINED, _MOST_REFINED = 3.0, 10.0
+_DOUBTFUL_REFINED, _MOST_REFINED = 3.0, 10.0  # degrees between refined lights by parts: golden fruits: 12, 49° off
 
 
 @dataclass(frozen=True)
@@ -233,7 +232,7 @@ def open_texels(domain: Domain, camera: Camera) -> Domain:
 
 
 def _spread(intensities: np.ndarray) -> float:
-    """Return the robust standard deviation of the logarithms: 1.4826 × their median absolute deviation."""
+    """Return the robust standard deviation of the logarithms."""
     logs = np.log(np.maximum(intensities, 1e-12))
     return 1.4826 * float(np.median(np.abs(logs - np.median(logs))))
 

@@ -1,4 +1,4 @@
-"""Ambient occlusion of a result: of a card from its relief, of a mesh baked on the object in its .blend."""
+"""Occlusion of a result: of a card from its relief, of a mesh baked on the object in its .blend."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_RAYS = 4096
 
 
 def check_occlusion(options: Namespace) -> None:
-    """Raise InputError where options of occlusion contradict the others or are out of range."""
+    """Raise InputError where options of occlusion contradict others."""
     for option, is_set in (("--rays", options.rays is not None), ("--occluder", options.occluder)):
         if is_set and not options.occlusion:
             raise InputError(f"{option}: is of a mesh's occlusion; give --occlusion as well")

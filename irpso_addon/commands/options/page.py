@@ -23,7 +23,7 @@ UNNAMED = "its report does not say which part of which photographs its maps show
 
 
 def names_photographs(result: Result) -> bool:
-    """Return whether the report names the photographs of its maps; reports of the window and of ``tile`` do not."""
+    """Return whether the report names its maps' photographs; those of the window and of ``tile`` do not."""
     settings = result.report.get("settings")
     return "tile" not in result.report and isinstance(settings, dict) and "crop" in settings
 

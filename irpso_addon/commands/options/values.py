@@ -1,4 +1,4 @@
-"""Converts texts and numbers of options to settings; errors name the option."""
+"""Converts options to settings; errors name the option."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def warn(warnings: Iterable[str]) -> None:
 
 
 def shelf_of(options: Namespace, library: str) -> Shelf:
-    """Return the place of an asset in its library, and its metadata. Raises InputError naming the option."""
+    """Return the place of an asset in its library, and its metadata. Raises InputError."""
     words = (options.catalog or "", options.author or "", options.license or "")
     return Shelf(Path(library), *words, tuple(options.tag))
 
 
 def size_option(option: str, text: str) -> tuple[int, int]:
-    """Return (width, height) of "N" or "WxH". Raises InputError naming the option."""
+    """Return (width, height) of "N" or "WxH". Raises InputError."""
     parts = text.lower().split("x")
     if len(parts) not in (1, 2) or not all(part.isdecimal() and 1 <= int(part) <= LARGEST_SIDE for part in parts):
         raise InputError(f"{option} {text}: give a whole number N, or WxH, each from 1 to {LARGEST_SIDE}")
@@ -172,7 +172,7 @@ def held_out_list(text: str | None, count: int) -> list[int]:
 
 
 def index_list(option: str, text: str | None, count: int) -> list[int]:
-    """Return the indices of "I,J,…", each below ``count``. Raises InputError naming the option."""
+    """Return the indices of "I,J,…", each below ``count``. Raises InputError."""
     if not text:
         return []
     parts = [part.strip() for part in text.split(",")]
