@@ -53,13 +53,13 @@ def choose_device(ranks: Ranks) -> int:
 
 def check_alike(ranks: Ranks, options: Namespace, capture: Capture) -> None:
     """Raise Agreed on all ranks, naming one that differs in program, packages, options or capture."""
-    descriptions = ranks.all((ranks.name, _about(options, capture)))
-    ranks.agreed(lambda: _compare(descriptions))
+    facts = ranks.all((ranks.name, _about(options, capture)))
+    ranks.agreed(lambda: _compare(facts))
 
 
-def _compare(descriptions: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
-    name, first = descriptions[0]
-    for other, theirs in descriptions[1:]:
+def _compare(facts: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
+    name, first = facts[0]
+    for other, theirs in facts[1:]:
         for what, (words, digest) in first.items():
             if theirs[what][1] != digest:
                 raise InputError(

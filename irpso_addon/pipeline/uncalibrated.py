@@ -31,8 +31,8 @@ _LEAST_SCALE = 0.05
 _READ_PART, _SHADED_PART = 0.1, 0.25  # of the work, at the ends of reading and of the first estimate
 _ROUNDS = 2  # of refinement, each from the lights of the one before
 _FIRST_ERROR = 10.0  # degrees: assumed standard deviation of the first estimate's directions
-# Degrees between the lights of different parts of the subject (warning, error). Of nine captures 8 or less ended 1 to 3°
-# off, 31 (a cow of metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
+# Degrees between the lights of different parts of the subject (warning, error). Of nine captures 8 or less ended 1 to
+# 3° off, 31 (a cow of metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
 _DOUBTFUL_DISAGREEMENT, _MOST_DISAGREEMENT = 15.0, 40.0
 # The most where the model does not fit. Disagreement and error are 10 and 3° on bunnies that darken as no material of
 # the model does, 15 and 36° on a goblet of satin brass.

@@ -37,7 +37,7 @@ def pasted(path: Path | str) -> str:
 
 
 def warn_quietly(options: Namespace, warnings: Iterable[str]) -> None:
-    """Print warnings if --quiet suppresses the summary that has them; not with --json, whose result has them."""
+    """Print warnings if --quiet suppresses the summary with them; the result of --json has its own."""
     if options.quiet and not options.json:
         warn(warnings)
 
