@@ -1,13 +1,12 @@
 """IRPSO recovers a material from photographs: normal, albedo and roughness maps by a particle swarm at every texel.
 
 In Blender ``register`` adds the panels and the command ``blender --command irpso``. In Python the names of ``__all__``
-are the public interface; nothing is imported before one of them is asked for, so that numpy-only parts work without
-Blender.
+are the public interface; their modules are imported at first access, so that numpy-only parts work without Blender.
 """
 
 from importlib import import_module
 
-_HOMES = {
+_MODULES = {
     "read_capture": "capture.read",
     "load_model": "reflectance.model",
     "load_schedule": "solver.settings.schedule",
@@ -21,17 +20,17 @@ _HOMES = {
     "Maps": "results.maps",
     "write_maps": "results.write",
 }
-__all__ = ["register", "unregister", *_HOMES]
+__all__ = ["register", "unregister", *_MODULES]
 
 
 def __getattr__(name: str):
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    return getattr(import_module(f".{_MODULES[name]}", __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *_MODULES})
 
 
 def register() -> None:
@@ -42,7 +41,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take out of Blender all that ``register`` added."""
+    """Remove from Blender all that ``register`` added."""
     from .ui import registration
 
     registration.unregister()

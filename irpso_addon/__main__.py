@@ -6,7 +6,7 @@ from .cli import main
 
 if __name__ == "__main__":
     code = main()
-    if "bpy" in sys.modules:  # a process with Blender in it does not always survive its own exit
+    if "bpy" in sys.modules:  # with bpy loaded, Python's own exit may hang or crash
         from .gpu.context import exit_process
 
         exit_process(code)

@@ -1,4 +1,4 @@
-"""Runs a command and turns its errors into one line and an exit code."""
+"""Runs a command; reports an error as one line and an exit code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..core.interrupt import INTERRUPTED, interrupt_on_signals
 from .parser import build_parser
 
 _ZIP = "install the extension from the zip that `make extension` builds, which holds it, or {} with pip"
-_REMEDIES = {  # for a missing module
+_REMEDIES = {  # by missing module
     "numpy": "install numpy (for Debian's Blender: the package python3-numpy)",
     "OpenEXR": _ZIP.format("OpenEXR"),
     "PIL": _ZIP.format("Pillow"),

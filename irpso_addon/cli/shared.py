@@ -32,7 +32,7 @@ def add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:
 
 
 def add_shelf(add: argparse.ArgumentParser) -> None:
-    """Add what is written on an asset, and where it lies in its library."""
+    """Add the options of an asset: name, catalog, author, licence and tags."""
     add.add_argument("--asset-name", metavar="NAME", help="name of the asset (default: the subject's)")
     add.add_argument("--catalog", metavar="A/B", help="catalog of the asset; created if the library lacks it")
     add.add_argument("--author", metavar="NAME", help="author of the asset")

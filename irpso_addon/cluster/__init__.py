@@ -1,1 +1,1 @@
-"""Many processes, on one machine or many, that solve one domain together over MPI."""
+"""Recovery of one domain by many processes, on one or many machines, over MPI."""

@@ -1,4 +1,4 @@
-"""Before an MPI job begins: a device for each rank, and a check that all ranks have the same inputs."""
+"""Start of an MPI job: chooses a device for each rank, and checks that all ranks have the same inputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..core.steps import available_cores
 from ..gpu.versions import versions
 from .transport import Agreed, Ranks
 
-_NODES = Path("/dev/dri/by-path")  # Linux's names of devices that render, by where they are plugged in
+_NODES = Path("/dev/dri/by-path")  # Linux's render devices, by their PCI addresses
 _SOURCES = ("irpso_addon/**/*.py", "shaders/**/*.glsl", "shaders/**/*.toml", "presets/*.toml", "blender_manifest.toml")
 _REMEDIES = {
     "program": "install the same version of the program on all machines",
@@ -33,16 +33,16 @@ _REMEDIES = {
 def choose_device(ranks: Ranks) -> int:
     """Set the environment so that ranks on one machine take a GPU each, or share its cores where there is none.
 
-    Return how many ranks seem to have this one's device: a launcher may show each rank another one.
+    Return how many ranks seem to share this one's device; too many where a launcher shows each rank another one.
 
-    Call it before a context is made. It keeps variables that are set. Mesa's drivers take the device from DRI_PRIME
+    Call this before a context is made. Variables that are set stay. Mesa's drivers take the device from DRI_PRIME
     (docs.mesa3d.org, envvars). NVIDIA's takes the first that the process sees: the launcher must show each rank its
-    own. llvmpipe would start as many threads in each rank as the machine has cores. A rank of one core has none beside
-    its own: with one more, a refinement's tests take 60 in place of 49 s.
+    own. Without LP_NUM_THREADS llvmpipe starts as many threads in each rank as the machine has cores. A rank of one
+    core has none beside its own: with one more, a refinement's tests take 60 in place of 49 s.
     """
     cores = available_cores()
-    beside = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
-    shared = sum(not cores.isdisjoint(used) for used in beside)
+    used_here = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
+    shared = sum(not cores.isdisjoint(used) for used in used_here)
     threads = len(cores) // shared
     os.environ.setdefault("LP_NUM_THREADS", str(threads if threads > 1 else 0))
     nodes = sorted(_NODES.glob("pci-*-render")) if _NODES.is_dir() else []
@@ -54,14 +54,14 @@ def choose_device(ranks: Ranks) -> int:
 
 
 def check_alike(ranks: Ranks, options: Namespace, capture: Capture) -> None:
-    """Raise Agreed on all ranks, naming one, where it has another program, other options or another capture."""
-    all_about = ranks.all((ranks.name, _about(options, capture)))
-    ranks.agreed(lambda: _compare(all_about))
+    """Raise Agreed on all ranks, naming one that differs in program, packages, options or capture."""
+    facts = ranks.all((ranks.name, _about(options, capture)))
+    ranks.agreed(lambda: _compare(facts))
 
 
-def _compare(all_about: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
-    name, first = all_about[0]
-    for other, theirs in all_about[1:]:
+def _compare(facts: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
+    name, first = facts[0]
+    for other, theirs in facts[1:]:
         for what, (words, digest) in first.items():
             if theirs[what][1] != digest:
                 raise InputError(
@@ -71,9 +71,9 @@ def _compare(all_about: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
 
 @contextmanager
 def going_down_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None]:
-    """If this rank fails while others wait for it, end the whole job with one line that names it.
+    """If this rank fails while others wait for it, print one line that names it and abort the whole job.
 
-    busy: whether others wait; if not, the error goes to the caller.
+    busy: returns whether others wait; if not, the error goes to the caller.
     """
     try:
         yield
@@ -85,7 +85,7 @@ def going_down_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None
         else:
             traceback.print_exc()
             text = f"{type(error).__name__}: {error}"
-        if ranks.leads or not isinstance(error, KeyboardInterrupt):  # all ranks get an interrupt
+        if ranks.leads or not isinstance(error, KeyboardInterrupt):  # an interrupt reaches all ranks
             sys.stderr.write(f"irpso: {ranks.name}: {text}\n")
             sys.stderr.flush()
         ranks.abort(130 if isinstance(error, KeyboardInterrupt) else getattr(error, "exit_code", 1))
@@ -93,14 +93,14 @@ def going_down_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None
 
 
 def _about(options: Namespace, capture: Capture) -> dict[str, tuple[str, str]]:
-    """Return what must be the same on all ranks: subject → (words, digest)."""
-    found = versions()
-    packages = f"Blender {found['blender']}, numpy {found['numpy']}, Python {found['python']}"
-    given = {name: str(value) for name, value in sorted(vars(options).items())}
+    """Return what must be equal on all ranks: subject → (description, digest)."""
+    own = versions()
+    packages = f"Blender {own['blender']}, numpy {own['numpy']}, Python {own['python']}"
+    values = {name: str(value) for name, value in sorted(vars(options).items())}
     return {
-        "program": (f"version {found['irpso']}", _digest_of_files()),
+        "program": (f"version {own['irpso']}", _digest_of_files()),
         "Python packages": (packages, packages),
-        "options": (f"{len(given)} of them", repr(given)),
+        "options": (f"{len(values)} of them", repr(values)),
         "capture": (f"'{capture.name}', {len(capture.observations)} observations", _digest_of_capture(capture)),
     }
 

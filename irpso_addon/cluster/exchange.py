@@ -1,4 +1,4 @@
-"""The transport of halos between ranks."""
+"""``RankTransport``: sends halos from rank to rank."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .transport import Ranks
 class RankTransport:
     """A ``HaloTransport`` (solver/engine/lockstep.py) of ranks that have one tile each.
 
-    team: the ranks that have texels. places: of their tiles, by number of the rank in ``ranks``. seams: whether the
-    domain has UV seams.
+    team: the ranks that have texels. places: of their tiles, by rank in ``ranks``. seams: whether the domain has UV
+    seams.
     """
 
     def __init__(self, ranks: Ranks, team: Ranks, places: Mapping[int, Place], seams: bool):
@@ -28,8 +28,8 @@ class RankTransport:
         self._received: list[Received] = []
 
     def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
-        """Give this rank's results; nothing in a stage solved in closed form."""
-        # Across a seam a texel may read any of the halo, however far from the box.
+        """Cut this rank's results to what others read; nothing in a stage solved in closed form."""
+        # Across a seam a texel may read all of the halo, at any distance from the box.
         sent, read = self._between(None if self._seams else reach)
         self._size = found.shape[-1]
         self._outgoing = {rank: taken(overlap, found) for rank, overlap in sent.items()} if self._size else {}
@@ -47,7 +47,7 @@ class RankTransport:
         return self._team.all(value)
 
     def _between(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
-        """Return what this rank sends to and reads from each other, at most ``reach`` texels of halos."""
+        """Return rank → overlap that this one sends, and reads. reach: of halos, in texels; None: all."""
         if reach not in self._overlaps:
             here, own = self._ranks.rank, self._places[self._ranks.rank]
             others = {rank: place for rank, place in self._places.items() if rank != here}

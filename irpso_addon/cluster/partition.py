@@ -1,4 +1,4 @@
-"""Texels of a domain over ranks, and whether they fit there."""
+"""Divides a domain into a box per rank, and checks that each fits its device."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .transport import Ranks
 
 @dataclass(frozen=True)
 class Split:
-    """A domain over ranks. shape: (H, W). tiles: of the ranks that have texels, the first ones. halo: around each.
+    """A domain divided over ranks. shape: (H, W). tiles: of the first ranks, which have texels. halo: texels around.
 
     state: bytes that rank 0 gathers for a checkpoint.
     """
@@ -37,7 +37,7 @@ class Split:
         return (*boxes, *[None] * (self.ranks - len(boxes)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the split as plain data."""
         return {
             "shape": list(self.shape), "ranks": self.ranks, "halo": self.halo, "observations": self.observations,
             "tiles": [vars(tile) for tile in self.tiles], "texels": sum(tile.texels for tile in self.tiles),
@@ -45,7 +45,7 @@ class Split:
         }  # fmt: skip
 
     def lines(self) -> list[str]:
-        """Return it for people."""
+        """Return the split as lines of text."""
         texels = [tile.texels for tile in self.tiles]
         idle = self.ranks - len(self.tiles)
         return [
@@ -81,7 +81,7 @@ def around(shape: tuple[int, int], box: Box, halo: int) -> Box:
 
 
 def split(coverage: np.ndarray, cost: Cost, ranks: int, borders: Borders | None = None) -> Split:
-    """Return boxes for some ranks, about even in covered texels, (H, W) bool; the same on all ranks."""
+    """Return boxes for ``ranks`` ranks, with about equally many covered texels. coverage: (H, W) bool."""
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     height, width = coverage.shape

@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 
 class Leader:
-    """All ranks as rank 0 sees them: each carries out its orders. ``busy`` meanwhile."""
+    """Rank 0's access to all ranks, which carry out its orders. busy: while they do."""
 
     def __init__(self, worker: Worker):
         self.worker, self.ranks = worker, worker.ranks
@@ -39,18 +39,18 @@ class Leader:
     def ask(
         self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
     ) -> Result:
-        """Have all ranks call a method of their Worker; return rank 0's result."""
+        """As ``Orders.ask``."""
         call = methodcaller(order.__name__, *arguments, **named)
-        return self._do(call, call)
+        return self._dispatch(call, call)
 
     def send(self, order: Callable[Concatenate[Worker, P], None], *arguments: P.args, **named: P.kwargs) -> None:
-        """Have all ranks call a method of their Worker that returns nothing."""
+        """As ``ask``, for a method that returns nothing."""
         call = methodcaller(order.__name__, *arguments, **named)
-        self._do(call, call)
+        self._dispatch(call, call)
 
     def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """Have rank 0 call a method with a large value, and the other ranks with None; return rank 0's result."""
-        return self._do(methodcaller(order.__name__, value), methodcaller(order.__name__, None))
+        """As ``Orders.deal``."""
+        return self._dispatch(methodcaller(order.__name__, value), methodcaller(order.__name__, None))
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
         """Have all ranks replace the capture's lights."""
@@ -58,10 +58,10 @@ class Leader:
         self.domain = with_lights(self.domain, lights, intensities)
 
     def end(self, code: int = 0) -> None:
-        """Let the other ranks go, with an exit code."""
+        """End ``serve`` on the other ranks, with an exit code."""
         self.ranks.order(code)
 
-    def _do(self, own: Callable[[Worker], Result], others: Callable[[Worker], Result]) -> Result:
+    def _dispatch(self, own: Callable[[Worker], Result], others: Callable[[Worker], Result]) -> Result:
         self.busy = True
         self.ranks.order(others)
         result = own(self.worker)
@@ -70,7 +70,7 @@ class Leader:
 
 
 def serve(worker: Worker) -> int:
-    """Carry out rank 0's orders until it lets this rank go; return the exit code."""
+    """Carry out rank 0's orders until ``Leader.end``; return the exit code."""
     while not isinstance(order := worker.ranks.next_order(), int):
         order(worker)
     return order
@@ -79,8 +79,8 @@ def serve(worker: Worker) -> int:
 class RankedRecovery(RecoveryEngine):
     """A ``RecoveryEngine`` over all ranks: the maps are those of one process, bit for bit.
 
-    Made on rank 0 while the others ``serve``. domain: the leader's, or of some of its observations. fixed: the job's,
-    which the ranks have, and perhaps more. The others are as for Recovery.
+    Created on rank 0 while the others ``serve``. domain: the leader's, or of some of its observations. fixed: the
+    job's, which the ranks have, and perhaps more. Other arguments as for Recovery.
     """
 
     def __init__(
@@ -100,10 +100,10 @@ class RankedRecovery(RecoveryEngine):
             raise TypeError("RankedRecovery: the domain's samples must lie on the ranks")
         if guess is not None:
             leader.deal(Worker.take_guess, guess)
-        held = {name: value for name, value in fixed.items() if name not in leader.worker.fixed}
+        extra_fixed = {name: value for name, value in fixed.items() if name not in leader.worker.fixed}
         samples = stack.observations.tolist(), stack.second
-        self._found: tuple[int, np.ndarray | None] | None = None  # the separation at a stage
-        self._progress = leader.ask(Worker.begin, *samples, model, schedule, seed, held, self.entry)
+        self._separation: tuple[int, np.ndarray | None] | None = None  # stage, its separation
+        self._progress = leader.ask(Worker.begin, *samples, model, schedule, seed, extra_fixed, self.entry)
 
     @property
     def capabilities(self) -> Capabilities:
@@ -129,12 +129,12 @@ class RankedRecovery(RecoveryEngine):
 
     @property
     def separation(self) -> np.ndarray | None:
-        if self._found is None or self._found[0] != self._progress.stage:
-            self._found = self._progress.stage, self._leader.ask(Worker.separation)
-        return self._found[1]
+        if self._separation is None or self._separation[0] != self._progress.stage:
+            self._separation = self._progress.stage, self._leader.ask(Worker.separation)
+        return self._separation[1]
 
     def mean_error(self) -> float:
-        """Return the mean error over a few thousand texels of each rank, as RecoveryEngine.mean_error."""
+        """Return the mean error over some texels of each rank, as RecoveryEngine.mean_error."""
         return self._leader.ask(Worker.mean_error)
 
     def state(self, running: bool = True) -> Checkpoint:
@@ -145,10 +145,10 @@ class RankedRecovery(RecoveryEngine):
         self._progress = self._leader.deal(Worker.restore, saved)
 
     def close(self) -> None:
-        if not self._leader.busy:  # else some ranks wait for one that has failed
+        if not self._leader.busy:  # else a rank has failed and the others wait for it
             self._leader.send(Worker.close)
 
     @cached_property
     def digest(self) -> int:
-        """A number of all ranks' samples."""
+        """The 64-bit digest of all ranks' samples."""
         return self._leader.ask(Worker.digest)

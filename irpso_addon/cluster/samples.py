@@ -14,8 +14,8 @@ from .worker import Orders, Worker
 class RankedStack:
     """A ``SampleStack`` (geometry/samples.py) over all ranks: each read gathers from them.
 
-    orders: of the ``Leader``. observations: their numbers on the ranks. part: the window of the domain. second: the
-    stack that ``another`` makes, not the photographs; there is one.
+    orders: the ``Leader``. observations: their numbers on the ranks. part: the window of the domain. second: whether
+    the stack is the one that ``another`` makes, not the photographs.
     """
 
     def __init__(self, orders: Orders, observations: Sequence[int] | np.ndarray, part: Part, second: bool = False):
@@ -26,7 +26,7 @@ class RankedStack:
         self._last: tuple[int, np.ndarray] | None = None
 
     def layer(self, observation: int) -> np.ndarray:
-        """Return (H, W, 4) the samples of one observation; the last one is kept."""
+        """Return (H, W, 4) the samples of one observation; the last one is cached."""
         if self._last is None or self._last[0] != observation:
             number = int(self.observations[observation])
             self._last = observation, self._orders.ask(Worker.layer, number, self.second)[self._part]
@@ -45,8 +45,8 @@ class RankedStack:
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         down, across = (side.start for side in self._part)
-        found = self.observations.tolist(), rows + down, columns + across
-        return self._orders.ask(Worker.texels, *found, self.second)
+        selection = self.observations.tolist(), rows + down, columns + across
+        return self._orders.ask(Worker.texels, *selection, self.second)
 
     def subset(self, observations: np.ndarray) -> RankedStack:
         return RankedStack(self._orders, self.observations[observations], self._part, self.second)

@@ -13,12 +13,12 @@ import numpy as np
 
 from ..core.errors import GpuUnavailableError, InputError, IrpsoError
 
-# How many processes a launcher says it has started: Open MPI's mpirun, MPICH's and Intel's, and Slurm's srun.
-_STARTED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
+# Number of processes that a launcher has started: Open MPI's mpirun, MPICH's and Intel's, and Slurm's srun.
+_SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
 _REMEDY = 'install it with pip ("mpi4py", beside an MPI library), or start one process'
 _COMMAND, _VALUES, _STRIP = 1, 2, 3  # tags of messages
 _LARGEST = 1 << 30  # bytes of one message: MPI counts them in 32 bits
-_NAP_SECONDS = 5e-4  # between looks for an order: a waiting rank leaves its core to those that work
+_POLL_SECONDS = 5e-4  # between polls for an order: a waiting rank leaves its core to working ones
 
 Result = TypeVar("Result")
 
@@ -67,15 +67,15 @@ class Ranks:
         return Ranks(self._mpi, some) if included else None
 
     def all(self, value: Result) -> list[Result]:
-        """Return the values of all ranks, in their order, to each of them."""
+        """Return, on every rank, the values of all ranks in their order (MPI allgather)."""
         return self._world.allgather(value) if self._world else [value]
 
     def given(self, value: Any = None, by: int = 0) -> Any:
-        """Return the value of one rank to all."""
+        """Return, on every rank, the value of rank ``by`` (MPI broadcast)."""
         return self._world.bcast(value, root=by) if self._world else value
 
     def agreed(self, work: Callable[[], Result]) -> Result:
-        """Return the result of ``work``; if it raises an IrpsoError on a rank, raise Agreed on all, with its name."""
+        """Return the result of ``work``; if it raises an IrpsoError on a rank, raise Agreed on all, naming it."""
         error: IrpsoError | None = None
         try:
             result = work()
@@ -99,11 +99,11 @@ class Ranks:
     def next_order(self) -> Any:
         """Wait for rank 0's next order and return it."""
         while not self._world.iprobe(source=0, tag=_COMMAND):
-            time.sleep(_NAP_SECONDS)
+            time.sleep(_POLL_SECONDS)
         return self._world.recv(source=0, tag=_COMMAND)
 
     def collected(self, arrays: Mapping[str, np.ndarray] | None) -> Iterator[dict[str, np.ndarray] | None]:
-        """Yield to rank 0 the arrays of each rank, or None, as they arrive; to the others nothing.
+        """Yield on rank 0 the arrays of each rank in their order, or None; on the others send ``arrays``.
 
         Rank 0 must take all of them.
         """
@@ -114,7 +114,7 @@ class Ranks:
         return itertools.chain([own], (self._receive_arrays(rank) for rank in range(1, self.size)))
 
     def dealt(self, arrays: list[Mapping[str, np.ndarray] | None]) -> dict[str, np.ndarray] | None:
-        """Return to each rank its own of rank 0's arrays; the other ranks' argument is ignored."""
+        """Return, on each rank, its own of rank 0's arrays (MPI scatter); the other ranks' argument is ignored."""
         if not self.leads:
             return self._receive_arrays(0)
         for rank in range(1, self.size):
@@ -124,7 +124,7 @@ class Ranks:
     def exchanged(
         self, outgoing: Mapping[int, np.ndarray], incoming: Mapping[int, tuple[int, ...]]
     ) -> dict[int, np.ndarray]:
-        """Return float32 arrays from other ranks, by rank, whose shapes are ``incoming``; send them ``outgoing``."""
+        """Send other ranks ``outgoing``; return rank → float32 array received, of the shape in ``incoming``."""
         received = {rank: np.empty(shape, np.float32) for rank, shape in incoming.items()}
         requests = [
             self._world.Irecv(part, source=rank, tag=_STRIP)
@@ -144,7 +144,7 @@ class Ranks:
             self._world.Abort(code)
 
     def close(self) -> None:
-        """Leave the job when all is done: to the launcher a process that ends without this has failed."""
+        """Leave the job at its end; a launcher counts a process that ends without this as failed."""
         if self._mpi and not self._mpi.Is_finalized():
             self._mpi.Finalize()
 
@@ -170,14 +170,14 @@ class Ranks:
 def joined() -> Ranks | None:
     """Return the ranks of this process's MPI job, None where it was started alone.
 
-    Raises InputError where a launcher has started several processes that cannot find one another: each would do the
-    whole work, and the last one's result would replace the others'.
+    Raises InputError where a launcher has started several processes that cannot connect: each would do the whole work,
+    and the last one's result would replace the others'.
     """
-    started = max(int(text) for name in _STARTED if (text := os.environ.get(name, "1")).isdigit())
+    started = max(int(text) for name in _SIZE_VARIABLES if (text := os.environ.get(name, "1")).isdigit())
     if started == 1:
         return None
     try:
-        # Threads are Blender's own: MPI is called from one.
+        # Blender has other threads, but only one calls MPI.
         import mpi4py
 
         mpi4py.rc.thread_level = "funneled"

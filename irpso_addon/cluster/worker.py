@@ -34,33 +34,33 @@ Result = TypeVar("Result")
 
 
 class Orders(Protocol):
-    """Rank 0's way to have all ranks call a method of their ``Worker``."""
+    """Rank 0's calls of a method of ``Worker`` on all ranks."""
 
     def ask(
         self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
     ) -> Result:
-        """Have them call it with the same arguments; return rank 0's result."""
+        """Have all ranks call the method with the same arguments; return rank 0's result."""
 
     def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """Have rank 0 call it with a large value, and the other ranks with None; return rank 0's result."""
+        """Have rank 0 call the method with a large value, the other ranks with None; return rank 0's result."""
 
 
 class Worker:
-    """The work of all ranks at the same time. Rank 0 has the result; others may return None.
+    """One rank's part of a recovery. Methods return their result on rank 0; on other ranks it may be None.
 
-    All ranks call each method in one order and with the same arguments, unless it says otherwise. domain: the whole;
-    once begun, of the fitted observations alone. second: read or write the stack of ``make_second``, not the
-    photographs. fixed: the job's, as for RecoveryEngine.
+    All ranks call the methods in the same order and with the same arguments, unless a method says otherwise. domain:
+    the whole; once begun, of the fitted observations alone. second: read or write the stack of ``make_second``, not
+    the photographs. fixed: the job's, as for RecoveryEngine.
     """
 
     def __init__(self, ranks: Ranks, partition: Partition, fixed: Mapping[str, np.ndarray]):
         self.ranks, self.fixed = ranks, fixed
         self._box = partition.boxes[ranks.rank]
-        self._pool: TilePool | None = None  # of this rank's one tile
+        self._pool: TilePool | None = None  # of this rank's single tile
         self._driver: LockStep | None = None
         self._progress: Progress
         self._second: SampleStack | None = None  # of this rank's window
-        self._guess: dict[str, np.ndarray] | None = None  # there, for the next ``begin``
+        self._guess: dict[str, np.ndarray] | None = None  # on this window, for the next ``begin``
         self.partition = partition
         lit = self.lit(range(partition.whole.observations))
         self.domain = replace(partition.whole, solvable=lit)
@@ -68,9 +68,9 @@ class Worker:
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
         """Replace the capture's lights."""
-        held, window = self.partition, self.partition.window
+        partition, window = self.partition, self.partition.window
         window = window and with_lights(window, lights, intensities)
-        self.partition = replace(held, whole=with_lights(held.whole, lights, intensities), window=window)
+        self.partition = replace(partition, whole=with_lights(partition.whole, lights, intensities), window=window)
 
     def make_second(self) -> None:
         """Make a second sample stack, of zeros."""
@@ -79,14 +79,14 @@ class Worker:
         self._second = None if photographs is None else photographs.another()
 
     def put(self, given: tuple[int, np.ndarray, bool] | None) -> None:
-        """Replace the samples of one observation; rank 0 has its number, (H, W, 4), and second, the others None."""
+        """Replace the samples of one observation; rank 0 passes (number, (H, W, 4), second), the others None."""
         observation, second = self.ranks.given(given and (given[0], given[2]))
         part, stack = self._dealt(given and {"layer": given[1]}), self._stack(second)
         if part is not None and stack is not None:
             stack.put(observation, part["layer"])
 
     def take_guess(self, guess: Mapping[str, np.ndarray] | None) -> None:
-        """Take the maps (H, W, components), by name, that the next recovery begins with; rank 0 has them."""
+        """Set the initial maps of the next recovery, name → (H, W, components); rank 0 passes them."""
         self._guess = self._dealt(guess)
 
     def layer(self, observation: int, second: bool) -> np.ndarray | None:
@@ -109,7 +109,7 @@ class Worker:
         return whole
 
     def lit(self, observations: Sequence[int], second: bool = False) -> np.ndarray:
-        """Return (H, W) bool to every rank: covered texels that one of the observations sees lit."""
+        """Return, on every rank, (H, W) bool: covered texels that one of the observations sees lit."""
         mask = np.zeros(self.partition.whole.shape, bool)
         own, window, stack = None, self.partition.window, self._stack(second)
         if self._box is not None and window is not None and stack is not None:
@@ -141,7 +141,7 @@ class Worker:
         boxes = self.partition.boxes
         works = [box is not None and bool(solvable[part_of(box)].any()) for box in boxes]
         works[0] |= not any(works)
-        self._lead, self._total = works.index(True), int(np.count_nonzero(solvable))
+        self._first_working, self._total = works.index(True), int(np.count_nonzero(solvable))
         box = self._box if works[self.ranks.rank] else None
         part = None if box is None else self._part(box, fitted, second)
         brightness = self._brightness(part)
@@ -187,8 +187,8 @@ class Worker:
 
     def separation(self) -> np.ndarray | None:
         """Return the separation of indirect light, as RecoveryEngine.separation."""
-        found = None if self._pool is None else self._pool.active.separation
-        own = {} if self._pool is None or found is None else {"own": found[own_of(self._pool.tiles[0].domain)]}
+        values = None if self._pool is None else self._pool.active.separation
+        own = {} if self._pool is None or values is None else {"own": values[own_of(self._pool.tiles[0].domain)]}
         return self._pasted(own if self._pool is not None else None).get("own")
 
     def mean_error(self) -> float:
@@ -200,7 +200,7 @@ class Worker:
     def state(self) -> Checkpoint | None:
         """Return the state of the whole domain."""
         own = None if self._pool is None else self._pool.active.state()
-        stage, iteration = self.ranks.given(own and (own.stage, own.iteration), self._lead)
+        stage, iteration = self.ranks.given(own and (own.stage, own.iteration), self._first_working)
         parts = self.ranks.collected(None if own is None else own.arrays)
         if not self.ranks.leads:
             return None
@@ -209,14 +209,14 @@ class Worker:
         return Checkpoint(stage, iteration, self._progress.evaluations, joined(self._total, rows), begun=NEVER)
 
     def restore(self, saved: Checkpoint | None) -> Progress:
-        """Continue from what ``state`` returned to rank 0; the others have None."""
+        """Continue from the state that ``state`` returned on rank 0; the others pass None."""
         at = self.ranks.given(saved and (saved.stage, saved.iteration, saved.evaluations))
         parts: list[Mapping[str, np.ndarray] | None] = []
         if saved is not None:
             numbers = numbered(self.domain.solvable)
             for place in map(self.places.get, range(self.ranks.size)):
-                held = None if place is None else held_rows(numbers, place)
-                parts.append(None if held is None else {name: rows[held] for name, rows in saved.arrays.items()})
+                indices = None if place is None else held_rows(numbers, place)
+                parts.append(None if indices is None else {name: rows[indices] for name, rows in saved.arrays.items()})
         arrays = self.ranks.dealt(parts)
         if self._pool is not None and self._driver is not None and arrays is not None:
             stage, iteration, evaluations = at
@@ -235,7 +235,7 @@ class Worker:
         return self.ranks.all(self.ranks.sent)
 
     def digest(self) -> int:
-        """Return a number of the samples of all solved texels, however the domain is cut."""
+        """Return the 64-bit digest of all solved texels' samples, for any division of the domain."""
         return sum(self.ranks.all(0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain))) % 2**64
 
     def close(self) -> None:
@@ -281,11 +281,11 @@ class Worker:
     def _shared_progress(self) -> Progress:
         """Return the progress of the whole on every rank: in lock step only the evaluations differ."""
         progress = None
-        if self.ranks.rank == self._lead and self._pool is not None:
+        if self.ranks.rank == self._first_working and self._pool is not None:
             progress = self._pool.active.progress
             each = progress.evaluations // max(1, self._pool.tiles[0].solved)
             progress = replace(progress, evaluations=each * self._total)
-        self._progress = self.ranks.given(progress, self._lead)
+        self._progress = self.ranks.given(progress, self._first_working)
         return self._progress
 
     def _stack(self, second: bool) -> SampleStack | None:
@@ -302,23 +302,23 @@ class Worker:
         return stack.window(*_within(self._box, window))
 
     def _dealt(self, maps: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray] | None:
-        """Return to each rank its window's part of rank 0's (H, W, …), by name; None where it has no texels."""
+        """Return, on each rank, its window of rank 0's name → (H, W, …); None on a rank without texels."""
         parts: list[Mapping[str, np.ndarray] | None] = []
         if maps is not None:
             shape, halo = self.partition.whole.shape, self.partition.halo
             windows = [box and part_of(around(shape, box, halo)) for box in self.partition.boxes]
-            parts = [held and {name: value[held] for name, value in maps.items()} for held in windows]
+            parts = [part and {name: value[part] for name, value in maps.items()} for part in windows]
         return self.ranks.dealt(parts)
 
     def _pasted(self, parts: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
-        """Return to rank 0, by name, (H, W, …) of the ranks' own (h, w, …), 0 where there is none."""
+        """Return, on rank 0, name → (H, W, …) joined from the ranks' own (h, w, …), 0 where there is none."""
         whole: dict[str, np.ndarray] = {}
         for box, arrays in zip(self.partition.boxes, self.ranks.collected(parts), strict=False):
             if box is None or arrays is None:
                 continue
             for name, value in arrays.items():
-                held = whole.setdefault(name, np.zeros((*self.partition.whole.shape, *value.shape[2:]), value.dtype))
-                held[part_of(box)] = value
+                target = whole.setdefault(name, np.zeros((*self.partition.whole.shape, *value.shape[2:]), value.dtype))
+                target[part_of(box)] = value
         return whole
 
 

@@ -1,1 +1,1 @@
-"""What each command of the command line does: one module a command, with ``run(options) -> dict`` for --json."""
+"""Commands of the command line: one module per command, with ``run(options) -> dict``, which --json prints."""

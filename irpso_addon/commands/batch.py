@@ -1,4 +1,4 @@
-"""``batch LIST``: runs the recoveries of a list one after another; a second start continues."""
+"""``batch LIST``: runs the recoveries of a list one after another; a restart continues."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from .options.values import silent
 
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
-_OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
+_BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # defaults that do not apply to cards
 _OF_CARDS = ("distance", "crop", "corners", "card_width")  # defaults that do not apply to meshes
-_EVERY = 60.0  # default seconds between checkpoints
-_FIGURES = (
+_CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
+_REPORTED = (
     "texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "relighting_highlights_psnr_db", "warnings",
 )  # fmt: skip
 
@@ -53,11 +53,11 @@ class Row:
     rig: Path | None = None
 
     def folder(self, output: Path) -> Path:
-        """Return the folder of its result."""
+        """Return the folder of the job's result."""
         return output / self.name
 
     def state_file(self, output: Path) -> Path:
-        """Return the file of its state."""
+        """Return the file of the job's state."""
         return output / f"{self.name}.json"
 
 
@@ -100,10 +100,10 @@ def read_list(path: Path, parse: Parse) -> list[Row]:
 
 def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
     """Return a job with the defaults: a card without those of meshes, a mesh without those of cards."""
-    found = {**defaults, **row}
-    card = "blend" not in found and not str(found.get("capture", "")).lower().endswith(".blend")
+    merged = {**defaults, **row}
+    card = "blend" not in merged and not str(merged.get("capture", "")).lower().endswith(".blend")
     others = _OF_MESHES if card else _OF_CARDS
-    return {key: value for key, value in found.items() if key not in others or key in row}
+    return {key: value for key, value in merged.items() if key not in others or key in row}
 
 
 def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
@@ -113,8 +113,8 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     name = row.get("name", Path(row["capture"]).stem)
     if not isinstance(name, str) or not name or Path(name).name != name or name.startswith(".") or name == "batch":
         raise InputError(f"{where}: name must be one that a folder can have, other than batch")
-    if ours := [key for key in _OURS if key in row]:
-        raise InputError(f"{where}: {ours[0]} is not an option of jobs; give it to batch itself")
+    if reserved := [key for key in _BATCH_OPTIONS if key in row]:
+        raise InputError(f"{where}: {reserved[0]} is not an option of jobs; give it to batch itself")
     rig = row.pop("rig", None)
     if rig is not None and not isinstance(rig, str):
         raise InputError(f'{where}: rig must be a text, as in rig = "folder"')
@@ -134,7 +134,7 @@ def _command(row: dict[str, Any], path: Path | None) -> list[str]:
     for key, value in row.items():
         if key not in ("name", "capture"):
             words += _words(key, value, path)
-    return words if "checkpoint_every" in row else [*words, "--checkpoint-every", f"{_EVERY:g}"]
+    return words if "checkpoint_every" in row else [*words, "--checkpoint-every", f"{_CHECKPOINT_SECONDS:g}"]
 
 
 def _words(key: str, value: Any, path: Path | None) -> list[str]:
@@ -148,7 +148,7 @@ def _words(key: str, value: Any, path: Path | None) -> list[str]:
 
 
 def _beside(path: Path | None, key: str, value: str) -> str:
-    """Return an option's value; a path in it becomes relative to the list."""
+    """Return an option's value; paths in it are joined to the list's folder."""
     if path is None:
         return value
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
@@ -162,11 +162,11 @@ def _beside(path: Path | None, key: str, value: str) -> str:
 def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     """Run a job unless it is done; return the contents of its state file."""
     folder, file = job.folder(output), job.state_file(output)
-    before = _state(file)
-    same = before.get("words") == list(job.listed)
-    if same and before.get("state") == "done" and (folder / REPORT).is_file():
+    former = _state(file)
+    same = former.get("words") == list(job.listed)
+    if same and former.get("state") == "done" and (folder / REPORT).is_file():
         _say(options, f"{job.name}: done before")
-        return before
+        return former
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
     state = {"name": job.name, "words": list(job.listed), "state": "begun"}
@@ -177,11 +177,11 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
         if job.rig is not None:
             words[1] = str(_under_rig(job.rig, Path(words[1]), output / f"{job.name}_capture", options))
         try:
-            found = recover.run(options.parse(words))
+            report = recover.run(options.parse(words))
         except CheckpointError as error:  # of other options, photographs or another version
             _say(options, f"{job.name}: starts again ({error})")
-            found = recover.run(options.parse([word for word in words if word != "--resume"]))
-        state |= {"state": "done", "result": {key: found[key] for key in _FIGURES if key in found}}
+            report = recover.run(options.parse([word for word in words if word != "--resume"]))
+        state |= {"state": "done", "result": {key: report[key] for key in _REPORTED if key in report}}
     except KeyboardInterrupt:
         raise KeyboardInterrupt("start the batch again to continue") from None
     except (InputError, MemoryError) as error:
@@ -193,7 +193,7 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
 
 
 def _under_rig(rig: Path, photographs: Path, capture: Path, options: Namespace) -> Path:
-    """Return the capture of photographs under a rig, which is written unless it is there."""
+    """Return the folder of the photographs' capture under a rig; write it unless it exists."""
     if not capture.is_dir():
         applied = run_steps(apply_steps(read_rig(rig), photographs, capture, decoder=decode))
         for warning in (*applied.left_out, *applied.warnings):
@@ -207,18 +207,18 @@ def _outcome(states: list[dict[str, Any]], file: Path | None, options: Namespace
     report = {"done": len(states) - len(failed), "failed": failed, "jobs": states}
     if file is not None:
         write_json(file, plain(report))
-    lost = f"; failed: {', '.join(failed)}" if failed else ""
-    _say(options, f"{report['done']} of {len(states)} done{lost}")
+    failures = f"; failed: {', '.join(failed)}" if failed else ""
+    _say(options, f"{report['done']} of {len(states)} done{failures}")
     return report | {"exit_code": InputError.exit_code if failed else 0}
 
 
 def _state(file: Path) -> dict[str, Any]:
     """Return the contents of a state file; {} if it is missing or damaged, so that its job starts again."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        state = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return state if isinstance(state, dict) else {}
 
 
 def _say(options: Namespace, text: str) -> None:

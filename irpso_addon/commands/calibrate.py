@@ -1,4 +1,4 @@
-"""``calibrate CAPTURE_OR_IMAGES``: finds the lights of photographs from balls, or from the subject's shading."""
+"""``calibrate CAPTURE_OR_IMAGES``: calibrates lights from balls in photographs, or from the subject's shading."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from .options.job import subject_of
 from .options.values import numbers_of_text, positive, silent, warn_quietly
 from .options.videos import frames_of_videos
 
-NONE = "none"  # in place of a ball
+NONE = "none"  # value of --ball
 _SHOWN_WARNINGS = 12
-_ALL_CARD = (
+_WHOLE_IS_CARD = (
     "all of each photograph counts as the flat card; if it shows more, name the card's part by crop or corners in"
     " capture.toml and calibrate that"
 )
@@ -51,7 +51,7 @@ def run(options: Namespace) -> dict:
 
 
 def _calibrated(options: Namespace) -> dict:
-    """Find the lights and write them. options: and ``frames``, of videos."""
+    """Find the lights and write them. options: the command's, and ``frames`` of videos."""
     keys = _camera(options)
     if NONE in (options.ball or []):
         _check_ballless(options)
@@ -68,16 +68,16 @@ def _calibrated(options: Namespace) -> dict:
     request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
-    found = bar.run(steps, lambda part: (part, "reading"))
-    write_calibration(found, out, keys)
-    report = report_of(found)
+    calibrated = bar.run(steps, lambda part: (part, "reading"))
+    write_calibration(calibrated, out, keys)
+    report = report_of(calibrated)
     if not silent(options):
-        sys.stdout.write(_summary(found, out, options.radius))
-    warn_quietly(options, found.warnings)
-    errors = [light.error for light in found.result.lights if light.light is not None]
+        sys.stdout.write(_summary(calibrated, out, options.radius))
+    warn_quietly(options, calibrated.warnings)
+    errors = [light.error for light in calibrated.result.lights if light.light is not None]
     return {
         "output": str(out),
-        "photographs": len(found.names),
+        "photographs": len(calibrated.names),
         "lights": len(errors),
         "error_degrees": round(float(np.median(errors)), 4),
         **{key: report[key] for key in ("kind", "near", "how", "camera", "warnings")},
@@ -88,8 +88,8 @@ def _check_ballless(options: Namespace) -> None:
     """Raise InputError for an option that contradicts --ball none."""
     if options.ball != [NONE]:
         raise InputError("--ball none: finds lights without a ball; omit the other --ball")
-    for name, usual in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
-        if getattr(options, name) != usual:
+    for name, default in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
+        if getattr(options, name) != default:
             raise InputError(f"--{name}: applies to balls; leave it out with --ball none")
     if options.flat and options.blend:
         raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
@@ -105,37 +105,37 @@ def _check_ballless(options: Namespace) -> None:
 
 
 def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find lights over a mesh and write them. Raises InputError and then writes nothing."""
+    """Find lights from the shading of a mesh and write them."""
     checked_output(Path(options.output))
     mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
-    found = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
-    kind = "near lights, with their positions," if found.near else "distant lights"
-    line = f"{len(found.lights)} {kind} by the shading of '{mesh.name}'; {_errors(found.found.degrees)}"
-    return _written_without_ball(options, spec, keys, found, line)
+    result = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
+    kind = "near lights, with their positions," if result.near else "distant lights"
+    line = f"{len(result.lights)} {kind} by the shading of '{mesh.name}'; {_errors(result.found.degrees)}"
+    return _written_without_ball(options, spec, keys, result, line)
 
 
 def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find near lights over a flat card and write them. Raises InputError and then writes nothing."""
+    """Find near lights from the fall-off over a flat card and write them."""
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
-    found = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
+    result = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
     if spec.framing.crop is None and not spec.framing.corners and whole.masks[0].all():
-        found = replace(found, warnings=(*found.warnings, _ALL_CARD))
+        result = replace(result, warnings=(*result.warnings, _WHOLE_IS_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     stated = spec.card_distance is not None or spec.framing.card_width is not None
-    card = {} if stated else {CARD_DISTANCE: found.capture.card_distance}
+    card = {} if stated else {CARD_DISTANCE: result.capture.card_distance}
     line = (
-        f"{len(found.lights)} near lights, with their positions, by their fall-off over a flat card;"
-        f" {_errors(found.found.degrees)}, and {found.distance_error:.0%} of their distance"
+        f"{len(result.lights)} near lights, with their positions, by their fall-off over a flat card;"
+        f" {_errors(result.found.degrees)}, and {result.distance_error:.0%} of their distance"
     )
-    return _written_without_ball(options, spec, keys, found, line, card)
+    return _written_without_ball(options, spec, keys, result, line, card)
 
 
 def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
-    """Find distant lights without a ball and write them. Raises InputError and then writes nothing."""
+    """Find distant lights from the subject's shading and write them."""
     if options.lights == "near":
         raise InputError(
             "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
@@ -144,13 +144,13 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, [])
     steps = uncalibrated_steps(_capture(spec), load_model(DEFAULT_MODEL), inside_out=options.inside_out)
-    found = _without_ball(options, steps)
-    turned = f"; it turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
+    result = _without_ball(options, steps)
+    turned = f"; it turned them by {result.refined.turned.mean():.1f}°" if result.kept else ""
     line = (
-        f"{len(found.lights)} distant lights by shading; parts of the subject agree to {found.errors.mean():.1f}°,"
-        f" and before its material was recovered to {found.first.errors.mean():.1f}°{turned}"
+        f"{len(result.lights)} distant lights by shading; parts of the subject agree to {result.errors.mean():.1f}°,"
+        f" and before its material was recovered to {result.first.errors.mean():.1f}°{turned}"
     )
-    return _written_without_ball(options, spec, keys, found, line)
+    return _written_without_ball(options, spec, keys, result, line)
 
 
 def _capture(spec: CaptureSpec) -> Capture:
@@ -164,7 +164,7 @@ def _whole(spec: CaptureSpec) -> Capture:
 
 
 def _without_ball(options: Namespace, steps: Generator[float, None, Found]) -> Found:
-    """Return what the steps find, with a progress bar."""
+    """Run the steps with a progress bar; return their result."""
     return ProgressBar("calibrate", silent(options)).run(steps, lambda part: (part, "shading"))
 
 
@@ -172,18 +172,18 @@ def _written_without_ball(
     options: Namespace,
     spec: CaptureSpec,
     keys: dict[str, Any],
-    found: Uncalibrated | KnownShape | FlatCard,
+    result: Uncalibrated | KnownShape | FlatCard,
     line: str,
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict:
-    """Write the lights, print a line and the warnings, and return the answer."""
-    report, out = found.report(), Path(options.output)
-    write_lights(spec, keys, found.lights, report, out, card)
+    """Write the lights, print a line and the warnings, and return the command's result."""
+    report, out = result.report(), Path(options.output)
+    write_lights(spec, keys, result.lights, report, out, card)
     if not silent(options):
-        lines = [line, *(f"warning: {warning}" for warning in found.warnings), f"written to {out}"]
+        lines = [line, *(f"warning: {warning}" for warning in result.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")
-    warn_quietly(options, found.warnings)
-    return {"output": str(out), **report, "photographs": len(found.lights), "lights": len(found.lights)}
+    warn_quietly(options, result.warnings)
+    return {"output": str(out), **report, "photographs": len(result.lights), "lights": len(result.lights)}
 
 
 def _errors(degrees: np.ndarray) -> str:
@@ -191,7 +191,7 @@ def _errors(degrees: np.ndarray) -> str:
 
 
 def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:
-    """Return the photographs, and the keys of their camera: those given, or those of their EXIF."""
+    """Return the photographs, and the keys of their camera: ``keys``, or else those of their EXIF."""
     spec = read_photographs(Path(options.capture), options.colour_space, masks, options.frames)
     where = "--camera" if options.camera else "--fov"
     if not keys and (keys := lens_of_files(spec, decode)):
@@ -223,17 +223,17 @@ def _albedo(text: str | None) -> tuple[float, float, float] | None:
     return r, g, b
 
 
-def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
-    result = found.result
+def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
+    result = calibrated.result
     errors = [light.error for light in result.lights if light.light is not None]
     camera = result.views[0].ball.camera
-    lines = [f"{len(errors)} lights of {len(found.names)} photographs, {result.how}", _errors(np.array(errors))]
-    for ball in found.found:
+    lines = [f"{len(errors)} lights of {len(calibrated.names)} photographs, {result.how}", _errors(np.array(errors))]
+    for ball in calibrated.found:
         x, y = ball.centre[0], camera.height - ball.centre[1]
-        sure = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
+        shadow_text = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
         lines.append(
             f"found: {ball.kind} ball at {x:.1f},{y:.1f} of radius {ball.radius:.1f}; {ball.support:.0%} of its outline"
-            f" shows, {sure}"
+            f" shows, {shadow_text}"
         )
     for ball in (view.ball for view in result.views):
         lines.append(f"{ball.name}: radius {ball.radius_px:.1f} pixels, error of the outline {ball.error_px[0]:.2f}")
@@ -241,12 +241,12 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("camera: orthographic")
     elif result.near and radius is None:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
-    if result.near and found.spec.card_distance is None and len(found.spec.views) == 1:
+    if result.near and calibrated.spec.card_distance is None and len(calibrated.spec.views) == 1:
         lines.append(
             "a flat card under these lights needs its distance from the camera in capture.toml; for a card under the"
-            f" balls: card_distance = {found.card_distance:.6g}"
+            f" balls: card_distance = {calibrated.card_distance:.6g}"
         )
-    lines += [f"warning: {warning}" for warning in found.warnings[:_SHOWN_WARNINGS]]
-    if len(found.warnings) > _SHOWN_WARNINGS:
-        lines.append(f"and {len(found.warnings) - _SHOWN_WARNINGS} more warnings in the report")
+    lines += [f"warning: {warning}" for warning in calibrated.warnings[:_SHOWN_WARNINGS]]
+    if len(calibrated.warnings) > _SHOWN_WARNINGS:
+        lines.append(f"and {len(calibrated.warnings) - _SHOWN_WARNINGS} more warnings in the report")
     return "\n".join([*lines, f"written to {out}"]) + "\n"

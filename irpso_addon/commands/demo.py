@@ -1,4 +1,4 @@
-"""``demo``: the paper's experiment, from rendering to material; --quick in small."""
+"""``demo``: runs the paper's experiment, from rendering to material; --quick in small sizes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PHASES = ("photograph", *experiment.STAGES, experiment.JOINT)
 
 
 def run(options: Namespace) -> dict:
-    """Run the experiment and write figures, maps, material and report into the output folder and its joint/ inside."""
+    """Run the experiment; write figures, maps, material and report into the output folder and into its joint/."""
     started = time.perf_counter()
     folder = check_output_folder(options.output)
     schedule = load_schedule(options.preset)
@@ -79,18 +79,18 @@ def _write(
     view = pictures.View(found, head.scene_camera(_VIEW_HEIGHT))
     large = pictures.View(found, head.scene_camera(2 * _VIEW_HEIGHT))
     staged = pictures.staged_maps(runs)
-    everything = {**runs, experiment.JOINT: joint}
+    all_runs = {**runs, experiment.JOINT: joint}
     errors = {}  # of the image in % of white, and of each searched parameter
-    for name, done in everything.items():
+    for name, done in all_runs.items():
         truth = {parameter: found.truth[parameter] for parameter in done.errors}
         image = {"unit": "%", **quantiles(done.image_errors)}
         errors[name] = {"image": image, **ground_truth_errors(done.maps, truth, found.evaluated)}
-    seconds = {"photograph": photographed, **{name: done.seconds for name, done in everything.items()}}
+    seconds = {"photograph": photographed, **{name: done.seconds for name, done in all_runs.items()}}
     report = build_report(
         staged, settings={**{k: v for k, v in vars(options).items() if k != "command"},
                           "preset": asdict(load_schedule(options.preset))},
         seed=options.seed, gpu=context.describe()["renderer"], iterations=runs["normal"].iterations[-1],
-        evaluations=sum(done.evaluations for done in everything.values()), seconds=seconds,
+        evaluations=sum(done.evaluations for done in all_runs.values()), seconds=seconds,
         ground_truth=found.truth, evaluated=found.evaluated,
     )  # fmt: skip
     report["lights"], report["runs"] = len(lights), errors

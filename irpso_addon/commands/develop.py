@@ -1,4 +1,4 @@
-"""``develop CAPTURE``: linear images of photographs, one per light, with the capture's lists."""
+"""``develop CAPTURE``: writes linear images of photographs, one per light, with the capture's lists."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def run(options: Namespace) -> dict:
 
 
 def _wanted(options: Namespace) -> Wanted:
-    """Return what the options ask for. Raises InputError naming the option."""
+    """Return the options as ``Wanted``. Raises InputError naming the option."""
     corners: np.ndarray | str | None = None
     if options.colour_chart:
         auto = options.colour_chart == AUTO
@@ -79,14 +79,14 @@ def _wanted(options: Namespace) -> Wanted:
 
 
 def exposing_option(options: Namespace) -> Exposing | None:
-    """Return where exposures come from, by --brackets, --exposure and --exposures. Raises InputError."""
+    """Return the source of exposures, by --brackets, --exposure and --exposures. Raises InputError."""
     if options.brackets and options.exposure:
         raise InputError("--brackets merges what --exposure would scale frame by frame; give one of them")
-    given = exposure_list("--exposures", options.exposures)
-    by = options.brackets or options.exposure
-    if given and by != "names":
+    exposures = exposure_list("--exposures", options.exposures)
+    source = options.brackets or options.exposure
+    if exposures and source != "names":
         raise InputError("--exposures lists what the numbers at the end of names stand for; add --brackets names")
-    return Exposing(by, bool(options.brackets), given) if by else None
+    return Exposing(source, bool(options.brackets), exposures) if source else None
 
 
 def _white(text: str) -> Patch | SearchedCard | tuple[float, float, float]:
@@ -101,12 +101,12 @@ def _white(text: str) -> Patch | SearchedCard | tuple[float, float, float]:
     return red, green, blue
 
 
-def _colours(found: dict) -> str:
-    before, after = found["delta_e_2000"]["before"], found["delta_e_2000"]["after"]
+def _colours(chart: dict) -> str:
+    before, after = chart["delta_e_2000"]["before"], chart["delta_e_2000"]["after"]
     means, largest = (f"{before[key]:.1f} → {after[key]:.1f}" for key in ("mean", "largest"))
     place = ""
-    if "found" in found:
-        corners = np.reshape(found["corners"], (4, 2))
-        place = f"colour chart: found in {found['file']} at {','.join(f'{v:.0f}' for v in corners.ravel())}\n"
-    shine = f"; it shines by {found['gloss']:.1%} of white, which is kept out" if found["gloss"] else ""
+    if "found" in chart:
+        corners = np.reshape(chart["corners"], (4, 2))
+        place = f"colour chart: found in {chart['file']} at {','.join(f'{v:.0f}' for v in corners.ravel())}\n"
+    shine = f"; it shines by {chart['gloss']:.1%} of white, which is kept out" if chart["gloss"] else ""
     return f"{place}colour chart: ΔE2000 mean {means}, largest {largest}{shine}\n"

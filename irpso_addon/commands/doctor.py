@@ -13,18 +13,18 @@ from ..solver.planning.machine import fact_lines, machine_facts
 
 
 def run(options: Namespace) -> dict:
-    """Probe the GPU in a child process and print the facts, and what a benchmark says. Raises GpuUnavailableError."""
-    found = probe.probe()
-    _tell(options, fact_lines(machine_facts(found)))
-    result = {**found, "entry": probe.chosen_entry(found), "versions": versions()}
+    """Probe the GPU in a child process; print facts and, by --benchmark, speeds. Raises GpuUnavailableError."""
+    facts = probe.probe()
+    _print_lines(options, fact_lines(machine_facts(facts)))
+    result = {**facts, "entry": probe.chosen_entry(facts), "versions": versions()}
     if options.benchmark:
         speed = measure_speed()
-        _tell(options, ["", *speed.lines()])
+        _print_lines(options, ["", *speed.lines()])
         result["benchmark"] = speed.as_dict()
     return result
 
 
-def _tell(options: Namespace, lines: Iterable[str]) -> None:
+def _print_lines(options: Namespace, lines: Iterable[str]) -> None:
     if not options.json:
         sys.stdout.write("".join(f"{line}\n" for line in lines))
         sys.stdout.flush()

@@ -30,23 +30,23 @@ def run(options: Namespace) -> dict:
     if options.format == ASSET:
         return _asset(result, options)
     if options.format == RELIEF:
-        found = write_relief(result, options.output, options.width, options.replace)
+        report = write_relief(result, options.output, options.width, options.replace)
         if not silent(options):
-            sys.stdout.write(f"written to {found['output']}: {found['width']:g} wide, {found['depth']:.3g} deep\n")
-        return found
+            sys.stdout.write(f"written to {report['output']}: {report['width']:g} wide, {report['depth']:.3g} deep\n")
+        return report
     if options.format == TURNTABLE:
-        found = write_turntable(result, options.output, lambda: _subject(result, options.object), options.replace)
+        report = write_turntable(result, options.output, lambda: _subject(result, options.object), options.replace)
         if not silent(options):
-            sys.stdout.write(f"written to {found['output']}\n")
-        return found
+            sys.stdout.write(f"written to {report['output']}\n")
+        return report
     if options.format == "ptm":
         probe.probe()
         context.ensure()
     subject = partial(_subject, result, options.object)
-    if options.format == "gltf":  # before a bake
+    if options.format == "gltf":  # checked before a slow bake
         file_place(options.output, file_stem(result.name), [ONE_FILE["gltf"]], options.replace)
     result = with_occlusion(result, options, subject)
-    found = export(
+    report = export(
         result,
         options.format,
         options.output,
@@ -56,10 +56,10 @@ def run(options: Namespace) -> dict:
         options.replace,
     )
     if options.format == WEB and options.photographs is None and not names_photographs(result):
-        found["warnings"].append(f"no photographs: {UNNAMED}")
+        report["warnings"].append(f"no photographs: {UNNAMED}")
     if not silent(options):
-        sys.stdout.write(_summary(found))
-    return found
+        sys.stdout.write(_summary(report))
+    return report
 
 
 def _asset(result: Result, options: Namespace) -> dict:
@@ -80,16 +80,16 @@ def _subject(result: Result, name: str | None) -> Any:
     return result_object(name)
 
 
-def _summary(found: dict[str, Any]) -> str:
-    lines = [f"written to {found['output']}"]
-    if "bytes" in found:
-        lines += [f"{name}: {count / 1e6:.1f} MB" for name, count in found["bytes"].items() if count]
-    for name, value in found.items():
+def _summary(report: dict[str, Any]) -> str:
+    lines = [f"written to {report['output']}"]
+    if "bytes" in report:
+        lines += [f"{name}: {count / 1e6:.1f} MB" for name, count in report["bytes"].items() if count]
+    for name, value in report.items():
         if isinstance(value, dict):
             numbers = {**value, **value.get("ward_error", {})}
             shown = {"mean": "error of the lobe", "psnr_db": "PSNR in dB"}
             lines += [
                 f"{name}: {text} {numbers[key]:.4g}" for key, text in shown.items() if numbers.get(key) is not None
             ]
-    lines += [f"warning: {text}" for text in found.get("warnings", ())]
+    lines += [f"warning: {text}" for text in report.get("warnings", ())]
     return "\n".join(lines) + "\n"

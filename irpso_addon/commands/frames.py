@@ -19,10 +19,10 @@ def run(options: Namespace) -> dict:
     check_unused(out)
     count = COUNT if options.count is None else options.count
     bar = ProgressBar("frames", silent(options))
-    videos = [video for given in map(Path, options.videos) for video in videos_of(given) or [given]]
-    found = bar.run(frame_steps(videos, out, count), tuple)
-    warn(found.warnings)
+    videos = [video for path in map(Path, options.videos) for video in videos_of(path) or [path]]
+    frames = bar.run(frame_steps(videos, out, count), tuple)
+    warn(frames.warnings)
     if not silent(options):
-        next_one = f"irpso calibrate {pasted(out)}"
-        sys.stdout.write(f"{len(found.files)} of {found.total} frames written to {out}; next: {next_one}\n")
-    return {"output": str(out), "frames": list(found.numbers), "warnings": list(found.warnings)}
+        next_command = f"irpso calibrate {pasted(out)}"
+        sys.stdout.write(f"{len(frames.files)} of {frames.total} frames written to {out}; next: {next_command}\n")
+    return {"output": str(out), "frames": list(frames.numbers), "warnings": list(frames.warnings)}

@@ -40,15 +40,15 @@ def run(options: Namespace) -> dict:
     offset = _offset(options.flash_offset)
     capture, lens = _with_lens(build_capture(spec, decode), spec, options.fov)
     bar = ProgressBar("handheld", silent(options))
-    found = bar.run(handheld_steps(capture, lens, offset), lambda part: (part, "photographs"))
-    table = table_text(spec, found, out)
+    handheld = bar.run(handheld_steps(capture, lens, offset), lambda part: (part, "photographs"))
+    table = table_text(spec, handheld, out)
     with new_folder(out) as partial:
         (partial / TABLE).write_text(table, encoding="utf-8")
-        (partial / _REPORT).write_text(report_text(spec, found), encoding="utf-8")
-        save_card(partial / BLEND, found.field)
+        (partial / _REPORT).write_text(report_text(spec, handheld), encoding="utf-8")
+        save_card(partial / BLEND, handheld.field)
     if not silent(options):
-        sys.stdout.write(_summary(found, out))
-    return {"output": str(out), **report_of(spec, found)}
+        sys.stdout.write(_summary(handheld, out))
+    return {"output": str(out), **report_of(spec, handheld)}
 
 
 def _photographs(options: Namespace) -> CaptureSpec:
@@ -65,7 +65,7 @@ def _photographs(options: Namespace) -> CaptureSpec:
 
 
 def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:
-    """Return the capture with one focal length in all cameras, and how sure it is. Raises InputError."""
+    """Return the capture with one focal length, and "known", "likely" or "unknown" for it. Raises InputError."""
     sizes = [(camera.width, camera.height) for camera in capture.cameras]
     if fov is not None and not 0 < fov < 180:
         raise InputError(f"--fov {fov:g}: give the full angle over the image's width, above 0 and below 180")
@@ -79,7 +79,7 @@ def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[
     width = max(sizes[0])
     focals = [size[0] / 2 / math.tan(math.radians(angle) / 2)
               for angle, size in zip(angles, sizes, strict=True) if angle is not None]  # fmt: skip
-    if fov is not None:  # over the width of the first photograph; others may be upright
+    if fov is not None:  # --fov is over the first photograph's width; others may be upright
         focals = focals[:1]
     focal = float(np.median(focals)) if focals else float(width)
     if focals and max(abs(value / focal - 1) for value in focals) > _SAME_ZOOM:
@@ -100,21 +100,21 @@ def _offset(text: str | None) -> np.ndarray | None:
     return np.array(numbers)
 
 
-def _summary(found: Handheld, out: Path) -> str:
-    unit = " mm" if found.board else ""
-    x, y, _ = found.flash.offset
-    x0, y0, x1, y1 = found.field
+def _summary(setup: Handheld, out: Path) -> str:
+    unit = " mm" if setup.board else ""
+    x, y, _ = setup.flash.offset
+    x0, y0, x1, y1 = setup.field
     shorter = _TEXELS / min(x1 - x0, y1 - y0)
     size = f"{round((x1 - x0) * shorter)}x{round((y1 - y0) * shorter)}"
     by = (
-        found.board.name if found.board else "features of the card; lengths are in widths of the part that is recovered"
+        setup.board.name if setup.board else "features of the card; lengths are in widths of the part that is recovered"
     )
     lines: list[Any] = [
-        f"{len(found.cameras)} cameras by {by}",
-        f"points are off by {found.error:.2f} pixels (median); views differ by {found.views:.0f}°",
+        f"{len(setup.cameras)} cameras by {by}",
+        f"points are off by {setup.error:.2f} pixels (median); views differ by {setup.views:.0f}°",
         f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
-        f" {found.flash.beam:.1f}",
-        *(f"warning: {warning}" for warning in found.warnings),
+        f" {setup.flash.beam:.1f}",
+        *(f"warning: {warning}" for warning in setup.warnings),
         f"written to {out}; recover it with: irpso recover {pasted(out)} --blend {pasted(out / BLEND)}"
         f" --object {CARD}"
         f" --resolution {size} -o OUT",

@@ -18,7 +18,7 @@ def run(options: Namespace) -> dict:
     """Print facts and findings; the exit code is 2 if a finding is an error."""
     distance = positive("--distance", options.distance)
     report = inspect_capture(options.capture, decode, options.colour_space, _GOALS, distance, options.skip_damaged)
-    if not report.facts:  # it could not be opened
+    if not report.facts:  # the capture could not be opened
         raise InputError("; ".join(finding.message for finding in report.findings))
     if not options.json:
         width = max(len(name) for name, _ in report.facts)

@@ -1,4 +1,4 @@
-"""``recover CAPTURE``: from a capture to maps, material and report."""
+"""``recover CAPTURE``: recovers maps, material and report from a capture."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
 from .options.values import shelf_of, silent, warn, warn_quietly
 
-PREVIEW = "preview"  # folder of a long recovery's preview, in the result's, and the setting that its report has
-_LONG = 1200  # foreseen seconds from which on there is one by itself
-_PACE_SPREAD = 1.2  # the whole's seconds a texel over those of its preview, or the reverse
+PREVIEW = "preview"  # folder of a long recovery's preview, in the result's, and a setting in its report
+_LONG_SECONDS = 1200  # forecast from which on a recovery has a preview by default
+_PACE_SPREAD = 1.2  # largest ratio of the seconds per texel of the whole and of its preview, either way
 
 
 def run(options: Namespace) -> dict:
-    """Recover and write everything; returns the report. An interrupt leaves a checkpoint in the output folder."""
+    """Recover, write everything, return the report. An interrupt leaves a checkpoint in the output folder."""
     ranks = joined()
     if ranks is not None:
         if options.preview:
@@ -71,44 +71,44 @@ def _recover(options: Namespace, job: Job) -> dict:
         raise InputError(
             "--preview: a map of --fixed has the full size and cannot be made smaller; leave one of the two out"
         )
-    wanted = options.preview or (options.preview is None and seconds[0] >= _LONG and can_be_smaller(job))
-    # A run that goes on has had its preview.
+    wanted = options.preview or (options.preview is None and seconds[0] >= _LONG_SECONDS and can_be_smaller(job))
+    # A resumed run wrote its preview before.
     return _recovered(options, run, bool(options.resume) or wanted and _preview(options, smaller(job), plan.work))
 
 
 def _preview(options: Namespace, job: Job, work: float) -> bool:
-    """Write the maps of a smaller job into OUT/preview, and say how long ``work``, of the whole, then takes.
+    """Write the maps of a smaller job into OUT/preview; print the forecast time of ``work``, the whole's.
 
-    Returns whether there are any.
+    Returns False where the smaller job fails.
     """
     folder = Path(options.output) / PREVIEW
     run = Run(job, StepBars(silent(options)))
-    own = run.first_plan().work
+    preview_work = run.first_plan().work
     try:
         report, _, _ = _solved(options, run, folder, Saving(None), {PREVIEW: PART})
-    except InputError as error:  # of a quarter alone, perhaps
+    except InputError as error:  # which the whole job may not have
         warn([f"no preview: {error}"])
         return False
     (folder / LIVE).unlink(missing_ok=True)
     if not silent(options):
-        seconds = report["seconds"]["solve"] * work / own
+        seconds = report["seconds"]["solve"] * work / preview_work
         time_left = forecast_text((seconds / _PACE_SPREAD, seconds * _PACE_SPREAD))
         sys.stderr.write(f"preview of 1/{PART}: {folder}; at this speed the whole takes {time_left}\n")
     return True
 
 
 def _remove_former_preview(folder: Path) -> None:
-    """Remove the preview of a former run, which shows other maps than those beside it."""
+    """Remove the preview of a former run, whose maps are not those of the new result."""
     try:
-        made = json.loads((folder / REPORT).read_text(encoding="utf-8"))["settings"][PREVIEW]
+        part = json.loads((folder / REPORT).read_text(encoding="utf-8"))["settings"][PREVIEW]
     except (OSError, ValueError, LookupError, TypeError):
         return
-    if made == PART:  # another number is of a result that somebody put there
+    if part == PART:  # else the folder is another result
         remove_result(folder)
 
 
 def _planned(options: Namespace, result: dict) -> dict:
-    """Print the plan of a dry run, and its time where one is foreseen; return the result with it as plain data."""
+    """Print the plan of a dry run, and its forecast time if any; return both as plain data, or another result as is."""
     if "plan" not in result:
         return result
     plan, seconds = result["plan"], result.get("seconds")
@@ -134,9 +134,9 @@ def _each_slot(options: Namespace) -> dict:
     for label, slots in chosen.items():
         name = options.asset_name and f"{options.asset_name} {label}"
         slot = {"slots": ",".join(map(str, slots)), "output": str(folder / label), "asset_name": name}
-        one = Namespace(**{**vars(options), **slot})
+        slot_options = Namespace(**{**vars(options), **slot})
         try:
-            reports[label] = _recover(one, job_of(one, opened=True))
+            reports[label] = _recover(slot_options, job_of(slot_options, opened=True))
         except InputError as error:
             raise InputError(f"slot '{label}': {error}") from error
     if options.dry_run:
@@ -169,11 +169,11 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
 
 
 def _solved(
-    options: Namespace, run: Run, folder: Path, saving: Saving, noted: Mapping[str, Any] = MappingProxyType({})
+    options: Namespace, run: Run, folder: Path, saving: Saving, changes: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[dict, Found, float]:
-    """Run to the end and write the maps into a folder; return the report, what was found, and when the search ended.
+    """Run to the end and write the maps into a folder; return the report, the maps, and when the search ended.
 
-    noted: in the report, in place of the options of these names.
+    changes: settings in the report that replace the options of these names.
     """
     run_steps(run.open())
     with run.recovery as recovery:
@@ -184,7 +184,7 @@ def _solved(
         warnings = [*unsaved, *live.warnings, *run.device_warnings()]
     started = time.perf_counter()
     found = found_of(run, maps, derived_maps_of(options))
-    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")} | noted
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")} | changes
     settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}

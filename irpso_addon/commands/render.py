@@ -40,21 +40,21 @@ def run(options: Namespace) -> dict:
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
     renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
-    seen_at = empty_at = 0
+    shown_count = empty_count = 0
     for bake, camera in zip(bakes, cameras, strict=True):
         shown = sample_maps(model, values, bake.uv)
-        seen_at += np.count_nonzero(bake.coverage)
-        empty_at += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
-        seen = turned_normals(model, shown, mesh, bake, from_blender)
-        renderers.append(camera_renderer(bake, model, seen, camera, lights))
+        shown_count += np.count_nonzero(bake.coverage)
+        empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
+        turned = turned_normals(model, shown, mesh, bake, from_blender)
+        renderers.append(camera_renderer(bake, model, turned, camera, lights))
     masks = [bake.coverage for bake in bakes]
     capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)
     write_capture(capture, options.output)
     bar.close()
     for renderer in renderers:
         renderer.close()
-    if empty_at:
-        share = empty_at / seen_at
+    if empty_count:
+        share = empty_count / shown_count
         warn([f"the maps have no normal at {share:.1%} of what shows, which is black"])
     if not silent(options):
         sys.stdout.write(f"{len(capture.observations)} photographs written to {options.output}\n")

@@ -22,7 +22,7 @@ from .options.photographs import exposure_list, greys_option
 from .options.values import silent, warn
 
 _SAMPLES = 4000  # pixels from all brackets
-_WIDE = 1.6  # stops: with wider steps only smoothness determines a part of the curve
+_WIDE_STEP = 1.6  # stops: with wider steps only the smoothness term determines a part of the curve
 
 
 def run(options: Namespace) -> dict:
@@ -74,7 +74,7 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
     bar.show(1.0)
     bar.close()
     step = bracket_step(exposures)
-    if step > _WIDE:
+    if step > _WIDE_STEP:
         warnings.append(
             f"{path}: exposures are {step:.1f} stops apart, which leaves much of the curve undetermined;"
             " photograph brackets with steps of one stop"

@@ -1,4 +1,4 @@
-"""``tile RESULT``: a card's result as one that repeats without a seam."""
+"""``tile RESULT``: makes a card's result repeat without a seam."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SIZES = (16, 8192)  # texels of a side
 
 
 def run(options: Namespace) -> dict:
-    """Cut all maps along one path, and write them as a result. Raises InputError; then nothing is written."""
+    """Cut all maps along one path, and write them as a result. Raises InputError and then writes nothing."""
     result = read_result(options.result, options.model)
     folder = _checked(options, result)
     tile = tiled(result.maps, result.height is not None, options.size, options.overlap)

@@ -1,4 +1,4 @@
-"""A sheet to draw on with Pillow: anti-aliased lines, text in Pillow's own font, images, bars."""
+"""Drawing with Pillow: anti-aliased lines, text in Pillow's own font, images, bars."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ TEXT = (0.88, 0.88, 0.88)
 FAINT = (0.62, 0.62, 0.63)
 
 Color = Sequence[float]
-_FINE = 4  # ImageDraw has no anti-aliasing: lines are drawn so much larger and reduced
+_SCALE = 4  # lines are drawn larger by this and reduced: ImageDraw has no anti-aliasing
 _CAPITAL = 0.70  # height of capitals over font size, of Pillow's font (Aileron)
-_GLYPHS = str.maketrans({"×": "x", "–": "-", "—": "-", "−": "-", "·": ".", "→": "to", "σ": "sigma"})  # which it lacks
+_GLYPHS = str.maketrans({"×": "x", "–": "-", "—": "-", "−": "-", "·": ".", "→": "to", "σ": "sigma"})  # not in the font
 
 
 class Canvas:
@@ -52,20 +52,20 @@ class Canvas:
         self._sheet.paste(Image.fromarray(codes), (x, y))
 
     def lines(self, strokes: Iterable[Sequence[tuple[float, float]] | np.ndarray], width: float, color: Color) -> None:
-        """Draw chains of points with round joints; where they cross, the ink is not laid on twice."""
+        """Draw polylines with round joints; crossings are as dark as the rest."""
         from PIL import Image, ImageDraw
 
         points = [np.asarray(stroke, np.float64) for stroke in strokes if len(stroke)]
         if not points:
             return
-        every, reach = np.concatenate(points), width / 2 + 1
-        left, top = np.floor(every.min(axis=0) - reach).astype(int).tolist()
-        right, bottom = np.ceil(every.max(axis=0) + reach).astype(int).tolist()
-        ink = Image.new("L", ((right - left) * _FINE, (bottom - top) * _FINE))
+        corners, reach = np.concatenate(points), width / 2 + 1
+        left, top = np.floor(corners.min(axis=0) - reach).astype(int).tolist()
+        right, bottom = np.ceil(corners.max(axis=0) + reach).astype(int).tolist()
+        ink = Image.new("L", ((right - left) * _SCALE, (bottom - top) * _SCALE))
         pen = ImageDraw.Draw(ink)
         for stroke in points:
-            pen.line(((stroke - (left, top)) * _FINE).ravel().tolist(), 255, round(width * _FINE), joint="curve")
-        self._sheet.paste(_code(color), (left, top), ink.reduce(_FINE))
+            pen.line(((stroke - (left, top)) * _SCALE).ravel().tolist(), 255, round(width * _SCALE), joint="curve")
+        self._sheet.paste(_code(color), (left, top), ink.reduce(_SCALE))
 
     def ring(self, x: float, y: float, radius: float, width: float, color: Color) -> None:
         """Draw a circle."""

@@ -1,4 +1,4 @@
-"""From numbers to what a picture holds: colour transfer, normal encoding, margins past UV islands."""
+"""Encoding of maps in image files: sRGB transfer, normals in 0…1, margins past UV islands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FLAT_NORMAL = (0.0, 0.0, 1.0)
 def srgb_from_linear(values: np.ndarray) -> np.ndarray:
     """Return sRGB-encoded values of linear ones (IEC 61966-2-1), same shape; negative input is treated as 0.
 
-    Values above 1 go on along the curve: clipping belongs to the file format.
+    Values above 1 continue along the curve; the file format clips them.
     """
     values = np.maximum(np.asarray(values, np.float64), 0.0)
     curve = 1.055 * np.power(np.maximum(values, 0.0031308), 1 / 2.4) - 0.055
@@ -19,7 +19,7 @@ def srgb_from_linear(values: np.ndarray) -> np.ndarray:
 
 
 def linear_from_srgb(values: np.ndarray) -> np.ndarray:
-    """Return linear values of sRGB-encoded ones (IEC 61966-2-1), same shape and type, in whose precision it is done."""
+    """Return linear values of sRGB-encoded ones (IEC 61966-2-1), same shape and type; computed in that type."""
     values = np.asarray(values)
     curve = np.power((np.maximum(values, 0.04045) + 0.055) / 1.055, 2.4)
     return np.where(values <= 0.04045, values / 12.92, curve).astype(values.dtype, copy=False)
@@ -44,8 +44,8 @@ def fill_margin(
 
     Texels within ``texels`` (Euclidean) of a covered one take the value of the nearest; the others take ``far`` (C
     numbers), by default the mean of the covered ones, so that the smallest mip levels stay near the map's own colour.
-    covered: (H, W) bool. What uncovered texels held before, NaN included, does not matter, but where ``given``, (H, W)
-    bool, says that they hold what belongs there: they keep it.
+    covered: (H, W) bool. The former values of uncovered texels, NaN included, are ignored, except where ``given``,
+    (H, W) bool, is True: these texels keep theirs.
     """
     values = np.asarray(values, np.float32)
     if covered.all():
@@ -63,7 +63,7 @@ def nearest_covered(
     """Return rows and columns of uncovered texels within ``reach``, and of the nearest covered texel of each."""
     height, width = covered.shape
     row, column = np.nonzero(_box_dilated(covered, reach) & ~covered)
-    found = []
+    pairs = []
     side = range(-reach, reach + 1)
     disc = [(dy, dx) for dy in side for dx in side if 0 < dy * dy + dx * dx <= reach * reach]
     for dy, dx in sorted(disc, key=lambda offset: offset[0] ** 2 + offset[1] ** 2):
@@ -71,11 +71,11 @@ def nearest_covered(
         inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
         hit = inside.copy()
         hit[inside] = covered[y[inside], x[inside]]
-        found.append((row[hit], column[hit], y[hit], x[hit]))
+        pairs.append((row[hit], column[hit], y[hit], x[hit]))
         row, column = row[~hit], column[~hit]
         if not row.size:
             break
-    rows, columns, source_rows, source_columns = map(np.concatenate, zip(*found, strict=True))
+    rows, columns, source_rows, source_columns = map(np.concatenate, zip(*pairs, strict=True))
     return rows, columns, source_rows, source_columns
 
 

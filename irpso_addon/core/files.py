@@ -24,7 +24,7 @@ def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
 
     durable: flush it to the disk. Raises InputError if the folder cannot be written.
     """
-    partial = path.with_name(f"{_partial(path)}{os.getpid()}{path.suffix}")
+    partial = path.with_name(f"{_partial_prefix(path)}{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
@@ -42,7 +42,7 @@ def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
 
 def remove_partials(path: Path) -> None:
     """Remove partial versions of a file that killed processes left."""
-    for left in path.parent.glob(f"{_partial(path)}*{path.suffix}"):
+    for left in path.parent.glob(f"{_partial_prefix(path)}*{path.suffix}"):
         left.unlink(missing_ok=True)
 
 
@@ -69,7 +69,7 @@ def check_writable(path: Path) -> None:
 
 def synced(path: Path) -> None:
     """Flush a file, or a folder's list of files, to the disk."""
-    if os.name == "nt" and path.is_dir():  # which Windows cannot open, and has no need to
+    if os.name == "nt" and path.is_dir():  # Windows cannot open folders, and need not flush them
         return
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
@@ -107,18 +107,18 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def remove_unfinished() -> None:
-    """Remove every ``new_folder`` that is not complete, before the process ends in the middle."""
+    """Remove every incomplete ``new_folder``, before the process ends."""
     for partial in _unfinished:
         shutil.rmtree(partial, ignore_errors=True)
 
 
 def natural(name: str | Path) -> list[int | str]:
-    """Return a key that sorts names and paths as people count: "light 2" before "light 10"."""
+    """Return a key for the natural order of names and paths: "light 2" before "light 10"."""
     return [int(word) if word.isdecimal() else word.lower() for word in re.split(r"(\d+)", str(name))]
 
 
 def shipped_names(folder: Path) -> list[str]:
-    """Return the names of the .toml files in a folder of the program's own."""
+    """Return the sorted names, without suffix, of a folder's .toml files."""
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
@@ -143,5 +143,5 @@ def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tup
         raise InputError(f"{path}: is not valid TOML: {error}") from error
 
 
-def _partial(path: Path) -> str:
+def _partial_prefix(path: Path) -> str:
     return f".{path.stem}.partial-"

@@ -1,4 +1,4 @@
-"""Filters of images (H, W): Gaussian blur, block means, samples between pixels; and a median with weights."""
+"""Filters of images (H, W): Gaussian blur, block means, bilinear samples; and a weighted median."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Return an image convolved with a Gaussian of deviation ``sigma``, in pixels; its border pixels continue."""
+    """Return an image convolved with a Gaussian of deviation ``sigma``, in pixels; border pixels repeat outside."""
     reach = int(np.ceil(3 * sigma))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel = (kernel / kernel.sum()).astype(image.dtype)
@@ -40,12 +40,12 @@ def sampled(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     y = np.clip(places[..., 1] - 0.5, 0, height - 1.001)
     column, row = x.astype(int), y.astype(int)
     x, y = x - column, y - row
-    flat, at = image.ravel(), row * width + column
-    low = flat[at] * (1 - x) + flat[at + 1] * x
-    return low * (1 - y) + (flat[at + width] * (1 - x) + flat[at + width + 1] * x) * y
+    flat, index = image.ravel(), row * width + column
+    low = flat[index] * (1 - x) + flat[index + 1] * x
+    return low * (1 - y) + (flat[index + width] * (1 - x) + flat[index + width + 1] * x) * y
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    """Return the least of values (N,), N ≥ 1, that with the smaller ones has half of all weight (N,) or more."""
+    """Return the least of values (N,), N ≥ 1, up to which the weights (N,) sum to half of their total or more."""
     order = np.argsort(values)
     return float(values[order[np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)]])

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, delayed until an iteration is whole or a call of Blender has returned."""
+"""Ctrl-C and SIGTERM, delayed until an iteration is complete or a call of Blender has returned."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def signals_interrupt() -> bool:
 
 @contextmanager
 def held_back() -> Iterator[Callable[[], bool]]:
-    """Hold back the first SIGINT or SIGTERM; yields a function that returns whether one has come.
+    """Delay the first SIGINT or SIGTERM; yields a function that returns whether one has come.
 
-    An exception in the middle of an iteration leaves swarms half moved: no checkpoint can continue from them. A second
+    An exception in the middle of an iteration leaves swarms partly advanced, which no checkpoint can continue. A second
     signal interrupts at once.
     """
     came = False

@@ -1,4 +1,4 @@
-"""OpenCV, an optional library: imported here alone, at first use."""
+"""OpenCV, an optional library. The only module that imports it, at first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values that may be missing by their type, but not here."""
+"""Narrowing of optional types to values that are set."""
 
 from __future__ import annotations
 

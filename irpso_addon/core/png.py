@@ -26,7 +26,7 @@ def png_bytes(array: np.ndarray, bits: int = 16, cicp: tuple[int, int] | None = 
 
     cicp: colour primaries and transfer function by ITU-T H.273, to state in the file.
     Code values are round(value · (2^bits − 1)), exactly. Written here with zlib because Pillow has no RGB of 16 bits,
-    and Blender's saver takes pixels through its scene's colour management and gives no say over rounding.
+    and Blender's saver applies the scene's colour management and its own rounding.
     """
     array = np.asarray(array, np.float64)
     array = array[..., None] if array.ndim == 2 else array
@@ -36,7 +36,7 @@ def png_bytes(array: np.ndarray, bits: int = 16, cicp: tuple[int, int] | None = 
     bytes_per_pixel = channels * codes.itemsize
     rows = codes.reshape(height, -1).view(np.uint8)
     filtered = np.empty((height, 1 + rows.shape[1]), np.uint8)
-    filtered[:, 0] = 1  # filter "Sub": each byte less that of the pixel to the left, which photographs deflate well by
+    filtered[:, 0] = 1  # filter "Sub", less the byte of the pixel to the left: photographs deflate well
     filtered[:, 1:] = rows
     filtered[:, 1 + bytes_per_pixel :] -= rows[:, :-bytes_per_pixel]
     header = struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0)
@@ -47,15 +47,15 @@ def png_bytes(array: np.ndarray, bits: int = 16, cicp: tuple[int, int] | None = 
 
 
 def png_chunks(data: bytes) -> dict[bytes, bytes]:
-    """Return kind → data, the first of each kind, of a PNG file's chunks, as far as they are whole.
+    """Return kind → data, the first of each kind, of a PNG file's complete chunks.
 
     Pillow finds EXIF behind the pixels only by decoding them, and drops cICP.
     """
     chunks: dict[bytes, bytes] = {}
-    at = len(SIGNATURE)
-    while at + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        if (end := at + 12 + length) <= len(data):
-            chunks.setdefault(kind, data[at + 8 : end - 4])
-        at = end
+    offset = len(SIGNATURE)
+    while offset + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, offset)
+        if (end := offset + 12 + length) <= len(data):
+            chunks.setdefault(kind, data[offset + 8 : end - 4])
+        offset = end
     return chunks

@@ -9,13 +9,13 @@ from collections.abc import Callable, Generator
 from .steps import Step, T, run_steps
 
 _WIDTH = 28
-_LINE_EVERY, _LINE_SECONDS = 0.1, 60  # of the work, and between lines, where standard error is no terminal
+_LINE_EVERY, _LINE_SECONDS = 0.1, 60  # part of the work, and seconds, from line to line without a terminal
 
 
 class ProgressBar:
     """Bar and time left: one updated line on a terminal, elsewhere a line per minute.
 
-    tenths: there also a line for every tenth.
+    tenths: without a terminal also a line per tenth of the work.
     """
 
     def __init__(self, label: str, quiet: bool = False, tenths: bool = True):
@@ -46,7 +46,7 @@ class ProgressBar:
             sys.stderr.write("\n")
 
     def run(self, steps: Generator[Step, None, T], shown: Callable[[Step], tuple[float, str]]) -> T:
-        """Run steps to the end and return their result. shown: the fraction and the detail of each."""
+        """Run steps to the end and return their result. shown: returns the fraction and detail of a step."""
         result = run_steps(steps, lambda step: self.show(*shown(step)))
         self.show(1.0, "done")
         self.close()
@@ -68,7 +68,7 @@ class ProgressBar:
 
 
 class StepBars:
-    """One bar per step of some work; callable with a step and its fraction."""
+    """One progress bar per step of a run; callable with a step and its fraction."""
 
     def __init__(self, quiet: bool = False):
         self._quiet = quiet

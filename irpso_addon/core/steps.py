@@ -1,4 +1,4 @@
-"""Work in steps: generators that yield before each piece, for callers that must not block; the cores that share it."""
+"""Work as generators that yield before each piece, for callers that must not block; the available cores."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run_steps(steps: Generator[Step, None, T], each: Callable[[Step], object] = 
 
 
 def at_once(name: str, steps: Callable[P, Generator[Any, None, T]]) -> Callable[P, T]:
-    """Return the function ``name`` that takes the arguments of ``steps``, makes them all and returns their result."""
+    """Return the function ``name`` that takes the arguments of ``steps``, runs them all and returns their result."""
 
     @functools.wraps(steps)
     def run(*args: P.args, **kwargs: P.kwargs) -> T:

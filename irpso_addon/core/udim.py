@@ -35,7 +35,7 @@ def tile_place(number: int) -> tuple[int, int]:
 
 
 def tile_stem(stem: str, number: int, tiles: Sequence[int]) -> str:
-    """Return the stem of a tile's file: "base_color.1002", and "base_color" where the unit square is all there is."""
+    """Return the stem of a tile's file: "base_color.1002", and "base_color" for the unit square alone."""
     return stem if tuple(tiles) == ONE_SQUARE else f"{stem}.{number}"
 
 

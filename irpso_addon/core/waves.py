@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-_WAVES = 28  # per field: enough to hide every direction
+_WAVES = 28  # per field: with so many no direction stands out
 
 
 def wave_field(p: np.ndarray, wavelength: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +29,7 @@ def wave_values(p: np.ndarray, wavelength: float, seed: int) -> np.ndarray:
 
 
 def _waves(wavelength: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wave vectors (_WAVES, 3) and phases of a field."""
+    """Return the wave vectors (_WAVES, 3) and phases (_WAVES,) of a field."""
     random = np.random.default_rng(seed)
     axes = random.normal(size=(_WAVES, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)

@@ -1,1 +1,1 @@
-"""One recovery, whoever asks: a ``Job`` goes read → lights → plan → prepare → solve → report."""
+"""One recovery for command line, MPI and window: a ``Job`` goes read → lights → plan → prepare → solve → report."""

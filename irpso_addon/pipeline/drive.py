@@ -1,4 +1,4 @@
-"""Driving a recovery to its end: progress bar, Ctrl-C and checkpoints."""
+"""Runs a recovery to its end, with progress bar, Ctrl-C and checkpoints."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ..solver.engine.progress import TimeLeft
 from ..solver.views.history import History
 
 CHECKPOINT = "checkpoint.npz"
-_SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
-_LONG, _MOST_SAVING = 1.0, 0.05  # seconds of a checkpoint from which on they take at most this part of the time
-_SECONDS = "seconds"  # the note in a checkpoint of how long the run has taken
-_SLICE = 100  # iterations at most between them: a GPU queues work without having done it
+_SLICE_SECONDS = 0.5  # between updates of the progress bar and checks for Ctrl-C
+_SLOW_SAVE, _MOST_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
+_ELAPSED = "seconds"  # key of the run's seconds among a checkpoint's notes
+_MOST_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
 
 
 @dataclass(frozen=True)
 class Saving:
-    """Checkpoints. path: None for none. resume: from the one there. every: seconds, None for the last alone."""
+    """When to save checkpoints. path: None for never. resume: from it. every: seconds; None: only on an interrupt."""
 
     path: Path | None
     resume: bool = False
@@ -34,42 +34,42 @@ class Saving:
 
 
 def check_every(seconds: float | None) -> None:
-    """Raise InputError where --checkpoint-every is no time."""
+    """Raise InputError unless --checkpoint-every is None or finite and 0 or more."""
     if seconds is not None and not 0 <= seconds < float("inf"):
         raise InputError(f"--checkpoint-every {seconds:g}: give seconds, 0 or more, as in --checkpoint-every 60")
 
 
 def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
-    """Run a recovery to its end; return the seconds, with those before a resume, and a warning of unsaved checkpoints.
+    """Run a recovery to its end; return its seconds, with those before a resume, and at most one warning.
 
-    A checkpoint that fails (a full disk) does not stop the run, and leaves the one before as it was. An interrupt ends
-    in KeyboardInterrupt after a last checkpoint, or in InputError where that fails.
+    A checkpoint that fails (a full disk) adds the warning, does not stop the run, and leaves the former file unchanged.
+    SIGINT and SIGTERM write a last checkpoint and raise KeyboardInterrupt, or InputError where it cannot be written.
     """
     saver = _Saver(recovery, history, saving)
     if saving.resume and saving.path:
         notes = recovery.load(saving.path)
-        saver.before = float(notes.pop(_SECONDS, 0.0))
+        saver.before = float(notes.pop(_ELAPSED, 0.0))
         history.take(notes)
     bar, time_left = ProgressBar("recover", quiet), TimeLeft()
     iterations = 1
     with held_back() as interrupted:
         progress = recovery.progress
-        before = progress.evaluations
+        evaluations_before = progress.evaluations
         bar.show(progress.fraction, f"{progress.title}  placing the swarms", time_left.after(bar.seconds, progress))
         while not (progress.done or interrupted()):
             started = bar.seconds
-            if saver.turns:  # a tile makes all the iterations it can before the next one's turn
+            if saver.turns:  # each tile makes all the iterations it can before the next tile's turn
                 progress = recovery.step(history.until_next(None), _SLICE_SECONDS)
             else:
-                # One iteration of a large domain may take minutes; waiting for the bands of short ones would cost.
+                # One iteration of a large domain may take minutes, so it is cut into bands; whole ones are faster.
                 budget = _SLICE_SECONDS if iterations == 1 else None
                 progress = recovery.step(history.until_next(iterations), budget)
             history.look()
-            rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
+            rate = (progress.evaluations - evaluations_before) / max(bar.seconds, 1e-9) / 1e6
             left = time_left.after(bar.seconds, progress)
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s", left)
-            wanted = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
-            iterations = max(1, min(2 * iterations, int(wanted), _SLICE))
+            affordable = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
+            iterations = max(1, min(2 * iterations, int(affordable), _MOST_ITERATIONS))
             if not progress.done:
                 saver.save_when_due()
         bar.close()
@@ -89,9 +89,9 @@ class _Saver:
         self.turns = recovery.capabilities.turns
         self.warnings: list[str] = []
         self.before = 0.0
-        self._began = self._last = time.perf_counter()
-        self._took = 0.0
-        self._saved: int | None = None  # a stage of which nothing more would be saved
+        self._began = self._last_save = time.perf_counter()
+        self._save_time = 0.0  # seconds of the last one
+        self._saved_stage: int | None = None  # a stage that the last checkpoint holds whole
         if saving.path is not None:
             remove_partials(saving.path)
 
@@ -102,20 +102,20 @@ class _Saver:
 
     def save(self, path: Path, running: bool | None = None) -> None:
         """Write a checkpoint. Raises InputError where it cannot be written."""
-        if self.turns:  # tiles that are behind catch up: the history would miss a measurement after a resume
+        if self.turns:  # late tiles catch up; else the history misses a measurement after a resume
             self._recovery.step(0)
             self._history.look()
-        more = self._recovery.save(path, {**self._history.notes, _SECONDS: np.array(self.seconds)}, running)
-        self._saved = None if more else self._recovery.progress.stage
+        more = self._recovery.save(path, {**self._history.notes, _ELAPSED: np.array(self.seconds)}, running)
+        self._saved_stage = None if more else self._recovery.progress.stage
 
     def save_when_due(self) -> None:
         """Write a checkpoint if it is due; where it cannot be written, warn once and continue."""
         now, path, every = time.perf_counter(), self._saving.path, self._saving.every
         if path is None or every is None or not self._recovery.settled:
             return
-        if self._saved == self._recovery.progress.stage:
+        if self._saved_stage == self._recovery.progress.stage:
             return
-        if now - self._last < max(every, self._took / _MOST_SAVING if self._took > _LONG else 0.0):
+        if now - self._last_save < max(every, self._save_time / _MOST_SAVING if self._save_time > _SLOW_SAVE else 0.0):
             return
         try:
             self.save(path)
@@ -123,5 +123,5 @@ class _Saver:
             if not self.warnings:
                 self.warnings.append(f"no checkpoint: {error}")
                 sys.stderr.write(f"irpso: warning: {self.warnings[0]}\n")
-        self._last = time.perf_counter()
-        self._took = self._last - now
+        self._last_save = time.perf_counter()
+        self._save_time = self._last_save - now

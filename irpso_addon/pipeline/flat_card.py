@@ -1,4 +1,4 @@
-"""Near lights of a flat card, by their fall-off over it."""
+"""Calibrates near lights by their fall-off over a flat card."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from ..geometry.build import check_card
 from .known_shape import check_explained, light_rows
 
 FEWEST = 6  # photographs
-_PIXELS = 6000  # of the reduced card, about: relief and texture are averaged
-_TEXELS = 1500  # that are used
-_FEWEST_TEXELS, _FEWEST_LIT = 300, 100
+_PIXELS = 6000  # of the reduced card, about: averages relief and texture
+_TEXELS = 1500  # in the fit
+_FEWEST_TEXELS, _FEWEST_LIT = 300, 100  # in the fit, and lit in each photograph
 _LEAST_SCALE = 0.02
-_READ = 0.2  # fraction of the work
+_READ_PART = 0.2  # of the work, at the end of reading
 _MOST_DEGREES, _MOST_DISTANCE = 8.0, 0.25  # mean standard errors: of directions, and of distances as fractions
 _UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class FlatCard:
-    """Near lights found over a card. capture: with them, and with ``card_distance`` in their unit. found: the fit."""
+    """Near lights calibrated over a card. capture: with them and ``card_distance`` in their unit. found: the fit."""
 
     capture: Capture
     found: Found
@@ -67,11 +67,11 @@ def width_keys(whole: Camera) -> dict[str, float]:
 
 
 def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, FlatCard]:
-    """Yield the fraction done; return the near lights of a flat card's capture, whose own lights do not count.
+    """Calibrate the near lights of a flat card; yield the fraction done, return the result.
 
-    The card faces its one camera, at the capture's ``card_distance``, or else where its picture is 1 wide: then
-    positions are in widths of the picture. All intensities have a common free factor. Raises InputError where the
-    photographs do not determine the lights: distant ones light a card alike everywhere.
+    The capture's own lights are ignored. The card faces its one camera, at the capture's ``card_distance``, or else
+    where its picture is 1 wide: then positions are in widths of the picture. All intensities have a common unknown
+    factor. Raises InputError where the photographs do not determine the lights: distant ones have no fall-off.
     """
     if len(capture.observations) < FEWEST:
         raise InputError(
@@ -79,30 +79,30 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
             " more"
         )
     camera = capture.cameras[0]
-    capture = replace(capture, card_distance=capture.card_distance or _one_wide(camera))
+    capture = replace(capture, card_distance=capture.card_distance or _unit_width_distance(camera))
     mask = check_card(capture)
     scale = min(1.0, float(np.sqrt(_PIXELS / mask.sum())))
     small = framed(capture, Framing(scale=max(scale, _LEAST_SCALE)))
-    samples, views = yield from map_steps(_samples(small, seed), lambda part: _READ * part)
+    samples, views = yield from map_steps(_samples(small, seed), lambda part: _READ_PART * part)
     _check_lit(capture, samples)
     middle = samples.points.mean(axis=0)
     size = float(np.linalg.norm(samples.points - middle, axis=-1).max())
     steps = count(1)
     fitting = falloff_steps(samples, views, middle, size)
-    found = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
-    even = yield from map_steps(even_steps(samples, found.lamps), lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
-    _check_known(found, even)
-    check_explained(capture, found, "the card")
-    lights = found.lamps.lights(near=True, scale=free_scale(samples, found))
+    fit = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
+    even = yield from map_steps(even_steps(samples, fit.lamps), lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
+    _check_known(fit, even)
+    check_explained(capture, fit, "the card")
+    lights = fit.lamps.lights(near=True, scale=free_scale(samples, fit))
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
     shots = tuple(
         replace(shot, light=replace(light, vector=triple(place)))
         for shot, light, place in zip(capture.observations, lights, places, strict=True)
     )
-    return FlatCard(replace(capture, observations=shots), found)
+    return FlatCard(replace(capture, observations=shots), fit)
 
 
-def _one_wide(camera: Camera) -> float:
+def _unit_width_distance(camera: Camera) -> float:
     """Return the distance at which a perspective camera's picture is 1 wide; else the width of the picture."""
     width = camera.width / camera.scale[0]
     return 1 / width if camera.perspective else width
@@ -136,13 +136,13 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
         )
 
 
-def _check_known(found: Found, even: Found) -> None:
-    if not nearer(found, even):
+def _check_known(fit: Found, even: Found) -> None:
+    if not nearer(fit, even):
         raise InputError(
             "the lamps are too far from the card, or too close together: distant lamps light a matt card evenly, and"
             " its shading does not show their directions; put a ball into the photographs"
         )
-    degrees, distance = float(found.degrees.mean()), float(found.distance_errors.mean())
+    degrees, distance = float(fit.degrees.mean()), float(fit.distance_errors.mean())
     if degrees > _MOST_DEGREES or distance > _MOST_DISTANCE:
         raise InputError(
             f"the fall-off over the card shows the lamps only to {degrees:.0f}° and {distance:.0%} of their distance:"

@@ -1,4 +1,4 @@
-"""One recovery as the user wants it, for command line, MPI and window."""
+"""``Job``: one recovery with all its settings, for command line, MPI and window."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..solver.views.held_out import order_of
 
 @dataclass(frozen=True)
 class LightOptions:
-    """The calibration of lights. degrees: standard deviation of the error of their directions, 0 to keep them."""
+    """The estimate of lights. degrees: assumed standard deviation of the directions' errors; 0 keeps directions."""
 
     intensities: Intensities = "auto"
     degrees: float = 0.0

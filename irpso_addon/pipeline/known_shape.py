@@ -1,4 +1,4 @@
-"""Lights from the photographs of a mesh, by matt shading over its known normals."""
+"""Calibrates lights from photographs of a mesh, by Lambertian shading over its known normals."""
 
 from __future__ import annotations
 
@@ -32,33 +32,33 @@ from ..geometry.surface.mesh import MeshData
 from ..solver.lights.sample import evenly_facing
 
 FEWEST = 4  # photographs
-_COVERED = 40_000  # texels of the mesh, about: one camera sees a third
+_COVERED_TEXELS = 40_000  # of the mesh's domain, about: one camera sees a third
 _SIDES = 64, 1024  # texels, least and most, along a side of the domain
-_TEXELS = 2500  # that are used; twice as many change lights by less than their errors
-_SEEN = 3  # photographs that show a texel, at least
-_FEWEST_TEXELS, _FEWEST_LIT = 300, 50  # those that are used, and those that one photograph lights
-_SHADOW_ROUNDS = 2  # of predicting the shadows from the lights found
-_READ = 0.4  # fraction of the work, at the end of reading
-_ONE_LIGHT = Light((0.0, 0.0, 1.0))
-_CLEAR = 0.2  # least determination: 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
-_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, 0.5 to 0.9 elsewhere
-_MOST_ERROR = 10.0  # degrees
-# Degrees between the mesh's normals and those of the photographs, in the median: 0.5 where a pot's mesh is exact, 8.7
-# where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is moved by 5 % of its width (11°),
-# 15 where it is turned by 20° (10°), 20 where it is moved by a quarter of the width (31°).
-_DOUBTFUL, _MOST_MISMATCH = 10.0, 18.0
-# Shares of the outline that do not fit. A ball beside its place looks like one under turned lights: only its outline
-# tells. Moved by 5 % of its width, 6 % of its mask are not on the mesh, and lights are 8° off.
-_LOOSE, _MISPLACED = 0.04, 0.2
-_BLACK = 0.02  # of what bright texels show
+_TEXELS = 2500  # in the fit; twice as many change lights by less than their errors
+_VIEWS = 3  # photographs, at least, that show a texel of the fit
+_FEWEST_TEXELS, _FEWEST_LIT = 300, 50  # in the fit, and lit in each photograph
+_SHADOW_ROUNDS = 2  # of predicting the cast shadows under the lights so far
+_READ_PART = 0.4  # of the work, at the end of reading
+_NEUTRAL_LIGHT = Light((0.0, 0.0, 1.0))  # of all photographs while reading
+_LEAST_DETERMINED = 0.2  # 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
+_LEAST_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, else 0.5 to 0.9
+_MOST_ERROR = 10.0  # degrees, mean standard error of the directions
+# Median angle in degrees between the mesh's normals and those of the photographs (warning, error): 0.5 where a
+# pot's mesh is exact, 8.7 where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is
+# moved by 5 % of its width (11°), 15 where it is turned by 20° (10°), 20 where it is moved by 25 % of its width (31°).
+_DOUBTFUL_MISMATCH, _MOST_MISMATCH = 10.0, 18.0
+# Share of the outline that does not fit (warning, error). A displaced ball is shaded like one in place under rotated
+# lights: only its outline differs. Moved by 5 % of its width, 6 % of its mask are off, and lights 8°.
+_DOUBTFUL_OUTSIDE, _MOST_OUTSIDE = 0.04, 0.2
+_BLACK_SHARE = 0.02  # of the 90th percentile of radiance: darker texels are black
 
 
 @dataclass(frozen=True)
 class KnownShape:
-    """Lights found over a mesh. capture: with them. found: their fit. near: whether they have positions.
+    """Lights calibrated over a mesh. capture: with these lights. found: their fit. near: whether they have positions.
 
     determined: 0 to 1 (``linear_lamps``). mismatch: degrees, median angle between the mesh's normals and those that the
-    photographs have under the lights. texels: how many were used.
+    photographs have under the lights. texels: their number in the fit.
     """
 
     capture: Capture
@@ -109,21 +109,21 @@ def light_rows(capture: Capture, found: Found, near: bool) -> list[dict[str, Any
 def known_shape_steps(
     capture: Capture, mesh: MeshData, kind: str = "auto", seed: int = 0
 ) -> Generator[float, None, KnownShape]:
-    """Yield the fraction done; return the lights of a capture whose subject is a mesh; its own lights do not count.
+    """Calibrate the lights of a capture whose subject is a mesh; yield the fraction done, return the result.
 
-    The mesh lies in the capture's world, which one or several cameras see. Albedo is unknown at each texel. The mesh's
-    shadows are found with the lights, in rounds. All intensities have a common free factor. kind: "distant",
-    "near" or "auto": near where the fall-off proves it (``nearer``). Raises InputError where photographs and mesh do
-    not determine the lights, or contradict each other.
+    The capture's own lights are ignored. The mesh is in world coordinates; one or several cameras see it. Each texel
+    has an unknown albedo. Fits of the lights and predictions of the mesh's cast shadows alternate. All intensities have
+    a common unknown factor. kind: "distant", "near" or "auto": near where the fall-off proves it (``nearer``). Raises
+    InputError where photographs and mesh do not determine the lights, or contradict each other.
     """
     if len(capture.observations) < FEWEST:
         raise InputError(
             f"{len(capture.observations)} photographs are too few to find lights over a mesh; take {FEWEST} or more"
         )
-    unlit = tuple(replace(shot, light=_ONE_LIGHT) for shot in capture.observations)
+    unlit = tuple(replace(shot, light=_NEUTRAL_LIGHT) for shot in capture.observations)
     domain = yield from _read(replace(capture, observations=unlit, card_distance=None), mesh)
     outside = max(_outside_mesh(capture, mesh), _black(domain))
-    if outside > _MISPLACED:
+    if outside > _MOST_OUTSIDE:
         raise InputError(
             f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; check that mesh and cameras are in"
             " one place and unit, and that masks show the mesh alone"
@@ -135,36 +135,36 @@ def known_shape_steps(
     caster = ShadowCaster(mesh, bake, texel_size(mesh, bake))
     fitting = _fit(samples, caster, rows * domain.shape[1] + columns, kind)
     steps = count(1)
-    found, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ) * 0.985 ** next(steps))
-    mismatch = float(np.nanmedian(free_normals(samples, found)))
-    _check_known(capture, mesh, found, determined, mismatch)
-    lights = found.lamps.lights(near, free_scale(samples, found))
+    fit, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
+    mismatch = float(np.nanmedian(free_normals(samples, fit)))
+    _check_known(capture, mesh, fit, determined, mismatch)
+    lights = fit.lamps.lights(near, free_scale(samples, fit))
     shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
     warnings = _warnings(mesh, mismatch, outside)
     return KnownShape(
-        replace(capture, observations=shots), found, near, determined, mismatch, len(rows), warnings
+        replace(capture, observations=shots), fit, near, determined, mismatch, len(rows), warnings
     )  # fmt: skip
 
 
 def _read(capture: Capture, mesh: MeshData) -> Generator[float, None, Domain]:
-    """Return the domain of a mesh without shadows; yield the fraction done."""
+    """Return the mesh's domain, without predicted shadows; yield the fraction done."""
     covered = int(uv_coverage(mesh, *mesh.domain_size(256, 256)).sum())
-    side = int(np.clip(256 * np.sqrt(_COVERED / max(covered, 1)), *_SIDES))
+    side = int(np.clip(256 * np.sqrt(_COVERED_TEXELS / max(covered, 1)), *_SIDES))
     steps = mesh_steps(capture, mesh, *mesh.domain_size(side, side), shadows=False)
     total, made = loading_steps(capture, on_mesh=True), count(1)
-    return (yield from map_steps(steps, lambda _: _READ * min(1.0, next(made) / total)))
+    return (yield from map_steps(steps, lambda _: _READ_PART * min(1.0, next(made) / total)))
 
 
 def _chosen(domain: Domain, mesh: MeshData, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns of texels that some photographs show, with normals as widely spread as can be."""
+    """Return rows and columns of texels that enough photographs show, their normals spread evenly over directions."""
     rows, columns = np.nonzero(domain.solvable)
-    seen = np.zeros(len(rows), int)
+    views = np.zeros(len(rows), int)
     for layer in domain.stack.layers():
-        seen += layer[rows, columns, 3] > 0
-    rows, columns = rows[seen >= _SEEN], columns[seen >= _SEEN]
+        views += layer[rows, columns, 3] > 0
+    rows, columns = rows[views >= _VIEWS], columns[views >= _VIEWS]
     if len(rows) < _FEWEST_TEXELS:
         raise InputError(
-            f"'{mesh.name}': {_SEEN} photographs show only {len(rows)} texels of it, {_FEWEST_TEXELS} are needed to"
+            f"'{mesh.name}': {_VIEWS} photographs show only {len(rows)} texels of it, {_FEWEST_TEXELS} are needed to"
             " find lights; check the cameras' poses, or put a ball into the photographs"
         )
     order = evenly_facing(domain.bake.normal[rows, columns], np.random.default_rng(seed))
@@ -192,25 +192,25 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
 def _fit(
     samples: Samples, caster: ShadowCaster, texels: np.ndarray, kind: str
 ) -> Generator[None, None, tuple[Found, bool, float]]:
-    """Yield often; return the lamps, whether they are near, and how well the texels determine them."""
+    """Yield often; return the fit of the lamps, whether they are near, and ``KnownShape.determined``."""
     centre = samples.points.mean(axis=0)
     size = float(np.linalg.norm(samples.points - centre, axis=-1).max())
     lamps, determined = linear_lamps(samples, centre, size)
     shaded = samples
     for number in range(_SHADOW_ROUNDS + 1):
-        found, near = yield from _of_kind(shaded, lamps, kind)
-        lamps = found.lamps
+        fit, near = yield from _of_kind(shaded, lamps, kind)
+        lamps = fit.lamps
         if number < _SHADOW_ROUNDS:
             weights = []
             for light in lamps.lights(near):
                 weights.append(caster.weights(light, texels))
                 yield
             shaded = replace(samples, weight=samples.weight * np.stack(weights))
-    return found, near, determined
+    return fit, near, determined
 
 
 def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None, tuple[Found, bool]]:
-    """Return the fit of near or distant lamps, and which it is."""
+    """Return the fit of near or of distant lamps, and whether it is near."""
     far = None
     if kind != "near":
         far = yield from fit_steps(samples, replace(lamps, inverses=np.zeros(len(lamps.inverses))), near=False)
@@ -220,8 +220,8 @@ def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None,
     return (close, True) if far is None or nearer(close, far) else (far, False)
 
 
-def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: float, mismatch: float) -> None:
-    if not determined >= _CLEAR:
+def _check_known(capture: Capture, mesh: MeshData, fit: Found, determined: float, mismatch: float) -> None:
+    if not determined >= _LEAST_DETERMINED:
         raise InputError(
             f"'{mesh.name}': its visible part faces too few directions to separate lights from albedo; put a ball"
             " beside it, or if it is flat, use --flat without --blend"
@@ -231,18 +231,18 @@ def _check_known(capture: Capture, mesh: MeshData, found: Found, determined: flo
             f"'{mesh.name}': the photographs' shading contradicts the mesh, whose normals are off by {mismatch:.0f}° in"
             " the median; check that mesh and cameras are in one place and unit, or put a ball into the photographs"
         )
-    check_explained(capture, found, f"'{mesh.name}'")
-    if not found.degrees.mean() <= _MOST_ERROR:
+    check_explained(capture, fit, f"'{mesh.name}'")
+    if not fit.degrees.mean() <= _MOST_ERROR:
         raise InputError(
-            f"'{mesh.name}': lights from different parts of it differ by {found.degrees.mean():.0f}°: lights cannot be"
+            f"'{mesh.name}': lights from different parts of it differ by {fit.degrees.mean():.0f}°: lights cannot be"
             " found from its shading; put a ball into the photographs"
         )
 
 
 def check_explained(capture: Capture, found: Found, subject: str) -> None:
-    """Raise InputError that names the photograph whose light the fit does not find."""
+    """Raise InputError, naming the photograph, where the fit explains too little of its radiance."""
     worst = int(found.explained.argmin())
-    if not found.explained[worst] >= _EXPLAINED:
+    if not found.explained[worst] >= _LEAST_EXPLAINED:
         raise InputError(
             f"'{capture.observations[worst].name}': matt shading of {subject} explains only"
             f" {found.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
@@ -260,7 +260,7 @@ def _outside_mesh(capture: Capture, mesh: MeshData) -> float:
 
 
 def _black(domain: Domain) -> float:
-    """Return the share of the mesh's visible texels that are black in all photographs: they show what is behind it."""
+    """Return the share of the mesh's visible texels that are black in all photographs, which show the background."""
     seen, bright = np.zeros(domain.shape, bool), np.zeros(domain.shape)
     for layer in domain.stack.layers():
         shown = layer[..., 3] > 0
@@ -268,17 +268,17 @@ def _black(domain: Domain) -> float:
         bright = np.maximum(bright, np.where(shown, layer[..., :3].mean(axis=-1), 0))
     if not seen.any():
         return 0.0
-    return float((bright[seen] < _BLACK * np.percentile(bright[seen], 90)).mean())
+    return float((bright[seen] < _BLACK_SHARE * np.percentile(bright[seen], 90)).mean())
 
 
 def _warnings(mesh: MeshData, mismatch: float, outside: float) -> tuple[str, ...]:
     lines = []
-    if outside > _LOOSE:
+    if outside > _DOUBTFUL_OUTSIDE:
         lines.append(
             f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; where the mesh is in the wrong"
             " place, lights are off by more than their standard errors"
         )
-    if mismatch > _DOUBTFUL:
+    if mismatch > _DOUBTFUL_MISMATCH:
         lines.append(
             f"the normals of '{mesh.name}' differ from those of the photographs by {mismatch:.0f}° in the median: the"
             " mesh lacks detail, or is in the wrong place; the lights have the mean of these errors"

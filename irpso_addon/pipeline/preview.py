@@ -10,23 +10,23 @@ from ..capture.framing import Framing, framed
 from ..capture.types import Capture
 from .job import Job
 
-PART = 4
+PART = 4  # divides both sides of the domain
 
 
 def can_be_smaller(job: Job) -> bool:
-    """Whether none of its fixed maps has texels."""
+    """Return whether no fixed map has texels, which fix the size."""
     return not any(np.ndim(value) > 1 for value in job.fixed.values())
 
 
 def smaller(job: Job) -> Job:
-    """Return the job at a quarter of its size along both sides; it measures against no truth, and resumes nothing."""
-    few = replace(job, truth=None, resumed=None, source=None)
+    """Return the job with both sides of its domain divided by PART, without ground truth and checkpoint."""
+    reduced = replace(job, truth=None, resumed=None, source=None)
     if job.mesh is not None:
         width, height = (-(-side // PART) for side in job.size)
-        return replace(few, size=(width, height))
+        return replace(reduced, size=(width, height))
     capture = smaller_capture(job.capture)
     height, width = capture.masks[0].shape
-    return replace(few, capture=capture, size=(width, height))
+    return replace(reduced, capture=capture, size=(width, height))
 
 
 def smaller_capture(capture: Capture) -> Capture:

@@ -41,12 +41,12 @@ class RankedRun(Run):
     """The run of a job over all ranks, on rank 0; the others ``serve``."""
 
     def __init__(self, job: Job, leader: Leader, seconds: float, show: Callable[[str, float], None]):
-        """Begin after all ranks have read. seconds: the time of that."""
+        """Take a job that all ranks have read. seconds: of reading."""
         super().__init__(job, show)
         self._leader, self._seconds = leader, seconds
 
     def device_warnings(self) -> list[str]:
-        """Return a warning if ranks solved on different devices."""
+        """Return a warning if ranks solve on different devices."""
         names = sorted(set(self._leader.ask(Worker.renderers)))
         if len(names) == 1:
             return []
@@ -101,19 +101,19 @@ def run_on_ranks(
             started = time.perf_counter()
             job = ranks.agreed(lambda: _divisible(checked()))
             check_alike(ranks, options, job.capture)
-            worker, found = _joined(ranks, options, job)
+            worker, division = _worker_and_split(ranks, options, job)
             if worker is None:
-                result = {"plan": found}
+                result = {"plan": division}
             elif ranks.leads:
                 leader = Leader(worker)
                 run = RankedRun(job, leader, time.perf_counter() - started, show)
                 result = lead(run)
             else:
-                result = {"exit_code": _served(worker)}
+                result = {"exit_code": _serve_orders(worker)}
     except Agreed as agreed:
         return refused(ranks, options, agreed.error)
     except BaseException as error:
-        if leader is not None:  # the others wait for an order
+        if leader is not None:  # the other ranks wait for an order
             leader.end(error.exit_code if isinstance(error, IrpsoError) else 130)
             ranks.close()
         raise
@@ -124,7 +124,7 @@ def run_on_ranks(
 
 
 def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
-    """Leave the MPI job for an error of all ranks: rank 0 raises it, the others have an exit code."""
+    """Leave the MPI job after an error of all ranks: rank 0 raises it, the others return an exit code."""
     ranks.close()
     if ranks.leads:
         raise error
@@ -141,24 +141,24 @@ def _divisible(job: Job) -> Job:
     return job
 
 
-def _joined(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worker | None, Split]:
-    """Read this rank's part of the observations; a dry run finds the split alone."""
+def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worker | None, Split]:
+    """Return this rank's worker with its samples, and the domain's split; a dry run has no worker."""
     if not ranks.leads:
         options.quiet, options.json = True, False
     sharing = choose_device(ranks) if ranks.size > 1 else 1
     ranks.agreed(probe.probe)
     ranks.agreed(context.ensure)
-    # Rank 0's split of the geometry itself, because devices may differ in texels at a border.
+    # Rank 0 splits the geometry itself: devices may differ in texels at a border.
     surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
-    found = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
-    ranks.agreed(lambda: _check_fits(ranks, job, found, sharing, options.checkpoint_every is not None))
+    division = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
+    ranks.agreed(lambda: _check_fits(ranks, job, division, sharing, options.checkpoint_every is not None))
     if options.dry_run:
-        return None, found
-    partition = _partition(ranks, job, found, present(surface))
+        return None, division
+    partition = _partition(ranks, job, division, present(surface))
     fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
     worker = Worker(ranks, partition, fixed)
     ranks.agreed(lambda: _check_lit(worker, job))
-    return worker, found
+    return worker, division
 
 
 def _surface(job: Job) -> Surface:
@@ -175,19 +175,19 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     return split(coverage, cost, ranks.size, borders)
 
 
-def _check_fits(ranks: Ranks, job: Job, found: Split, sharing: int, gathers: bool) -> None:
-    """Raise InputError where memory is too small. gathers: checkpoints bring all state to rank 0."""
+def _check_fits(ranks: Ranks, job: Job, division: Split, sharing: int, gathers: bool) -> None:
+    """Raise InputError where memory is too small. gathers: whether checkpoints gather all state on rank 0."""
     memory = machine_memory(job.memory, str(context.describe()["renderer"]), context.free_device_memory())
-    check_fits(found, ranks, memory, sharing)
+    check_fits(division, ranks, memory, sharing)
     if ranks.leads and gathers:
-        check_gathered(found, memory)
+        check_gathered(division, memory)
 
 
-def _partition(ranks: Ranks, job: Job, found: Split, surface: Surface) -> Partition:
-    """Read this rank's part of the observations."""
+def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Partition:
+    """Read this rank's samples; return its part of the domain."""
     bake, seams = surface
-    box = found.boxes[ranks.rank]
-    part = None if box is None else around(found.shape, box, found.halo)
+    box = division.boxes[ranks.rank]
+    part = None if box is None else around(division.shape, box, division.halo)
 
     def read() -> Domain | None:
         if part is None:
@@ -199,17 +199,17 @@ def _partition(ranks: Ranks, job: Job, found: Split, surface: Surface) -> Partit
             return domain_from_mesh(job.capture, job.mesh, *job.size, shadows=job.shadows, window=part, surface=of_mesh)
 
     window = ranks.agreed(read)
-    bare = None  # the lights and views of all ranks, with 0 × 0 texels
+    lights_only = None  # the lights and views of all ranks, with 0 × 0 texels
     if window is not None:
         none = window.bake.each(lambda values: values[:0, :0])
-        bare = laid_on(window, none, np.zeros((window.observations, 0, 0, 4)))
-    of_all = ranks.given(bare)
+        lights_only = laid_on(window, none, np.zeros((window.observations, 0, 0, 4)))
+    of_all = ranks.given(lights_only)
     whole = replace(of_all, bake=bake, seams=seams)
-    return Partition(whole, found.boxes, found.halo, window)
+    return Partition(whole, division.boxes, division.halo, window)
 
 
 def _check_lit(worker: Worker, job: Job) -> None:
-    """Raise InputError where no rank sees anything lit, as one process does."""
+    """Raise InputError where no rank has a lit texel, as one process does."""
     if not worker.partition.whole.solvable.any():
         what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
         raise InputError(
@@ -217,7 +217,7 @@ def _check_lit(worker: Worker, job: Job) -> None:
         )
 
 
-def _served(worker: Worker) -> int:
+def _serve_orders(worker: Worker) -> int:
     # Rank 0 gets these signals too, and orders the end.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)

@@ -30,16 +30,16 @@ from ..solver.views.pictures import confidence_preview, error_preview
 from .job import Job
 from .run import Run
 
-_NONE = DerivedMaps()
-_LEAST_SEEN = 0.1  # of the mesh: less is hardly what was meant to be photographed
-_GIVEN_AS_ONE = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
+_NO_EXTRAS = DerivedMaps()
+_LEAST_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
+_UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
 @dataclass(frozen=True)
 class Found:
     """Maps of a run. solver: with normals in the solver's frames; written: in those of Blender's normal maps.
 
-    extras: maps besides the model's. height: the relief, None where it was not asked for.
+    derived: maps besides the model's. height: the relief, None unless the user wants it.
     """
 
     solver: Maps
@@ -48,8 +48,8 @@ class Found:
     height: Height | None
 
 
-def found_of(run: Run, maps: Maps, wanted: DerivedMaps = _NONE) -> Found:
-    """Return the last ``maps`` of the run as they are written. Raises InputError where an extra cannot be made."""
+def found_of(run: Run, maps: Maps, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
+    """Return the last ``maps`` of the run, with derived maps. Raises InputError where one cannot be made."""
     job, domain = run.job, present(run.domain)
     wanted.check(maps.model)
     written = maps if job.mesh is None else blender_maps(maps, job.mesh, surface_bake(domain.bake), domain.seams)
@@ -88,7 +88,7 @@ def report_of(
 
 
 def _unseen_warnings(domain: Domain, maps: Maps) -> list[str]:
-    """Return a warning where next to nothing of a mesh is in the photographs: it may stand elsewhere."""
+    """Return a warning where the photographs show next to nothing of a mesh: it may stand elsewhere."""
     whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
     if domain.card or seen >= _LEAST_SEEN * whole:
         return []
@@ -101,7 +101,7 @@ def _unseen_warnings(domain: Domain, maps: Maps) -> list[str]:
 def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
     """Return warnings of reading a capture: images left out, an encoding that radiance contradicts.
 
-    reads: whether images are read to test the encoding, unless it is tested already. Panels must not.
+    reads: whether images are read to test the encoding, unless it is tested already. Panels must not read.
     """
     lines = [f"left out: {image.why}" for image in capture.left_out]
     encoding = capture.encoding
@@ -111,16 +111,16 @@ def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
 
 
 def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
-    """Return doubts: room light, estimated lights, or intensities that the capture does not state."""
+    """Return warnings of room light, of estimated lights, or of intensities that the capture does not state."""
     job, lights = run.job, run.lights
     fitted = subset(domain, job.fitted)
-    found = [text] if (text := room_light_message(room_light(fitted, job.seed))) else []
+    warnings = [text] if (text := room_light_message(room_light(fitted, job.seed))) else []
     if lights is not None and (lights.factors != 1).any():
-        return found + lights.warnings(job.lights.intensities == "estimate")
-    if any(tuple(observation.light.intensity) != _GIVEN_AS_ONE for observation in job.capture.observations):
-        return found
+        return warnings + lights.warnings(job.lights.intensities == "estimate")
+    if any(tuple(observation.light.intensity) != _UNSTATED for observation in job.capture.observations):
+        return warnings
     text = contradiction(fitted, maps.model, maps.values, frozenset(job.fixed), job.seed)
-    return [*found, text] if text else found
+    return [*warnings, text] if text else warnings
 
 
 def pictures_of(run: Run, found: Found) -> dict[str, np.ndarray]:
@@ -132,7 +132,7 @@ def pictures_of(run: Run, found: Found) -> dict[str, np.ndarray]:
 
 
 def subject_of(job: Job) -> Any:
-    """Return the object of the material, None for a card that has none yet. Raises InputError."""
+    """Return the object that gets the material, None for a card without one. Raises InputError."""
     subject = material.subject_object(job.object_uid, job.name)
     if job.mesh is not None and subject is None:
         raise InputError(f"'{job.name}' has been deleted: undo that and keep again, or export the maps")
@@ -144,16 +144,16 @@ def subject_of(job: Job) -> Any:
 def make_material(
     job: Job, subject: Any, found: Found, height: Height | None, folder: Path | None = None
 ) -> tuple[Any, Any]:
-    """Put the maps on their subject as material; return material and object, which is made for a card.
+    """Assign the maps to their object as a material; return both. A card's object is created.
 
     subject: from ``subject_of``. height: the relief that displaces the surface. folder: of pictures, None to pack them.
     Raises InputError.
     """
     maps = found.written
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)
-    made = material.build_material(maps, job.name, folder, uv_map, height)
+    built = material.build_material(maps, job.name, folder, uv_map, height)
     if job.mesh is None:
         rows, columns = maps.covered.shape
         subject = material.card_object(job.name, rows, columns, height is not None)
-    material.apply_material(subject, made, () if job.mesh is None else job.mesh.solved_slots)
-    return made, subject
+    material.apply_material(subject, built, () if job.mesh is None else job.mesh.solved_slots)
+    return built, subject

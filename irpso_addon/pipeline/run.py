@@ -1,4 +1,4 @@
-"""From a job to its recovery: read → lights → plan → prepare, in steps that a window can interleave."""
+"""The run of a job: read → lights → plan → prepare → recovery, in steps that a window can interleave."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from .job import Job
 T = TypeVar("T")
 MapsOf = Mapping[str, np.ndarray]  # parameter name → its map
 READ, LIGHTS, PREPARE = "read", "lights", "prepare"  # the steps, as shown
-_KEPT_SHARE = 0.1  # of the free memory, for a kept preparation
+_CACHE_SHARE = 0.1  # of the free memory, for a cached preparation
 
 
 @dataclass
 class Kept:
-    """Results of one run for the next: the domain of a ``Job.source``, its lights and its preparation.
+    """Cache of one run's results for the next: the domain of a ``Job.source``, its lights and its preparation.
 
-    lights: of ``wish``; prepared: of ``basis``. A domain under estimated lights is not kept.
+    wish: the settings of lights; basis: the settings of prepared. A domain under estimated lights is not cached.
     """
 
     source: tuple[Any, ...] | None = None
@@ -56,7 +56,7 @@ class Kept:
     prepared: Prepared | None = None
 
     def clear(self) -> None:
-        """Let go of everything."""
+        """Empty the cache."""
         self.source = self.domain = self.wish = self.lights = self.basis = self.prepared = None
 
 
@@ -75,10 +75,10 @@ class Run:
         elsewhere: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
         kept: Kept | None = None,
     ):
-        """Begin nothing yet.
+        """``open`` begins the work.
 
         show: called with a step and its fraction done, 0…1, from any thread. elsewhere: runs a numpy function and
-        yields meanwhile. kept: of former runs.
+        yields meanwhile. kept: the cache of former runs.
         """
         self.job = job
         self._show, self._elsewhere, self._kept = show, elsewhere, Kept() if kept is None else kept
@@ -94,7 +94,7 @@ class Run:
         self.doubts: tuple[str, ...] = ()
         self._plan: Plan | None = None
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
-        self._thrown: Callable[[int], np.ndarray | float] = lambda held_out: 0.0  # on itself, in those held out
+        self._unseen_indirect: Callable[[int], np.ndarray | float] = lambda held_out: 0.0
 
     def first_plan(self) -> Plan:
         """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
@@ -103,7 +103,7 @@ class Run:
         return self._plan
 
     def open(self) -> Generator[None, None, None]:
-        """Take all steps to the recovery, yielding often. Raises InputError, ShaderError."""
+        """Read, calibrate lights, plan and prepare the recovery, yielding often. Raises InputError, ShaderError."""
         self.domain = yield from self._timed(READ, self._read())
         self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake)
         if self._wants_lights(self.domain):
@@ -120,10 +120,10 @@ class Run:
         return with_modes(recovery.maps(confidence))
 
     def indirect(self, observation: int) -> np.ndarray | float:
-        """Return the indirect light, (H, W, 3) or 0: what was taken off, or what ``relighting`` found."""
+        """Return the indirect light, (H, W, 3) or 0: the subtracted one, or if held out that of ``relighting``."""
         if observation in self.job.fitted:
             return present(self.recovery).indirect(observation)
-        return self._thrown(observation - self.job.unseen.start) if observation in self.job.unseen else 0.0
+        return self._unseen_indirect(observation - self.job.unseen.start) if observation in self.job.unseen else 0.0
 
     @property
     def indirect_share(self) -> np.ndarray | None:
@@ -131,22 +131,22 @@ class Run:
         return present(self.recovery).indirect_share
 
     def device_warnings(self) -> list[str]:
-        """Return doubts about the devices that it is solved on."""
+        """Return warnings about the devices of the recovery."""
         return []
 
     def relighting(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
-        domain, unseen, at = present(self.domain), self.job.unseen, present(self.progress).evaluations
+        domain, unseen, evaluations = present(self.domain), self.job.unseen, present(self.progress).evaluations
         if self.recovery is not None and unseen:
-            self._thrown = yield from self.recovery.indirect_in(subset(domain, unseen, domain.solvable))
+            self._unseen_indirect = yield from self.recovery.indirect_in(subset(domain, unseen, domain.solvable))
         steps = relit_steps(domain, maps, unseen, self.job.capture, self._elsewhere, self.indirect)
-        self._relit = at, *(yield from steps)
+        self._relit = evaluations, *(yield from steps)
 
     @property
     def is_relit(self) -> bool:
         """Whether ``relit`` is up to date, or nothing is held out."""
-        now = self.recovery.progress if self.recovery is not None else self.progress
-        return not self.job.held_out or (now is not None and self._relit[0] == now.evaluations)
+        progress = self.recovery.progress if self.recovery is not None else self.progress
+        return not self.job.held_out or (progress is not None and self._relit[0] == progress.evaluations)
 
     @property
     def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -179,10 +179,10 @@ class Run:
     def _read(self) -> Generator[None, None, Domain]:
         job, kept = self.job, self._kept
         self._show(READ, 0.0)
-        plan = self.first_plan()  # a refusal comes before the images are read
+        plan = self.first_plan()  # raises InputError before the images are read
         if kept.domain is not None and job.source is not None and kept.source == job.source:
             return kept.domain
-        kept.clear()  # there may be no room for two domains
+        kept.clear()  # memory may not hold two domains
         scratch = job.scratch if plan.stack_on == "scratch" else None
         if job.mesh is None:
             steps = card_steps(job.capture, scratch=scratch)
@@ -202,22 +202,22 @@ class Run:
         return lights.intensities == "auto" and can_tell(domain, np.asarray(self.job.fitted))
 
     def _find_lights(self, domain: Domain) -> Generator[None, None, Lights | None]:
-        """Return the estimated lights, or those of an equal job before; None where they stay as given."""
+        """Return the estimated lights, or the cached ones of an equal job; None where they stay as given."""
         job, kept = self.job, self._kept
         self._show(LIGHTS, 0.0)
         wish = job.lights, job.model, job.seed, job.entry
-        keeps = kept.domain is domain and not job.fixed
-        if keeps and kept.wish == wish:
+        cacheable = kept.domain is domain and not job.fixed
+        if cacheable and kept.wish == wish:
             return kept.lights
         sample = yield from self._elsewhere(lambda: draw(domain, job.seed, np.asarray(job.fitted)))
         steps = chosen_steps(
             domain, job.model, job.seed, self.fixed, intensities=job.lights.intensities,
             refine_degrees=job.lights.degrees, fitted=job.fitted, entry=job.entry, sample=sample,
         )  # fmt: skip
-        found = yield from map_steps(steps, lambda fraction: self._show(LIGHTS, fraction))
-        if keeps:
-            kept.wish, kept.lights = wish, found
-        return found
+        estimated = yield from map_steps(steps, lambda fraction: self._show(LIGHTS, fraction))
+        if cacheable:
+            kept.wish, kept.lights = wish, estimated
+        return estimated
 
     def _lit(self, domain: Domain, lights: Lights) -> Domain:
         """Return the domain under estimated lights."""
@@ -247,7 +247,7 @@ class Run:
         )  # fmt: skip
 
     def _surroundings(self) -> Surroundings | None:
-        """Return what lights the subject besides the lamps; None where the schedule does not ask for it."""
+        """Return the ``Surroundings`` of interreflection; None for a schedule without its rounds."""
         job, settings = self.job, self.job.schedule.interreflection
         if settings.rounds == 0:
             return None
@@ -258,17 +258,17 @@ class Run:
         return CardSurroundings(job.capture.cameras[0], normal, ray_caster, *fineness)
 
     def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
-        """Return the preparation, or that of an equal job before. pack: as for ``prepare``."""
+        """Return the preparation, or the cached one of an equal job. pack: as for ``prepare``."""
         schedule, kept = self.job.schedule, self._kept
         basis = self.job.model, schedule.swarm.seed, schedule.fitness, pack
-        keeps = kept.domain is self.domain
-        if keeps and kept.prepared is not None and kept.basis == basis:
+        cacheable = kept.domain is self.domain
+        if cacheable and kept.prepared is not None and kept.basis == basis:
             return kept.prepared
-        if keeps:
+        if cacheable:
             kept.prepared = None
         model, show = self.job.model, partial(self._show, PREPARE)
         prepared = yield from self._elsewhere(lambda: prepare(fitted, model, schedule, pack, show))
-        if keeps and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
+        if cacheable and pack and prepared.stack.nbytes < _CACHE_SHARE * free_memory():
             kept.basis, kept.prepared = basis, prepared
         return prepared
 
@@ -277,7 +277,7 @@ class Run:
         return {"entry": recovery.entry, "tiles": len(present(self._plan).tiles)}
 
     def _timed(self, name: str, steps: Generator[None, None, T]) -> Generator[None, None, T]:
-        """Make steps, and note the time in them, without the caller's between them."""
+        """Run steps; add up in ``seconds`` the time in them, without the caller's between them."""
         self.seconds[name] = 0.0
         while True:
             started = time.perf_counter()

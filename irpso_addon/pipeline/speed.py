@@ -1,4 +1,4 @@
-"""How fast this machine recovers: the default preset on a card that is rendered for it, phase by phase."""
+"""Measures the speed of recoveries on this machine, phase by phase: the default preset on a rendered card."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from ..solver.settings.schedule import Schedule, load_schedule
 from ..solver.views.forward import Renderer, dome
 
 _PRESET = "standard"
-_SIDE = {True: 192, False: 1024}  # texels, on a software renderer or not: some seconds
-_WARM = 16  # texels of the recovery that compiles the shaders
-_LIGHTS = (6, 8)  # latitudes and longitudes of a sphere, of whose upper half the card is lit
-_TRANSFER, _REPEATS = 64 << 20, 5  # bytes of a texture that is uploaded and read
-_SURE = 1.5  # an estimate may be off by this: other subjects, the rest of the machine
+_SIDE = {True: 192, False: 1024}  # texels of the card, by whether the renderer is software: some seconds
+_WARM = 16  # texels of a side, in the recovery that compiles the shaders
+_LIGHTS = (6, 8)  # latitudes and longitudes of a sphere of lights, whose upper half lights the card
+_TRANSFER, _REPEATS = 64 << 20, 5  # bytes of the texture that is uploaded and read back
+_SPREAD = 1.5  # factor by which a forecast may be off: other subjects, other load of the machine
 _CAPTURES = {
     "the sample's tile": (378**2, 14),
     "a card of one megapixel": (10**6, 24),
@@ -40,7 +40,7 @@ _CAPTURES = {
 
 @dataclass(frozen=True)
 class PhaseSpeed:
-    """A phase of the search. renders: of a photograph's texel, all evaluations together."""
+    """A phase of the search. renders: of one texel in one photograph, summed over all evaluations."""
 
     title: str
     seconds: float
@@ -48,16 +48,16 @@ class PhaseSpeed:
 
     @property
     def rate(self) -> float:
-        """Renders a second: texels × photographs × evaluations."""
+        """Renders per second."""
         return self.renders / self.seconds
 
 
 @dataclass(frozen=True)
 class Speed:
-    """What a recovery of a card of ``texels`` took. compiling: seconds of all shaders, if the driver knows none.
+    """The measured speed of a recovery of ``texels``. compiling: seconds of all shaders, if the driver caches none.
 
-    upload, download: bytes a second of a texture. captures: name → (seconds at most and at least, device bytes) of
-    other recoveries, foreseen from this one.
+    upload, download: bytes per second of a texture. captures: name → ((least, most seconds), device bytes) of other
+    recoveries, forecast from this one.
     """
 
     texels: int
@@ -89,7 +89,7 @@ class Speed:
             yield f"  {name:26} {size}   {forecast_text(seconds):18} {amount(device)}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain data, for JSON."""
+        """Return plain data, for JSON."""
         return {
             "texels": self.texels, "photographs": self.observations, "model": DEFAULT_MODEL, "preset": _PRESET,
             "compiling_seconds": self.compiling, "upload_bytes_per_second": self.upload,
@@ -103,9 +103,9 @@ class Speed:
 
 
 def measure_speed(side: int | None = None) -> Speed:
-    """Recover a card of ``side`` × ``side`` texels on this device, some 20 s; return what took how long.
+    """Measure the speed of this device on a card of ``side`` × ``side`` texels, in some 20 s.
 
-    side: None for what suits the device. Raises GpuUnavailableError.
+    side: None for 1024, on a software renderer 192. Raises GpuUnavailableError.
     """
     context.ensure()
     side = side or _SIDE[context.is_software(str(context.describe()["renderer"]))]
@@ -125,7 +125,7 @@ def measure_speed(side: int | None = None) -> Speed:
     for name, (count, observations) in _CAPTURES.items():
         other = recovery_cost(model, schedule, (), observations)
         seconds = rate * other.work * count
-        captures[name] = (seconds / _SURE, seconds * _SURE), other.device * count
+        captures[name] = (seconds / _SPREAD, seconds * _SPREAD), other.device * count
     return Speed(texels, domain.observations, compiling, phases, *_transfers(), captures)
 
 
@@ -156,20 +156,20 @@ def make_card(model: ReflectanceModel, side: int) -> Domain:
 
 
 def _timed(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Iterator[PhaseSpeed]:
-    """Yield the phases of a recovery, each until the device has done it."""
+    """Yield the phases of a recovery, each measured until the device has finished it."""
     with closing(Recovery(domain, model, schedule)) as recovery:
         progress = recovery.progress
         while not progress.done:
             stage, title, before, started = progress.stage, progress.title, progress.evaluations, time.perf_counter()
             while progress.stage == stage and not progress.done:
                 progress = recovery.step(1)
-            recovery.mean_error()  # reads back: a device queues work without having done it
+            recovery.mean_error()  # reads back, which waits for the queued work
             renders = (progress.evaluations - before) * domain.observations
             yield PhaseSpeed(title, time.perf_counter() - started, renders)
 
 
 def _transfers() -> tuple[float, float]:
-    """Return the bytes a second of uploads and of downloads, the medians of some."""
+    """Return the bytes per second of uploads and of downloads, medians of _REPEATS."""
     side = round((_TRANSFER / 16) ** 0.5)
     values, times = np.ones((side, side, 4), np.float32), []
     for _ in range(_REPEATS):

@@ -1,4 +1,4 @@
-"""Lights from the photographs themselves: first by matt shading, then by recoveries of the material."""
+"""Calibrates lights from the subject itself: first by Lambertian shading, then by recoveries of the material."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from ..solver.lights.refine import Lights, light_steps
 from ..solver.lights.sample import draw
 from ..solver.state.prepare import lambert_seed
 
-_TEXELS = 15_000  # about as many are used: lights need no more
+_TEXELS = 15_000  # of the reduced capture, about: lights need no more
 _LEAST_SCALE = 0.05
-_READ, _SHADED = 0.1, 0.25  # fractions of the work, at the ends of reading and of the first estimate
-_ROUNDS = 2  # of refinement, each from where the last one ended
-_ERROR = 10.0  # degrees: of the first estimate, as the refinement takes it
-# Degrees between the lights that parts of the subject tell. Of nine captures 8 or less ended 1 to 3° off, 31 (a cow of
-# metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
-_DOUBTFUL, _MOST_ERROR = 15.0, 40.0
-# The same where the model does not fit: bunnies that darken like no material of it have 10 and 3°, a goblet of satin
-# brass has 15 and 36°.
+_READ_PART, _SHADED_PART = 0.1, 0.25  # of the work, at the ends of reading and of the first estimate
+_ROUNDS = 2  # of refinement, each from the lights of the one before
+_FIRST_ERROR = 10.0  # degrees: assumed standard deviation of the first estimate's directions
+# Degrees between the lights of different parts of the subject (warning, error). Of nine captures 8 or less ended 1 to
+# 3° off, 31 (a cow of metal paint) 2.7°, 46 and 104 (velvet, a metal goblet) over 30°.
+_DOUBTFUL_DISAGREEMENT, _MOST_DISAGREEMENT = 15.0, 40.0
+# The most where the model does not fit. Disagreement and error are 10 and 3° on bunnies that darken as no material of
+# the model does, 15 and 36° on a goblet of satin brass.
 _MOST_UNFIT = 12.0
-# Strengths that a refinement spreads further than those before have taken up what the model lacks. On a bunny that
-# darkens like no material of the model they go from 0.8 to 11 %, and its lights from 3.5 to 11° off.
-_MORE, _ROUGHLY = 2.0, 0.03
-_BRIGHT = 95.0  # percentile
-_OPEN, _LEAST_KEPT = 0.9, 0.65  # part of the sky that texels see which refine the lights; least part of the texels
-_FEW = 256  # texels without each part
-# Degrees by which a refinement's lights are turned to those of a surface: at most 2 for clay, glaze and terracotta, 17
-# to 24 for matt and brass goblets, whose lights are 18 and 36° off.
-_MOST_TURN = 10.0
-_UNSURE, _MOST_UNSURE = 3.0, 10.0  # degrees between refined lights by parts: golden fruits have 12, and are 49° off
+# A refinement that raises the spread of the intensities by this factor and amount has fitted what the model lacks. On a
+# bunny that darkens as no material of the model does, it rises from 0.8 to 11 %, the lights' error from 3.5 to 11°.
+_SPREAD_FACTOR, _SPREAD_MARGIN = 2.0, 0.03
+_BRIGHT = 95.0  # percentile of radiance, which becomes WHITE
+_OPEN, _LEAST_OPEN = 0.9, 0.65  # least part of the sky that texels of the refinement see; of all texels
+_JACKKNIFE_TEXELS = 256  # in each fit without one part
+# Degrees of the rotation that makes the normals under refined lights integrable: at most 2 for clay, glaze and
+# terracotta, 17 to 24 for matt and brass goblets, whose lights are 18 and 36° off.
+_MOST_ROTATION = 10.0
+_DOUBTFUL_REFINED, _MOST_REFINED = 3.0, 10.0  # degrees between refined lights by parts: golden fruits: 12, 49° off
 
 
 @dataclass(frozen=True)
 class Uncalibrated:
-    """Lights found without calibration. capture: with them, in full size. first: from shading; refined: by recoveries.
+    """Lights calibrated from the subject. capture: in full size, with them. first: by shading; refined: by recoveries.
 
     errors: (K,) standard deviation in degrees between parts of the subject, as in ShadingLights. kept: whether the
-    capture has the refined ones. warnings: what the photographs cannot tell.
+    capture has the refined lights. warnings: what the photographs do not determine.
     """
 
     capture: Capture
@@ -91,24 +91,24 @@ class Uncalibrated:
 def uncalibrated_steps(
     capture: Capture, model: ReflectanceModel, seed: int = 0, inside_out: bool = False
 ) -> Generator[float, None, Uncalibrated]:
-    """Yield the fraction done; return the distant lights of a capture of one camera, whose own lights do not count.
+    """Calibrate the distant lights of a capture of one camera; yield the fraction done, return the result.
 
-    The first estimate takes the subject for matt and lamps for equally strong. Then recoveries of some texels with
-    ``model`` and corrections of the lights alternate (``light_steps``), which knows highlights; after each, lights are
-    turned by what makes the normals a surface's. Where that makes lamps uneven that were even, the first estimate
-    stays. All intensities have a common free factor. inside_out: take the other of two answers, the relief turned
-    inside out, which only an outline tells apart. Raises InputError where the photographs do not determine the lights.
+    The capture's own lights are ignored. The first estimate assumes a Lambertian subject and equally strong lamps. Then
+    recoveries of some texels with ``model`` and corrections of the lights alternate (``light_steps``); after each, a
+    rotation of the lights makes the normals integrable. Where that makes even lamps uneven, the first estimate stays.
+    All intensities have a common unknown factor. inside_out: return the other of two solutions, with the inverse
+    relief; only an outline tells them apart. Raises InputError where photographs do not determine the lights.
     """
     capture = replace(capture, card_distance=None)
     mask = check_card(replace(capture, card_distance=1.0))
     scale = min(1.0, float(np.sqrt(_TEXELS / mask.sum())))
     small = framed(capture, Framing(scale=max(scale, _LEAST_SCALE)))
-    values, weight = yield from map_steps(_radiance(small), lambda part: _READ * part)
+    values, weight = yield from map_steps(_radiance(small), lambda part: _READ_PART * part)
     steps = shading_steps(values, weight, small.masks[0], seed)
-    first = yield from map_steps(steps, lambda part: _READ + (_SHADED - _READ) * part)
+    first = yield from map_steps(steps, lambda part: _READ_PART + (_SHADED_PART - _READ_PART) * part)
     disagreement = float(first.errors.mean())
     apart = f"lights from different parts of the subject differ by {disagreement:.0f}°"
-    if not disagreement <= _MOST_ERROR:
+    if not disagreement <= _MOST_DISAGREEMENT:
         raise InputError(
             f"{apart}: lights cannot be found from its shading; put a ball into the photographs, or if it is flat and"
             " lamps stood near it, use --flat"
@@ -117,7 +117,7 @@ def uncalibrated_steps(
         first = replace(first, directions=first.directions * (-1, -1, 1))
     strength = first.intensities * float(np.percentile(values.max(axis=0), _BRIGHT)) / WHITE
     lit = _with_lights(small, first.directions, np.repeat(strength[:, None], 3, axis=1))
-    domain = yield from map_steps(card_steps(lit), lambda _: _SHADED)
+    domain = yield from map_steps(card_steps(lit), lambda _: _SHADED_PART)
     pixels = _Pixels(values, weight, small, seed)
     refined, kept, domain = yield from pixels.refined(domain, model, _spread(first.intensities))
     if not kept:
@@ -137,24 +137,24 @@ def uncalibrated_steps(
         unsure = (
             f"lights from different parts of the subject differ by {errors.mean():.0f}° with its recovered material"
         )
-        if errors.mean() > _MOST_UNSURE:
+        if errors.mean() > _MOST_REFINED:
             raise InputError(f"{unsure}; put a ball into the photographs")
-        if errors.mean() > _UNSURE:
+        if errors.mean() > _DOUBTFUL_REFINED:
             warnings.append(f"{unsure}; a ball beside it shows them better")
-    if disagreement > _DOUBTFUL:
+    if disagreement > _DOUBTFUL_DISAGREEMENT:
         warnings.append(f"{apart} before its material is recovered; check whether the recovered relief is right")
     if not first.solid:
         warnings.append(
             "photographs do not show whether a relief is inside out; if it looks so, use --inside-out (a mask with the"
             " subject's outline decides it)"
         )
-    found = _with_lights(capture, directions, intensities)
-    return Uncalibrated(found, errors, first, refined, kept, tuple(warnings))
+    calibrated = _with_lights(capture, directions, intensities)
+    return Uncalibrated(calibrated, errors, first, refined, kept, tuple(warnings))
 
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Radiance and weight (K, P) of the masked pixels of a small capture, and what its lights are refined by."""
+    """Refines the lights of a reduced capture. values, weight: (K, P) radiance and weight of its P masked pixels."""
 
     values: np.ndarray
     weight: np.ndarray
@@ -166,14 +166,14 @@ class _Pixels:
     ) -> Generator[float, None, tuple[Lights, bool, Domain]]:
         """Yield the fraction done; return the lights after all rounds, whether the model fits, and the domain.
 
-        spread: of the intensities before. Where the model does not fit, the domain has the lights before that round.
+        spread: ``_spread`` of the first intensities. Where the model does not fit, the domain has the lights before it.
         """
         for number in range(_ROUNDS):
             part = partial(_fraction, number / _ROUNDS, 1 / _ROUNDS)
             texels = open_texels(domain, self.capture.cameras[0])
-            steps = light_steps(texels, model, seed=self.seed, refine_degrees=_ERROR)
+            steps = light_steps(texels, model, seed=self.seed, refine_degrees=_FIRST_ERROR)
             lights = yield from map_steps(steps, part)
-            if _spread(lights.intensities.mean(axis=-1)) > _MORE * spread + _ROUGHLY:
+            if _spread(lights.intensities.mean(axis=-1)) > _SPREAD_FACTOR * spread + _SPREAD_MARGIN:
                 return lights, False, domain
             lights = self.turned(lights, domain, check=True)
             domain = lights.applied(domain)
@@ -182,7 +182,7 @@ class _Pixels:
     def turned(
         self, refined: Lights, domain: Domain, left_out: np.ndarray | None = None, check: bool = False
     ) -> Lights:
-        """Return the lights turned by what makes their normals a surface's."""
+        """Return the lights, rotated so that the normals under them are integrable."""
         directions = refined.lights[:, :3].astype(np.float64)
         power = refined.intensities.mean(axis=-1, keepdims=True)
         turn = self.rotation(directions * power, refined.applied(domain), left_out, check)
@@ -192,15 +192,15 @@ class _Pixels:
     def rotation(
         self, lights: np.ndarray, domain: Domain, left_out: np.ndarray | None = None, check: bool = False
     ) -> np.ndarray:
-        """Return (3, 3) the rotation R by which lights (K, 3) become those of a surface, as open texels tell it.
+        """Return (3, 3) ``surface_rotation`` of lights (K, 3), from open texels. left_out: (H, W) bool, other texels.
 
-        check: raise InputError where it is so large that shading and surface contradict each other.
+        check: raise InputError where the rotation is so large that shading and surface contradict each other.
         """
         mask, chosen = self.capture.masks[0], open_texels(domain, self.capture.cameras[0]).solvable
         chosen = chosen if left_out is None else chosen & ~left_out
         turn = surface_rotation(self.values, self.weight * chosen[mask], mask, lights, _plane(self.capture))
         degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
-        if check and degrees > _MOST_TURN:
+        if check and degrees > _MOST_ROTATION:
             raise InputError(
                 f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface; put"
                 " a ball into the photographs"
@@ -212,25 +212,25 @@ class _Pixels:
         mask = self.capture.masks[0]
         part_of = np.full(mask.shape, -1)
         part_of[mask] = parts_of(mask, self.seed)
-        texels, found = open_texels(domain, self.capture.cameras[0]), []
+        texels, directions = open_texels(domain, self.capture.cameras[0]), []
         for part in range(PARTS):
             rest = replace(texels, solvable=texels.solvable & (part_of != part))
-            few = draw(rest, self.seed, np.arange(domain.observations), _FEW)
-            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_ERROR, sample=few)
+            sample = draw(rest, self.seed, np.arange(domain.observations), _JACKKNIFE_TEXELS)
+            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_FIRST_ERROR, sample=sample)
             refined = yield from map_steps(steps, partial(_fraction, 1 + part / PARTS, 1 / PARTS))
-            found.append(self.turned(refined, domain, part_of == part).lights[:, :3])
-        return np.stack(found).astype(np.float64)
+            directions.append(self.turned(refined, domain, part_of == part).lights[:, :3])
+        return np.stack(directions).astype(np.float64)
 
 
 def open_texels(domain: Domain, camera: Camera) -> Domain:
-    """Return the domain of a card with only those texels that see most of the sky, in the relief of matt shading.
+    """Return a card's domain with only those texels solvable that see most of the sky, by a Lambertian relief.
 
-    What a hollow's walls throw on each other looks like shading that all parts share: lights of terracotta fruits in a
-    bowl are off by 4.2° with it, by 1.3° without. A third of the texels goes at most.
+    Interreflection in hollows biases the shading of all parts alike: lights of terracotta fruits in a bowl are off by
+    4.2° with these texels, by 1.3° without. About a third of the texels is left out at most.
     """
     normals, _ = lambert_seed(domain)
     sky = open_sky(card_height(camera, normals, domain.solvable))
-    least = min(_OPEN, float(np.quantile(sky[domain.solvable], 1 - _LEAST_KEPT)))
+    least = min(_OPEN, float(np.quantile(sky[domain.solvable], 1 - _LEAST_OPEN)))
     return replace(domain, solvable=domain.solvable & (sky >= least))
 
 
@@ -248,8 +248,8 @@ def _plane(capture: Capture) -> np.ndarray | None:
 
 
 def _fraction(begun: float, share: float, part: float) -> float:
-    """Return the fraction of the work done: of the refinement, which ends at 1, and of its errors, at 2."""
-    return _SHADED + (1 - _SHADED) * (begun + share * part) / 2
+    """Return the fraction of all work done; begun + share · part: 0 to 1 in the refinement, to 2 in its errors."""
+    return _SHADED_PART + (1 - _SHADED_PART) * (begun + share * part) / 2
 
 
 def _radiance(capture: Capture) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
@@ -267,5 +267,5 @@ def _with_lights(capture: Capture, directions: np.ndarray, intensities: np.ndarr
     """Return a capture with distant lights (K, 3) in its camera's axes, and their intensities (K, 3)."""
     world = directions @ capture.cameras[0].matrix[:3, :3].T
     shots = zip(capture.observations, world, intensities, strict=True)
-    lit = tuple(replace(shot, light=Light(triple(way), triple(power))) for shot, way, power in shots)
+    lit = tuple(replace(shot, light=Light(triple(direction), triple(power))) for shot, direction, power in shots)
     return replace(capture, observations=lit)

@@ -50,7 +50,7 @@ _RESOLUTION = "512"
 
 
 def job_of(options: Namespace, opened: bool = False) -> Job:
-    """Return the job of the options. ``entry`` "auto" of a resumed run becomes its former entry.
+    """Return the job of the options. A resumed run with ``entry`` "auto" gets its former entry.
 
     opened: the open file already holds the mesh. Raises InputError.
     """
@@ -99,7 +99,7 @@ def derived_maps_of(options: Namespace) -> DerivedMaps:
 
 
 def blend_of(options: Namespace) -> str | None:
-    """Return the file with the mesh; a capture that is a Blender scene holds its own mesh."""
+    """Return the Blender file with the mesh: --blend, or a capture that is a scene itself. Raises InputError."""
     if not _is_scene(options.capture):
         return options.blend
     if options.blend and Path(options.blend).resolve() != Path(options.capture).resolve():
@@ -131,7 +131,7 @@ def _check_mesh_options(options: Namespace) -> None:
 
 
 def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:
-    """Make a resumed run use its former kind of pass, because the two kinds differ in the last bits.
+    """Give a resumed run its former kind of pass, because the two kinds differ in the last bits.
 
     Raises InputError if the checkpoint is unusable or cannot be written.
     """
@@ -141,9 +141,9 @@ def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, s
         return
     if not path.is_file():
         raise InputError(f"--resume: {path.parent} holds no {CHECKPOINT}; run without --resume")
-    found = glance(path, {"model": model.name, "preset": asdict(schedule), "seed": options.seed})
+    identity = glance(path, {"model": model.name, "preset": asdict(schedule), "seed": options.seed})
     if options.entry == "auto":
-        options.entry = found["entry"]
+        options.entry = identity["entry"]
 
 
 def _capture(options: Namespace, folder: Path) -> Capture:
@@ -175,11 +175,11 @@ def file_capture(options: Namespace, apart: Path | None = None) -> Capture:
 
 
 def _framed(capture: Capture, framing: Framing, options: Namespace) -> Capture:
-    """Return the chosen part of the pictures; corners that are found are printed."""
+    """Return the chosen part of the pictures; print detected corners."""
     if framing.corners == AUTO:
-        framing, found = with_found_corners(capture, framing)
+        framing, corners_text = with_found_corners(capture, framing)
         if not silent(options):
-            sys.stdout.write(f"corners: {found}\n")
+            sys.stdout.write(f"corners: {corners_text}\n")
     return framed(capture, framing)
 
 
@@ -195,11 +195,11 @@ def subject_of(options: Namespace, opened: bool = False) -> tuple[Any, MeshData 
     if not opened:
         open_blend(options.blend)
     subject = mesh_object(options.object)
-    beside = named_occluders(options.occluder, subject, "--occluder")
+    occluders = named_occluders(options.occluder, subject, "--occluder")
     if options.slots is None:
-        return subject, with_occluders(extract_mesh(subject), beside), subject.name
+        return subject, with_occluders(extract_mesh(subject), occluders), subject.name
     slots = slots_of_text(options.slots, slot_names(subject))
-    mesh = with_occluders(extract_mesh(subject, slots), beside)
+    mesh = with_occluders(extract_mesh(subject, slots), occluders)
     return subject, mesh, material.slots_subject(subject, slots)
 
 

@@ -1,4 +1,4 @@
-"""The occlusion of a result: of a card by its relief, of a mesh baked on the object in its .blend."""
+"""Occlusion of a result: of a card from its relief, of a mesh baked on the object in its .blend."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _MOST_RAYS = 4096
 
 
 def check_occlusion(options: Namespace) -> None:
-    """Raise InputError where options of occlusion do not fit."""
-    for option, given in (("--rays", options.rays is not None), ("--occluder", options.occluder)):
-        if given and not options.occlusion:
+    """Raise InputError where options of occlusion contradict others."""
+    for option, is_set in (("--rays", options.rays is not None), ("--occluder", options.occluder)):
+        if is_set and not options.occlusion:
             raise InputError(f"{option}: applies to a mesh's occlusion; give --occlusion as well")
     if options.occlusion and options.format not in OCCLUDED:
         raise InputError(
@@ -33,7 +33,7 @@ def check_occlusion(options: Namespace) -> None:
 
 
 def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any]) -> Result:
-    """Return the result with --occlusion. subject: opens the result's .blend, and returns the object of its material.
+    """Return the result with --occlusion. subject: opens the result's .blend and returns the object with its material.
 
     Raises InputError.
     """
@@ -54,11 +54,11 @@ def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any
 
 
 def _slots(result: Result, obj: Any) -> tuple[int, ...] | None:
-    """Return the slots of the object that the maps are of, None for all.
+    """Return the object's slots that the maps belong to, None for all.
 
-    By number where the recovery was given numbers: a slot's name has become that of its recovered material.
+    Slots that the recovery chose by number are chosen by number again: their names are now the recovered materials'.
     """
-    asked = result.report["settings"].get("slots") or ""
-    if asked and all(part.strip().isdecimal() for part in asked.split(",")):
-        return slots_of_text(asked, slot_names(obj))
+    chosen = result.report["settings"].get("slots") or ""
+    if chosen and all(part.strip().isdecimal() for part in chosen.split(",")):
+        return slots_of_text(chosen, slot_names(obj))
     return recovered_slots(obj) or None

@@ -1,4 +1,4 @@
-"""The photographs of a web page: those of the capture that a result's report names."""
+"""Photographs of a web page, read from the capture that the result's report names."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ UNNAMED = "its report does not say which part of which photographs its maps show
 
 
 def names_photographs(result: Result) -> bool:
-    """Whether the report says what its maps show: not where the window wrote it, or ``tile``."""
+    """Return whether the report names its maps' photographs; those of the window and of ``tile`` do not."""
     settings = result.report.get("settings")
     return "tile" not in result.report and isinstance(settings, dict) and "crop" in settings
 
 
 def page_photographs(result: Result, options: Namespace) -> Photographs | None:
-    """Return --photographs of the photographs that a card was recovered from, read again as they were.
+    """Return --photographs of a card's photographs, at most, read again with the options of its recovery.
 
     None for 0 of them, and by default where the report does not name them. First come those held out of the fit, then
     those whose lights are farthest apart. Raises InputError where the capture is no longer there or has changed; the
@@ -51,7 +51,7 @@ def page_photographs(result: Result, options: Namespace) -> Photographs | None:
             " --photographs 0"
         )
     capture = file_capture(Namespace(**{**settings, "json": True, "quiet": True}))
-    if settings.get("preview") == PART:  # of a long recovery
+    if settings.get("preview") == PART:  # the result is a preview
         capture = smaller_capture(capture)
     if card_bake(capture).coverage.shape != result.maps.covered.shape:
         raise InputError(
@@ -66,7 +66,7 @@ def _chosen(capture: Capture, report: Mapping[str, Any], count: int) -> Photogra
     held_out = [k for k, name in enumerate(names) if name in report.get("relighting_psnr_db", ())]
     chosen = spread(card_lights(capture), card_bake(capture), held_out, count)
     domain = domain_from_card(replace(capture, observations=tuple(capture.observations[k] for k in chosen)))
-    if isinstance(found := report.get("lights"), dict):  # as the recovery estimated them
-        domain = with_lights(domain, np.array(found["lights"])[chosen], np.array(found["intensities"])[chosen])
+    if isinstance(lights := report.get("lights"), dict):  # estimated by the recovery
+        domain = with_lights(domain, np.array(lights["lights"])[chosen], np.array(lights["intensities"])[chosen])
     unseen = [index for index, k in enumerate(chosen) if k in held_out]
     return photographs_of(domain, [names[k] for k in chosen], unseen)

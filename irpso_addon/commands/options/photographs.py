@@ -1,4 +1,4 @@
-"""Options of ``develop`` and ``response``: photographs, patches and exposures."""
+"""Options of ``develop`` and ``response``: photographs, patches and exposures; errors name the option."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ def files_option(option: str, names: Sequence[str] | None) -> list[Path]:
         path = Path(name)
         if not path.exists():
             raise InputError(f"{option} {name}: is not there; give image files, or folders of them")
-        found = images_in(path) if path.is_dir() else [path]
-        if not found:
+        images = images_in(path) if path.is_dir() else [path]
+        if not images:
             raise InputError(f"{option} {name}: holds no images; give image files, or folders of them")
-        files += found
+        files += images
     return files
 
 
 def number_list(option: str, text: str) -> list[float]:
-    """Return numbers separated by commas. Raises InputError naming the option."""
+    """Return numbers separated by commas. Raises InputError."""
     numbers = numbers_of_text(text)
     if numbers is None:
         raise InputError(f"{option} {text}: give numbers separated by commas")
@@ -37,7 +37,7 @@ def number_list(option: str, text: str) -> list[float]:
 
 
 def exposure_list(option: str, text: str | None) -> tuple[float, ...]:
-    """Return exposures such as "1/60,1/15,0.25". Raises InputError naming the option."""
+    """Return exposures such as "1/60,1/15,0.25". Raises InputError."""
     values = []
     for part in (text or "").split(","):
         top, slash, bottom = part.strip().partition("/")
@@ -52,7 +52,7 @@ def exposure_list(option: str, text: str | None) -> tuple[float, ...]:
 
 
 def patch_option(option: str, text: str) -> Patch:
-    """Return the patch of "X,Y,W,H" or "X,Y,W,H=REFLECTANCE". Raises InputError naming the option."""
+    """Return the patch of "X,Y,W,H" or "X,Y,W,H=REFLECTANCE". Raises InputError."""
     place, equals, value = text.partition("=")
     numbers = number_list(option, place)
     if len(numbers) != 4 or not all(np.isfinite(number) and number == int(number) >= 0 for number in numbers):
@@ -61,7 +61,7 @@ def patch_option(option: str, text: str) -> Patch:
 
 
 def reflectance_of(option: str, text: str, value: str) -> float:
-    """Return the reflectance after the = of an option's text. Raises InputError naming the option."""
+    """Return the reflectance after the = of an option's text. Raises InputError."""
     (reflectance, *more) = number_list(option, value)
     if more or not 0 < reflectance <= 1:
         raise InputError(f"{option} {text}: a reflectance is above 0 and at most 1, as in =0.18")
@@ -78,7 +78,7 @@ def greys_option(texts: Sequence[str] | None) -> tuple[Patch, ...] | str:
 
 
 def corners_option(option: str, text: str) -> np.ndarray:
-    """Return the corners (4, 2) of "X1,Y1,…,X4,Y4". Raises InputError naming the option."""
+    """Return the corners (4, 2) of "X1,Y1,…,X4,Y4". Raises InputError."""
     numbers = np.array(number_list(option, text))
     if len(numbers) != 8 or not np.isfinite(numbers).all():
         raise InputError(f"{option} {text}: write X1,Y1,X2,Y2,X3,Y3,X4,Y4, four corners in pixels")

@@ -16,7 +16,7 @@ from ...geometry.surface.slots import slot_names
 from ...results.write import check_output_folder
 
 EACH = "each"
-_UNFIT = re.compile(r"[^\w\- ]+")  # in the name of a folder
+_UNFIT = re.compile(r"[^\w\- ]+")  # not in a folder's name
 
 
 def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, tuple[int, ...]]]:

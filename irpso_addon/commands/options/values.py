@@ -32,12 +32,12 @@ def silent(options: Namespace) -> bool:
 
 
 def pasted(path: Path | str) -> str:
-    """Return a path as a shell of this system takes it, for a command that is printed."""
+    """Return a path quoted for this system's shell, for printed commands."""
     return subprocess.list2cmdline([str(path)]) if os.name == "nt" else quote(str(path))
 
 
 def warn_quietly(options: Namespace, warnings: Iterable[str]) -> None:
-    """Print warnings where --quiet keeps back the lines that hold them; --json has its own."""
+    """Print warnings if --quiet suppresses the summary with them; the result of --json has its own."""
     if options.quiet and not options.json:
         warn(warnings)
 
@@ -48,13 +48,13 @@ def warn(warnings: Iterable[str]) -> None:
 
 
 def shelf_of(options: Namespace, library: str) -> Shelf:
-    """Return where an asset goes and what is written on it. Raises InputError naming the option."""
+    """Return the place of an asset in its library, and its metadata. Raises InputError."""
     words = (options.catalog or "", options.author or "", options.license or "")
     return Shelf(Path(library), *words, tuple(options.tag))
 
 
 def size_option(option: str, text: str) -> tuple[int, int]:
-    """Return (width, height) of "N" or "WxH". Raises InputError naming the option."""
+    """Return (width, height) of "N" or "WxH". Raises InputError."""
     parts = text.lower().split("x")
     if len(parts) not in (1, 2) or not all(part.isdecimal() and 1 <= int(part) <= LARGEST_SIDE for part in parts):
         raise InputError(f"{option} {text}: give a whole number N, or WxH, each from 1 to {LARGEST_SIDE}")
@@ -172,7 +172,7 @@ def held_out_list(text: str | None, count: int) -> list[int]:
 
 
 def index_list(option: str, text: str | None, count: int) -> list[int]:
-    """Return the indices of "I,J,…", each below ``count``. Raises InputError naming the option."""
+    """Return the indices of "I,J,…", each below ``count``. Raises InputError."""
     if not text:
         return []
     parts = [part.strip() for part in text.split(",")]

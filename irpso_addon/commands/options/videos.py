@@ -21,7 +21,7 @@ from .values import silent, warn
 def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
     """Yield the frames of the capture's videos, written to OUT_photographs; none where it has no video.
 
-    They are removed if the calibration fails. Raises InputError where a video shows no lights, or its camera moves.
+    They are removed if the caller raises. Raises InputError where a video shows no lights, or its camera moves.
     """
     if not Path(options.capture).exists():
         raise InputError(f"{options.capture}: is not there; give a folder of photographs, a video, or a capture")
@@ -33,13 +33,13 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
         return
     folder = frames_folder(checked_output(Path(options.output)))
     bar = ProgressBar("frames", silent(options))
-    found = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
+    frames = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
     try:
-        warn(found.warnings)
+        warn(frames.warnings)
         if not silent(options):
             shown = ", ".join(video.name for video in videos)
-            sys.stdout.write(f"{len(found.files)} of {found.total} frames of {shown} written to {folder}\n")
-        yield tuple(folder / name for name in found.files)
+            sys.stdout.write(f"{len(frames.files)} of {frames.total} frames of {shown} written to {folder}\n")
+        yield tuple(folder / name for name in frames.files)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
