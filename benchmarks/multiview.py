@@ -181,12 +181,12 @@ def _compare(case: Case, out: Path, subject: _Subject, view, unseen) -> dict[str
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.results.read import read_maps
 
-    found, truth = read_maps(out, load_model("principled")), subject.truth
+    maps, truth = read_maps(out, load_model("principled")), subject.truth
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     solved = coverage > 0
-    normal = angles(found["normal"], truth.normal)
-    colour = np.abs(found["base_color"] - truth.base_color).mean(axis=-1)
-    rough = np.abs(found["roughness"][..., 0] - truth.roughness)
+    normal = angles(maps["normal"], truth.normal)
+    colour = np.abs(maps["base_color"] - truth.base_color).mean(axis=-1)
+    rough = np.abs(maps["roughness"][..., 0] - truth.roughness)
     seen = subject.front & solved
     values, shown = {}, []
     for number, (true, mask, inside) in enumerate(subject.relit):
@@ -264,7 +264,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     return "; ".join(f"{r['title']} {r['normal'][0]:.1f}°, {r['psnr_front']:.0f} dB" for r in data["results"])
 
 

@@ -82,7 +82,7 @@ def errors(subject: Subject, schedule: Schedule, seed: int) -> np.ndarray:
         values = recovery.maps().values
     angle = _angle(values["normal"], subject.normal)
     albedo = np.abs(values["base_color"] - subject.albedo).mean(axis=-1)
-    away = angle[~subject.edge].mean()
+    elsewhere = angle[~subject.edge].mean()
     quantile = np.quantile(angle, 0.99)
     return np.array(
         [
@@ -90,7 +90,7 @@ def errors(subject: Subject, schedule: Schedule, seed: int) -> np.ndarray:
             angle.mean(),
             quantile,
             angle[subject.edge].mean(),
-            away,
+            elsewhere,
             albedo.mean(),
             np.quantile(albedo, 0.99),
         ]
@@ -133,10 +133,10 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|---|---|")
     rows = cells(base)
     for number, (kind, window, c3, schedule) in enumerate(rows, 1):
-        found = np.array([errors(subject, schedule, seed) for seed in range(options.seeds)])
-        mean = found.mean(axis=0)
+        errors_by_seed = np.array([errors(subject, schedule, seed) for seed in range(options.seeds)])
+        mean = errors_by_seed.mean(axis=0)
         print(
-            f"| {c3:g} | {kind} | {window or '–'} | {mean[0]:.2f} | {mean[1]:.3f} ± {found[:, 1].std():.3f}"
+            f"| {c3:g} | {kind} | {window or '–'} | {mean[0]:.2f} | {mean[1]:.3f} ± {errors_by_seed[:, 1].std():.3f}"
             f" | {mean[2]:.2f} | {mean[3]:.3f} | {mean[4]:.3f} | {mean[5]:.5f} | {mean[6]:.4f} |",
             flush=True,
         )

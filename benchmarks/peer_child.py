@@ -128,8 +128,8 @@ def _linear(method: str, problem: Problem) -> PeerResult:
     if method in fixed:
         run, settings = fixed[method]
         return run(problem, **settings)
-    found = [lambertian.METHODS[method](problem, **settings) for settings in lambertian.SETTINGS[method]]
-    return min(found, key=lambda r: float(angles(r.values["normal"], problem.truth["normal"]).mean()))
+    results = [lambertian.METHODS[method](problem, **settings) for settings in lambertian.SETTINGS[method]]
+    return min(results, key=lambda r: float(angles(r.values["normal"], problem.truth["normal"]).mean()))
 
 
 def _iterative(method: str, problem: Problem, quick: bool) -> PeerResult:
@@ -161,14 +161,14 @@ def main() -> None:
     parser.add_argument("result", type=Path)
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
-    found = solve(options.capture, options.method, options.quick)
-    arrays = {"texels": found.pop("texels")}
-    arrays |= {f"error_{name}": error for name, error in found.pop("errors").items()}
-    way = found.pop("way")
+    result = solve(options.capture, options.method, options.quick)
+    arrays = {"texels": result.pop("texels")}
+    arrays |= {f"error_{name}": error for name, error in result.pop("errors").items()}
+    way = result.pop("way")
     for name in way[0][2] if way else ():
         arrays[f"way_{name}"] = np.array([errors[name] for _, _, errors in way], np.float32)
     arrays["way"] = np.array([(seconds, evaluations) for seconds, evaluations, _ in way])
-    np.savez(options.result, facts=json.dumps(found), **arrays)
+    np.savez(options.result, facts=json.dumps(result), **arrays)
     if options.method in PRODUCT:
         from irpso_addon.gpu import context
 

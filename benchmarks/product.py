@@ -75,7 +75,7 @@ def recover(
     """
     context.ensure()
     trace, way = [], []
-    looked, start = np.zeros(2), now()
+    overhead, start = np.zeros(2), now()
     texels = max(int(domain.solvable.sum()), 1)
     with Recovery(domain, load_model(model), schedule, seed, fixed, entry) as recovery:
         total = recovery.progress.iterations_in_all
@@ -83,13 +83,13 @@ def recover(
             # To the very end by asking for no number: a threshold may have ended stages early.
             recovery.step(iterations=None if point == total else point - recovery.progress.iteration_in_all)
             maps = recovery.maps(confidence=False)
-            found = now()
+            read_at = now()
             recovery.maps(confidence=False)
-            again = now() - found
-            seconds, work = found - again - start - looked
+            read_time = now() - read_at
+            seconds, work = read_at - read_time - start - overhead
             trace.append(Sample(float(seconds), recovery.progress.evaluations / texels, maps.values))
             way.append(float(work))
-            looked += 2 * again
+            overhead += 2 * read_time
     last = trace[-1]
     return Run(maps.values, maps.residual, last.seconds, last.evaluations, tuple(trace), way[-1], tuple(way))
 

@@ -53,14 +53,14 @@ def measure(quick: bool) -> dict[str, Any]:
                 shape = sizes[1] if kind == "strong" else sizes[ranks]
                 if preset == "standard" and ranks > 2:  # most of it has as many iterations as ever: minutes
                     continue
-                found, maps = _recover(captures[shape], folder / "out", ranks, preset, presets[preset])
+                run, maps = _recover(captures[shape], folder / "out", ranks, preset, presets[preset])
                 row = rows.setdefault(
                     (preset, kind, ranks),
-                    {"preset": preset, "kind": kind, "ranks": ranks, "texels": found["texels"], "runs": []},
+                    {"preset": preset, "kind": kind, "ranks": ranks, "texels": run["texels"], "runs": []},
                 )
-                row["runs"].append(found["seconds"]["solve"])
+                row["runs"].append(run["seconds"]["solve"])
                 if ranks > 1:
-                    row |= {name: found["settings"][name] for name in ("messages", "bytes_sent")}
+                    row |= {name: run["settings"][name] for name in ("messages", "bytes_sent")}
                 if kind == "strong":
                     row["same"] = bool(row.get("same", True) and maps == references.setdefault(preset, maps))
         report.say(f"turn {repeat + 1} of {repeats}")
@@ -101,14 +101,14 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
     from irpso_addon.solver.settings.schedule import load_schedule
 
     schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
-    found = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
-    messages, size = np.zeros(len(found.tiles), int), np.zeros(len(found.tiles), int)
+    plan = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
+    messages, size = np.zeros(len(plan.tiles), int), np.zeros(len(plan.tiles), int)
     for stage in resolve(schedule, model, set(), _LIGHTS):
         cost, numbers = phase_cost(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
-        told, cells = _rims(np.array(found.boxes[: len(found.tiles)]), cost.reach)
-        messages += cost.exchanges * told
+        receivers, cells = _rims(np.array(plan.boxes[: len(plan.tiles)]), cost.reach)
+        messages += cost.exchanges * receivers
         size += cost.exchanges * cells * numbers * 4
-    return Traffic(max(tile.texels for tile in found.tiles), int(messages.max()), int(size.max()))
+    return Traffic(max(tile.texels for tile in plan.tiles), int(messages.max()), int(size.max()))
 
 
 def _rims(boxes: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
@@ -211,12 +211,12 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    found = []
+    """Return the text of the index."""
+    efficiencies = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in data["rows"]):
         rows = {row["ranks"]: row for row in data["rows"] if (row["preset"], row["kind"]) == (preset, kind)}
-        found.append(f"{preset} {kind} {_speedup(rows[2], rows[1]['runs']) / 2:.0%}")
-    return f"two ranks on two cores: {', '.join(found)}; the same maps bit for bit"
+        efficiencies.append(f"{preset} {kind} {_speedup(rows[2], rows[1]['runs']) / 2:.0%}")
+    return f"two ranks on two cores: {', '.join(efficiencies)}; the same maps bit for bit"
 
 
 PROGRAM = report.Program("recovery_scaling", "A recovery over ranks", __file__, measure, write, headline)

@@ -66,46 +66,46 @@ def run(program: Program, arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     output = options.output or (QUICK_PAGES if options.quick else PAGES)
     path = result_path(program, options.quick, options.cache)
-    kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    wanted = digest(program.source)
-    if options.draw and kept is None:
+    result = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    current_digest = digest(program.source)
+    if options.draw and result is None:
         parser.error(f"{path} is not there; measure first")
     if output.exists() and not output.is_dir():
         parser.error(f"--output {output}: is a file; give a folder")
-    if not options.draw and (options.again or kept is None or kept["digest"] != wanted):
+    if not options.draw and (options.again or result is None or result["digest"] != current_digest):
         load, start = os.getloadavg()[0], time.perf_counter()
         data = program.measure(options.quick)
-        kept = {
-            "name": program.name, "title": program.title, "quick": options.quick, "digest": wanted,
+        result = {
+            "name": program.name, "title": program.title, "quick": options.quick, "digest": current_digest,
             "date": datetime.date.today().isoformat(), "machine": machine(), "commit": commit(),
             "load": [round(load, 1), round(os.getloadavg()[0], 1)],
             "seconds": round(time.perf_counter() - start, 1), "data": data,
         }  # fmt: skip
         options.cache.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(".partial")
-        partial.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+        partial.write_text(json.dumps(result, indent=1), encoding="utf-8")
         partial.replace(path)
     output.mkdir(parents=True, exist_ok=True)
-    tried = ["**A smoke run with tiny sizes: the numbers mean nothing.**", ""] if kept["quick"] else []
-    lines = [f"# {program.title}", "", *tried, *program.write(kept["data"], output), "", *_foot(kept, program)]
+    tried = ["**A smoke run with tiny sizes: the numbers mean nothing.**", ""] if result["quick"] else []
+    lines = [f"# {program.title}", "", *tried, *program.write(result["data"], output), "", *_foot(result, program)]
     (output / f"{program.name}.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     say(f"{program.name}: {output / (program.name + '.md')}")
 
 
-def _foot(kept: dict[str, Any], program: Program) -> list[str]:
+def _foot(result: dict[str, Any], program: Program) -> list[str]:
     return [
-        f"<sub>`python -m benchmarks.{Path(program.source).stem}`, {kept['date']}, commit {kept['commit']},"
-        f" {kept['seconds']:.0f} s; {'; '.join(kept['machine'].values())}; load of the machine"
-        f" {kept['load'][0]} before and {kept['load'][1]} after.</sub>"
+        f"<sub>`python -m benchmarks.{Path(program.source).stem}`, {result['date']}, commit {result['commit']},"
+        f" {result['seconds']:.0f} s; {'; '.join(result['machine'].values())}; load of the machine"
+        f" {result['load'][0]} before and {result['load'][1]} after.</sub>"
     ]
 
 
 def digest(source: str) -> str:
     """Return what identifies the sources that a result depends on."""
-    found = hashlib.sha256()
+    sha256 = hashlib.sha256()
     for path in [Path(source), *(p for pattern in _SOURCES for p in sorted(ROOT.glob(pattern)) if p.is_file())]:
-        found.update(path.read_bytes())
-    return found.hexdigest()[:16]
+        sha256.update(path.read_bytes())
+    return sha256.hexdigest()[:16]
 
 
 def machine() -> dict[str, str]:
@@ -133,8 +133,8 @@ def commit() -> str:
 
 
 def _git(*arguments: str) -> str:
-    found = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
-    return found.stdout.strip() if found.returncode == 0 else ""
+    process = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
+    return process.stdout.strip() if process.returncode == 0 else ""
 
 
 def say(text: str) -> None:
@@ -237,13 +237,13 @@ def _few_ticks(axis: Any) -> None:
 
 def _without_bare_groups(svg: str) -> str:
     """Return a picture without groups that have no attributes."""
-    kept: list[bool] = []  # of each open group
+    has_attributes: list[bool] = []  # of each open group
 
-    def tag(found: re.Match[str]) -> str:
-        if found[0] != "</g>":
-            kept.append(found[0] != "<g>")
-            return found[0] if kept[-1] else ""
-        return found[0] if kept.pop() else ""
+    def tag(match: re.Match[str]) -> str:
+        if match[0] != "</g>":
+            has_attributes.append(match[0] != "<g>")
+            return match[0] if has_attributes[-1] else ""
+        return match[0] if has_attributes.pop() else ""
 
     return re.sub(r"<g>|<g [^>]*[^/>]>|</g>", tag, svg)
 
@@ -261,9 +261,9 @@ def _minified(svg: str) -> str:
     svg = re.sub(r"(\d+\.\d)\d+", r"\1", svg)
     svg = _without_bare_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
     svg = re.sub(rf";? *{_FONT}(, sans-serif)?", "", svg).replace("</style>", f"text{{{_FONT}, sans-serif}}</style>")
-    svg = re.sub(r'(?<= )style="[^"]*"', lambda found: re.sub(r"([:;]) ", r"\1", found[0]), svg)
-    svg = re.sub(r'(?<= )d="[^"]*"', lambda found: re.sub(r" ?([A-Zz\"]) ?", r"\1", found[0]), svg)
-    svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda found: re.sub(r"(\d)\.0\b", r"\1", found[0]), svg)
+    svg = re.sub(r'(?<= )style="[^"]*"', lambda match: re.sub(r"([:;]) ", r"\1", match[0]), svg)
+    svg = re.sub(r'(?<= )d="[^"]*"', lambda match: re.sub(r" ?([A-Zz\"]) ?", r"\1", match[0]), svg)
+    svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda match: re.sub(r"(\d)\.0\b", r"\1", match[0]), svg)
     svg = re.sub(r"\s*\n\s*", " ", svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 

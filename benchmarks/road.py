@@ -76,7 +76,7 @@ class Walk:
 
     def step(self, name: str, clicks: int, act: Callable[[], object]) -> None:
         """Take a step, wait until nothing is at work, and note it."""
-        said = len(self.window.reports())
+        reported = len(self.window.reports())
         self.window.run("turn.update(last=time.perf_counter(), longest=0.0)", area="")
         begun = time.perf_counter()
         act()
@@ -84,9 +84,9 @@ class Walk:
         self.window.wait("not busy()", SLOW, area="")
         seconds = time.perf_counter() - begun
         longest = self.window.run("turn['longest']", area="")
-        told = self.window.reports()[said:]
-        self.rows.append({"step": name, "clicks": clicks, "seconds": seconds, "turn": longest, "said": told})
-        report.say(f"{self.name}: {name}: {seconds:.1f} s, longest turn {longest:.2f} s, {told}")
+        reports = self.window.reports()[reported:]
+        self.rows.append({"step": name, "clicks": clicks, "seconds": seconds, "turn": longest, "said": reports})
+        report.say(f"{self.name}: {name}: {seconds:.1f} s, longest turn {longest:.2f} s, {reports}")
         self.picture(name)
 
     def press(self, name: str, operator: str, then: Callable[[], object] = lambda: None, clicks: int = 1) -> None:

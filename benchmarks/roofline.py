@@ -88,10 +88,10 @@ def measure(quick: bool) -> dict[str, Any]:
         recorded(make_card(model, _SMALL), model, schedule, entry)  # compiles
         domain = make_card(model, side)
         phases, passes = recorded(domain, model, schedule, entry)
-    found = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
+    rows = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
     here = ceilings(software, entry)
     return {
-        "side": side, "observations": domain.observations, "phases": phases, "passes": found, "here": here,
+        "side": side, "observations": domain.observations, "phases": phases, "passes": rows, "here": here,
         "entry": entry,
     }  # fmt: skip
 
@@ -100,7 +100,7 @@ def recorded(
     domain: Domain, model: ReflectanceModel, schedule: Schedule, entry: Entry
 ) -> tuple[list[dict[str, Any]], list[Recorded]]:
     """Recover a card, waiting for every pass; return its phases, and all passes of them."""
-    found: dict[tuple, Recorded] = {}
+    passes: dict[tuple, Recorded] = {}
     stage, run = 0, Pass.run
 
     def recording(
@@ -113,10 +113,10 @@ def recorded(
         run(self, targets, read, constants, rows)
         self.fence(targets)  # so that a phase's seconds are its own
         key = stage, str(self.kernel.source), repr(sorted(self.kernel.defines.items()))
-        if key not in found:
+        if key not in passes:
             names = self.compile().samplers
             large = [name for name in names if _area(read[name]) >= domain.solvable.sum()]
-            found[key] = Recorded(
+            passes[key] = Recorded(
                 stage, self.kernel, _area(targets[0]),
                 {name: _area(read[name]) * (domain.observations if name == _STACK else 1) for name in large},
                 {name: _bytes(read[name]) for name in large},
@@ -124,7 +124,7 @@ def recorded(
                 {**constants, **{name: read[name].width for name in names}},
             )  # fmt: skip
         first, last = rows or (0, targets[0].height)
-        found[key].runs += (last - first) / targets[0].height
+        passes[key].runs += (last - first) / targets[0].height
 
     phases = []
     with patch.object(Pass, "run", recording), Recovery(domain, model, schedule, entry=entry) as recovery:
@@ -134,7 +134,7 @@ def recorded(
             while progress.stage == stage and not progress.done:
                 progress = recovery.step(1)
             phases.append({"title": title, "seconds": time.perf_counter() - started})
-    return phases, list(found.values())
+    return phases, list(passes.values())
 
 
 def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
@@ -143,8 +143,8 @@ def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
     whole, fixed = counts(recorded.kernel, known, {**known, "u_observations": 0})
     scale = recorded.targets / texels
     fetched, fixed_fetched = (
-        {name: scale * times * recorded.each[name] for name, times in found.fetches.items() if name in recorded.each}
-        for found in (whole, fixed)
+        {name: scale * times * recorded.each[name] for name, times in counted.fetches.items() if name in recorded.each}
+        for counted in (whole, fixed)
     )
     return {
         "phase": recorded.phase, "source": str(recorded.kernel.source), "runs": recorded.runs,
@@ -293,10 +293,10 @@ def _reached(data: dict[str, Any]) -> Iterator[list[str]]:
 
 def _by_hand(data: dict[str, Any]) -> list[str]:
     """Return three of the numbers, counted by hand."""
-    found = {(data["phases"][p["phase"]]["title"], p["source"]): p for p in data["passes"]}
-    step = found["refinement", "refine/step.glsl"]
-    commit = found["prefit of the normals", "swarm/synchronous/commit.glsl"]
-    keep = found["refinement", "refine/keep.glsl"]
+    by_pass = {(data["phases"][p["phase"]]["title"], p["source"]): p for p in data["passes"]}
+    step = by_pass["refinement", "refine/step.glsl"]
+    commit = by_pass["prefit of the normals", "swarm/synchronous/commit.glsl"]
+    keep = by_pass["refinement", "refine/keep.glsl"]
     each = (step["fetched"] - step["fixed_fetched"]) / data["observations"]
     return [
         "## Counted by hand",
@@ -313,7 +313,7 @@ def _by_hand(data: dict[str, Any]) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     operations, fetched = (sum(p["runs"] * p[name] for p in data["passes"]) for name in ("operations", "fetched"))
     return f"{operations / 1e6:.1f} M operations a texel, {operations / fetched:.0f} a byte fetched"
 

@@ -63,10 +63,12 @@ def index(output: Path, quick: bool) -> list[str]:
         path = report.result_path(module.PROGRAM, quick)
         if not path.is_file() or not (output / f"{name}.md").is_file():
             continue
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        machines.add("; ".join(kept["machine"].values()))
-        headline = module.PROGRAM.headline(kept["data"])
-        rows.append([f"[{kept['title']}]({name}.md)", headline, kept["date"], kept["commit"], f"{kept['seconds']:.0f}"])
+        result = json.loads(path.read_text(encoding="utf-8"))
+        machines.add("; ".join(result["machine"].values()))
+        headline = module.PROGRAM.headline(result["data"])
+        rows.append(
+            [f"[{result['title']}]({name}.md)", headline, result["date"], result["commit"], f"{result['seconds']:.0f}"]
+        )
     rows += [[f"[{title}]({name}.md)", "", "", "", ""] for name, title in OTHERS.items()
              if (output / f"{name}.md").is_file()]  # fmt: skip
     return [

@@ -53,7 +53,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     return "; ".join(f"{r['scene']} {r['normal']['median']:.1f}°, {min(r['psnr']):.0f} dB" for r in data["results"])
 
 

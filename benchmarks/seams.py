@@ -86,8 +86,8 @@ def hammered(side: int) -> Values:
     rng = np.random.default_rng(4)
     places = rng.uniform(-20, side + 20, (int((side + 40) ** 2 / 420), 2))
     y, x = np.mgrid[:side, :side]
-    away = cKDTree(places).query(np.stack([y, x], axis=-1))[0]
-    height = gaussian_filter(0.012 * away**2, 1.2) + 0.05 * _noise(rng, (side, side), 1)
+    distance = cKDTree(places).query(np.stack([y, x], axis=-1))[0]
+    height = gaussian_filter(0.012 * distance**2, 1.2) + 0.05 * _noise(rng, (side, side), 1)
     stain = 1 + 0.1 * _noise(rng, (side, side), 25)
     maps = _maps(height, stain[..., None] * np.array([0.8, 0.4, 0.25]), 0.32 + 0.04 * _noise(rng, (side, side), 8))
     return {**maps, "metallic": np.ones((side, side, 1))}
@@ -97,10 +97,10 @@ def scanned(name: str, side: int) -> Values:
     """A piece of a scanned material, at half its size."""
     from benchmarks.scenes.textured import cc0_maps
 
-    found = cc0_maps(_DATA / name, 512, 512)
+    material = cc0_maps(_DATA / name, 512, 512)
     part = np.s_[40 : 40 + side, 40 : 40 + side]
-    maps = _maps(np.zeros((side, side)), found.base_color[part], found.roughness[part])
-    return {**maps, "normal": found.normal[part].astype(np.float64)}
+    maps = _maps(np.zeros((side, side)), material.base_color[part], material.roughness[part])
+    return {**maps, "normal": material.normal[part].astype(np.float64)}
 
 
 TEXTURES: dict[str, Callable[[int], Values]] = {
@@ -113,34 +113,34 @@ def tiled(values: Values) -> Values:
     """The program's own, a texel of the tile for one of the texture."""
     model = load_model("metallic_roughness")
     covered = np.ones(values["normal"].shape[:2], bool)
-    found = seamless(model, values, covered, size=0)
-    return {name: value.astype(np.float64) for name, value in found.values.items()}
+    tile = seamless(model, values, covered, size=0)
+    return {name: value.astype(np.float64) for name, value in tile.values.items()}
 
 
 def cross_faded(values: Values) -> Values:
     """Both ends of a quarter of the side faded into each other along straight lines."""
-    found = {}
+    result = {}
     for name, value in values.items():
         over = len(value) // 4
         share = ((np.arange(over) + 0.5) / over)[:, None, None]
         for _ in range(2):
             faded = share * value[:over] + (1 - share) * value[-over:]
             value = np.concatenate([faded, value[over:-over]]).swapaxes(0, 1)
-        found[name] = value
-    return {**found, "normal": _unit(found["normal"])}
+        result[name] = value
+    return {**result, "normal": _unit(result["normal"])}
 
 
 def mirrored(values: Values) -> Values:
     """The texture beside its mirror pictures, whose normals are mirrored too."""
-    found = {}
+    result = {}
     for name, value in values.items():
         for axis in (0, 1):
             other = np.flip(value, axis)
             if name == "normal":
                 other = other * np.where(np.arange(3) == 1 - axis, -1, 1)
             value = np.concatenate([value, other], axis)
-        found[name] = value
-    return found
+        result[name] = value
+    return result
 
 
 METHODS: dict[str, Callable[[Values], Values]] = {
@@ -150,7 +150,7 @@ METHODS: dict[str, Callable[[Values], Values]] = {
 
 def measure(quick: bool) -> dict[str, Any]:
     """Tile all textures by all methods; keep numbers, and the pictures as PNGs in the cache."""
-    found: dict[str, dict[str, Any]] = {}
+    figures: dict[str, dict[str, Any]] = {}
     for name, make in TEXTURES.items():
         if make is not cloth and quick:
             continue
@@ -160,15 +160,15 @@ def measure(quick: bool) -> dict[str, Any]:
         values = make(_SIDE)
         own = shaded(values)
         judge = Judge(own)
-        found[name] = {"itself": judge.figures(own, repeats=False)}
+        figures[name] = {"itself": judge.figures(own, repeats=False)}
         for method, tile in METHODS.items():
             picture = shaded(tile(values))
-            found[name][method] = {**judge.figures(picture), "period": list(picture.shape[1::-1])}
+            figures[name][method] = {**judge.figures(picture), "period": list(picture.shape[1::-1])}
             (report.CACHE / "seams").mkdir(parents=True, exist_ok=True)
             shown = srgb_from_linear(np.clip(np.tile(picture, (3, 3, 1)), 0, 1))
             encode_png(report.CACHE / "seams" / f"{name} {method}.png", shown, bits=8)
-        report.say(f"{name}: {found[name]}")
-    return {"side": _SIDE, "textures": found}
+        report.say(f"{name}: {figures[name]}")
+    return {"side": _SIDE, "textures": figures}
 
 
 class Judge:
@@ -181,19 +181,19 @@ class Judge:
         self._mean = first.mean(axis=0)
         _, _, rows = np.linalg.svd(first[::7] - self._mean, full_matrices=False)
         self._axes = rows[:_COMPONENTS].T
-        self._limit = np.quantile(nearest(self._seen(first), self._seen(chosen(second))), _FOREIGN)
-        self._all = self._seen(patches(own))
+        self._limit = np.quantile(nearest(self._projected(first), self._projected(chosen(second))), _FOREIGN)
+        self._all = self._projected(patches(own))
         self._contrast = contrast(own)
 
-    def _seen(self, found: np.ndarray) -> np.ndarray:
-        return (found - self._mean) @ self._axes
+    def _projected(self, rows: np.ndarray) -> np.ndarray:
+        return (rows - self._mean) @ self._axes
 
     def figures(self, picture: np.ndarray, repeats: bool = True) -> dict[str, float]:
         """Return the figures of the module's text."""
         wide = np.pad(picture, ((0, _PATCH), (0, _PATCH), (0, 0)), mode="wrap") if repeats else picture
-        far = nearest(self._all, self._seen(chosen(patches(wide))))
+        distance = nearest(self._all, self._projected(chosen(patches(wide))))
         return {
-            "foreign": float((far > self._limit).mean()),
+            "foreign": float((distance > self._limit).mean()),
             "contrast": float(np.quantile(contrast(picture), 0.02) / np.quantile(self._contrast, 0.02)),
             "mirrored": mirror_line(np.tile(picture, (2, 2, 1)) if repeats else picture),
         }
@@ -275,15 +275,15 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     worst = {m: max(of[m]["foreign"] for of in data["textures"].values()) for m in METHODS}
     return "foreign patches at most: " + ", ".join(f"{m} {100 * share:.1f} %" for m, share in worst.items())
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], grain: float) -> np.ndarray:
     """Return noise of deviation 1 whose last two axes are smooth over ``grain`` texels."""
-    found = gaussian_filter(rng.normal(size=shape), (0,) * (len(shape) - 2) + (grain, grain))
-    return found / found.std()
+    noise = gaussian_filter(rng.normal(size=shape), (0,) * (len(shape) - 2) + (grain, grain))
+    return noise / noise.std()
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -54,12 +54,12 @@ def _row(name: str, scene: Scene, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def _errors(folder: Path, out: Path) -> dict[str, Any]:
-    found = read_maps(out, load_model("metallic_roughness"))
+    maps = read_maps(out, load_model("metallic_roughness"))
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     (deviation,) = read_exr(out / "maps.exr")["confidence_normal"].values()
     seen, unknown = coverage > 0, deviation > _WIDEST
-    error = angles(found["normal"], capture.read_truth(folder, "normal"))
-    colour = np.abs(_chroma(found["base_color"]) - _chroma(capture.read_truth(folder, "base_color"))).sum(axis=-1)
+    error = angles(maps["normal"], capture.read_truth(folder, "normal"))
+    colour = np.abs(_chroma(maps["base_color"]) - _chroma(capture.read_truth(folder, "base_color"))).sum(axis=-1)
     return {
         "normal": asdict(Errors.of(error[seen])),
         "known": float(error[seen & ~unknown].mean()),
@@ -107,7 +107,7 @@ def _cell(values: list[float], digits: int, unit: str = "") -> str:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     first = data["rows"][0]
     tilts = [f"{first['runs'][run]['normal']['mean']:.1f}°" for run in _RUNS]
     return f"{first['subject']}: {', '.join(tilts)} (without, with, oracle)"

@@ -105,14 +105,14 @@ class _Module:
         for line in text.splitlines():
             if not (match := _LINE.match(line)):
                 continue
-            found = _Instruction(match[1] or "", match[2], tuple(match[3].split()))
-            self.defined[found.result] = found
-            if found.name in ("OpName", "OpMemberName"):
-                self.names[found.operands[:-1]] = found.operands[-1].strip('"')
-            elif found.name == "OpLabel":
-                block = self.blocks[found.result] = []
+            instruction = _Instruction(match[1] or "", match[2], tuple(match[3].split()))
+            self.defined[instruction.result] = instruction
+            if instruction.name in ("OpName", "OpMemberName"):
+                self.names[instruction.operands[:-1]] = instruction.operands[-1].strip('"')
+            elif instruction.name == "OpLabel":
+                block = self.blocks[instruction.result] = []
             elif block is not None:
-                block.append(found)
+                block.append(instruction)
 
     def counts(self) -> Counts:
         """Return the sums over all blocks, each as often as the loops around it say."""
@@ -136,7 +136,7 @@ class _Module:
             for target in block[-1].operands:
                 if target in before:
                     before[target].add(label)
-        found = {}
+        bodies = {}
         for header, block in self.blocks.items():
             if merge := next((each for each in block if each.name == "OpLoopMerge"), None):
                 body, ahead = {header}, [merge.operands[1]]
@@ -144,8 +144,8 @@ class _Module:
                     if (label := ahead.pop()) not in body:
                         body.add(label)
                         ahead += before[label]
-                found[header] = body
-        return found
+                bodies[header] = body
+        return bodies
 
     def trips(self, header: str) -> float:
         """Return how often the body of a loop runs. Raises ValueError where its bounds are not known."""
@@ -164,22 +164,25 @@ class _Module:
 
     def _value(self, name: str) -> float:
         """Return a constant's value; of another loop's counter, or what is near it, the mean."""
-        found = self.defined[name]
-        if found.name == "OpConstant":
-            return float(found.operands[1])
-        if found.name == "OpLoad" and (name := self._push_constant(self.defined[found.operands[1]])):
+        instruction = self.defined[name]
+        if instruction.name == "OpConstant":
+            return float(instruction.operands[1])
+        if instruction.name == "OpLoad" and (name := self._push_constant(self.defined[instruction.operands[1]])):
             return float(self.known[name])
-        if found.name == "OpCompositeExtract" and self.defined[found.operands[1]].name == "OpImageQuerySizeLod":
-            return float(self.known[self._sampler(self.defined[found.operands[1]].operands[1])])
-        if found.name in ("OpIAdd", "OpISub"):
-            left, right = (self._value(operand) for operand in found.operands[1:])
-            return left + right if found.name == "OpIAdd" else left - right
-        if found.name == "OpPhi":
-            header = next((h for h, block in self.blocks.items() if found in block and h in self.loops), None)
+        if (
+            instruction.name == "OpCompositeExtract"
+            and self.defined[instruction.operands[1]].name == "OpImageQuerySizeLod"
+        ):
+            return float(self.known[self._sampler(self.defined[instruction.operands[1]].operands[1])])
+        if instruction.name in ("OpIAdd", "OpISub"):
+            left, right = (self._value(operand) for operand in instruction.operands[1:])
+            return left + right if instruction.name == "OpIAdd" else left - right
+        if instruction.name == "OpPhi":
+            header = next((h for h, block in self.blocks.items() if instruction in block and h in self.loops), None)
             if header is not None:
                 return (self.trips(header) - 1) / 2
-            return max(self._value(value) for value in found.operands[1::2])
-        raise ValueError(f"a loop's bound by {found.name} is not known")
+            return max(self._value(value) for value in instruction.operands[1::2])
+        raise ValueError(f"a loop's bound by {instruction.name} is not known")
 
     def _push_constant(self, pointer: _Instruction) -> str | None:
         """Return the name of the push constant at which a pointer points, or None."""
@@ -190,13 +193,13 @@ class _Module:
 
     def _sampler(self, name: str) -> str:
         """Return the name of the sampler whose image is fetched from."""
-        while (found := self.defined[name]).name != "OpVariable":
-            name = found.operands[1]
+        while (instruction := self.defined[name]).name != "OpVariable":
+            name = instruction.operands[1]
         return self.names[(name,)]
 
     def _components(self, name: str) -> int:
-        found = self.defined[name]
-        return int(found.operands[1]) if found.name == "OpTypeVector" else 1
+        instruction = self.defined[name]
+        return int(instruction.operands[1]) if instruction.name == "OpTypeVector" else 1
 
     def _operations(self, each: _Instruction) -> float:
         if not each.operands:

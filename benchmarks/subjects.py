@@ -112,14 +112,14 @@ def errors_of(model: str, values: Mapping[str, np.ndarray], truth: Mapping[str, 
 
     Of several components the worst counts. Only what both have is compared.
     """
-    found = {}
+    errors = {}
     for p in load_model(model).parameters:
         if p.name not in values or p.name not in truth:
             continue
         a, b = (np.asarray(v[p.name], np.float64).reshape(-1, p.components) for v in (values, truth))
         width = p.range[1] - p.range[0] if not p.is_normal else 1.0
-        found[p.name] = angles(a, b) if p.is_normal else 100 * np.abs(a - b).max(axis=-1) / width
-    return found
+        errors[p.name] = angles(a, b) if p.is_normal else 100 * np.abs(a - b).max(axis=-1) / width
+    return errors
 
 
 def unit_of(parameter: str) -> str:

@@ -81,15 +81,15 @@ def make_card(relief: str, material: str, lights: int, noise: float, size: int, 
 
 def errors(domain: Domain, normal: np.ndarray, schedule: Schedule) -> tuple[np.ndarray, np.ndarray]:
     """Return degrees of every texel's normal before the phase and after it."""
-    found = []
+    errors_by_state = []
     with Recovery(domain, load_model(MODEL), schedule, 1) as recovery:
         while recovery.progress.title != "surface":
             recovery.step(iterations=1)
         for _ in range(2):
             values = recovery.maps(confidence=False).values["normal"].astype(np.float64)
-            found.append(angles(values.reshape(-1, 3), normal.reshape(-1, 3)))
+            errors_by_state.append(angles(values.reshape(-1, 3), normal.reshape(-1, 3)))
             recovery.step()
-    return found[0], found[1]
+    return errors_by_state[0], errors_by_state[1]
 
 
 def _patches(size: int, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -57,19 +57,19 @@ def _pymoo(function: Function, dimensions: int, members: int, iterations: int, s
         def _evaluate(self, x, out, *args, **kwargs):
             out["F"] = function.values(x)
 
-    found = minimize(Wanted(), PSO(pop_size=members), ("n_gen", iterations), seed=seed, verbose=False)
-    return float(found.F[0])
+    result = minimize(Wanted(), PSO(pop_size=members), ("n_gen", iterations), seed=seed, verbose=False)
+    return float(result.F[0])
 
 
 def _evolution(function: Function, dimensions: int, members: int, iterations: int, seed: int) -> float:
     from scipy.optimize import differential_evolution
 
-    found = differential_evolution(
+    result = differential_evolution(
         lambda x: function.values(x.T), [(-function.reach, function.reach)] * dimensions, maxiter=iterations - 1,
         popsize=max(1, members // dimensions), rng=np.random.default_rng(seed), polish=False, vectorized=True,
         updating="deferred", tol=0,
     )  # fmt: skip
-    return float(found.fun)
+    return float(result.fun)
 
 
 METHODS: dict[str, Method] = {
@@ -121,7 +121,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     best = [min(row["values"], key=lambda name: np.median(row["values"][name])) for row in data["rows"]]
     return f"best of {len(best)} cases: {', '.join(f'{name} {best.count(name)}' for name in METHODS)}"
 

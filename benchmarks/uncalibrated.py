@@ -65,17 +65,17 @@ def _present(name: str) -> Path | None:
 
 def _row(name: str, given: Path, *lens: object) -> dict[str, Any]:
     """Return what JSON holds of a capture. lens: of its camera, for the calibration, which writes it down."""
-    bare, found = (_CACHE / f"{given.name}-{what}" for what in ("bare", "found"))
+    bare, estimated = (_CACHE / f"{given.name}-{what}" for what in ("bare", "found"))
     shutil.rmtree(bare, ignore_errors=True)
     shutil.copytree(given, bare, ignore=shutil.ignore_patterns(*_LIGHT_FILES))
-    row: dict[str, Any] = {"subject": name, **_calibrated(bare, found, *lens)}
-    runs = {"given": given} if "refused" in row else {"given": given, "found": found}
+    row: dict[str, Any] = {"subject": name, **_calibrated(bare, estimated, *lens)}
+    runs = {"given": given} if "refused" in row else {"given": given, "found": estimated}
     for run, folder in runs.items():
         out = _CACHE / f"{given.name}-recovered-{run}"
         row[f"{run}_seconds"] = recover(folder, out)
         row[run] = _normal_error(given, out)
     if "found" in runs:
-        row |= light_errors(_lights(given), _lights(found))
+        row |= light_errors(_lights(given), _lights(estimated))
     report.say(json.dumps(row))
     return row
 
@@ -93,9 +93,9 @@ def _calibrated(folder: Path, out: Path, *lens: object) -> dict[str, Any]:
         raise RuntimeError(f"{folder}: calibrate ended with {ended.returncode}, without an answer")
     if ended.returncode:
         return {"refused": json.loads(ended.stdout)["error"].rpartition(": ")[2], "seconds": seconds}
-    found = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    errors = [light["error_degrees"] for light in found["lights"]]
-    return {"agree": float(np.mean(errors)), "warnings": len(found["warnings"]), "seconds": seconds}
+    summary = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    errors = [light["error_degrees"] for light in summary["lights"]]
+    return {"agree": float(np.mean(errors)), "warnings": len(summary["warnings"]), "seconds": seconds}
 
 
 def _lights(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +160,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     both = [row for row in data["rows"] if "found" in row]
     found, given = (np.mean([row[run] for row in both]) for run in ("found", "given"))
     return (

@@ -65,8 +65,8 @@ def main() -> None:
         ("page against the program", page, shown[1]),
         ("program against Cycles", shown[1], shown[0]),
     ):
-        found = [psnr(a, b, covered) for a, b in zip(one, other, strict=True)]
-        print(f"{name}: mean {np.mean(found):.1f} dB, least {np.min(found):.1f} dB")
+        psnrs = [psnr(a, b, covered) for a, b in zip(one, other, strict=True)]
+        print(f"{name}: mean {np.mean(psnrs):.1f} dB, least {np.min(psnrs):.1f} dB")
 
 
 if __name__ == "__main__":

@@ -87,15 +87,15 @@ def measure(quick: bool) -> dict[str, Any]:
                 opened.run(WATCH)
                 yield opened
 
-        found: dict[str, Any] = {"blender": blender.name, "backend": backend, "runs": []}
+        result: dict[str, Any] = {"blender": blender.name, "backend": backend, "runs": []}
         for shaders in ("shaders new to the driver", "shaders known to it"):
             report.say(shaders)
             with window("large") as opened:
-                found["runs"].append({"title": shaders, **watched(opened, large)})
+                result["runs"].append({"title": shaders, **watched(opened, large)})
         with window("small") as opened:
-            found["iterations"] = 30 if quick else ITERATIONS
-            found["seconds"] = displayed(opened, small, found["iterations"], 1 if quick else REPEATS)
-    return found
+            result["iterations"] = 30 if quick else ITERATIONS
+            result["seconds"] = displayed(opened, small, result["iterations"], 1 if quick else REPEATS)
+    return result
 
 
 def write_card(folder: Path, size: int, lights: int) -> Path:
@@ -121,9 +121,9 @@ def watched(window: Any, capture: Path) -> dict[str, Any]:
     window.run("bpy.ops.irpso.cancel()")
     window.run(PRESS, timeout=300)
     window.wait(ENDED, 3600)
-    told = window.run("[seen['first'], time.perf_counter() - seen['pressed'], seen['draws'], seen['stalls'],"
+    measured = window.run("[seen['first'], time.perf_counter() - seen['pressed'], seen['draws'], seen['stalls'],"
                       " session.current().longest_stall_s]")  # fmt: skip
-    first, seconds, draws, stalls, tick = told
+    first, seconds, draws, stalls, tick = measured
     lengths = np.array([length for length, _ in stalls])
     worst = sorted(stalls, reverse=True)[:8]
     return {

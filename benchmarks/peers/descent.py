@@ -62,17 +62,17 @@ class _Fit:
     def gradient(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(T,) losses and (T, size) their gradients."""
         z = z.detach().requires_grad_(True)
-        found = self.losses(z)
-        (slope,) = torch.autograd.grad(found.sum(), z)
+        losses = self.losses(z)
+        (slope,) = torch.autograd.grad(losses.sum(), z)
         self.evaluations += GRADIENT_EVALUATIONS - 1
-        return found.detach(), torch.nan_to_num(slope)
+        return losses.detach(), torch.nan_to_num(slope)
 
     def keep(self, z: torch.Tensor) -> None:
         """Take the texels of z that are better than the best so far."""
         with torch.no_grad():
-            found = self.losses(z).double().cpu().numpy()
-        better = found < self.best
-        self.best = np.where(better, found, self.best)
+            losses = self.losses(z).double().cpu().numpy()
+        better = losses < self.best
+        self.best = np.where(better, losses, self.best)
         self.numbers[better] = self.box(z.detach()).double().cpu().numpy()[better]
 
     def values(self) -> dict[str, np.ndarray]:
@@ -266,15 +266,18 @@ def _search(
     Returns too which texels found none though their search went to its end.
     """
     falls = (direction * slope).sum(1)
-    step, found, slopes = torch.zeros_like(z), losses, slope
+    step, new_losses, slopes = torch.zeros_like(z), losses, slope
     for _ in range(10):
         trial = torch.where(looking[:, None], reach[:, None] * direction, step)
-        new, new_slope = fit.gradient(z + trial)
-        good = looking & (new <= losses + 1e-4 * reach * falls)
+        trial_losses, trial_slopes = fit.gradient(z + trial)
+        good = looking & (trial_losses <= losses + 1e-4 * reach * falls)
         step = torch.where(good[:, None], trial, step)
-        found, slopes = torch.where(good, new, found), torch.where(good[:, None], new_slope, slopes)
+        new_losses, slopes = (
+            torch.where(good, trial_losses, new_losses),
+            torch.where(good[:, None], trial_slopes, slopes),
+        )
         looking = looking & ~good
         if looking.float().mean() < _STRAGGLERS:
-            return step, found, slopes, torch.zeros_like(looking)
+            return step, new_losses, slopes, torch.zeros_like(looking)
         reach = reach * 0.35
-    return step, found, slopes, looking
+    return step, new_losses, slopes, looking

@@ -39,8 +39,8 @@ def solve_texel(objective: Objective, t: int, starts: np.ndarray, seed: int, max
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         way.evaluations += 2 * size
-        found = objective.residuals(x + steps, t).reshape(2 * size, -1)
-        return (found[:size] - found[size:]).T / (2 * STEP)
+        residual_pairs = objective.residuals(x + steps, t).reshape(2 * size, -1)
+        return (residual_pairs[:size] - residual_pairs[size:]).T / (2 * STEP)
 
     def callback(intermediate_result) -> None:
         way.saw(intermediate_result.x[None], np.array([intermediate_result.cost]))
@@ -49,12 +49,12 @@ def solve_texel(objective: Objective, t: int, starts: np.ndarray, seed: int, max
     for start in starts:
         start = np.clip(start, 1e-3, 1 - 1e-3)
         way.saw(start[None], _half_cost(objective, start, t))
-        found = least_squares(
+        fit = least_squares(
             residuals, start, jacobian, bounds=(0, 1), method="trf", loss=objective.loss.kind, callback=callback,
             f_scale=objective.loss.delta if objective.loss.kind == "cauchy" else 1.0, max_nfev=max_nfev,
             ftol=tolerance, xtol=tolerance, gtol=tolerance,
         )  # fmt: skip
-        way.saw(found.x[None], np.array([found.cost]))
+        way.saw(fit.x[None], np.array([fit.cost]))
     return way
 
 

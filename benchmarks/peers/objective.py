@@ -49,12 +49,12 @@ class Objective:
 
     def residuals(self, x: np.ndarray, t: int) -> np.ndarray:
         """(S, K, 3) weighted residuals of S tries x (S, size) at texel t; no rows for samples without weight."""
-        kept, g = self.weights[:, t] > 0, self.geometry
-        part = Geometry(g.lights[kept], g.views[:, t : t + 1], g.half[:, kept, t : t + 1], g.between[kept, t : t + 1])
+        used, g = self.weights[:, t] > 0, self.geometry
+        part = Geometry(g.lights[used], g.views[:, t : t + 1], g.half[:, used, t : t + 1], g.between[used, t : t + 1])
         values = self.box.values(np, x)
         diffuse, specular = radiance(np, self.problem.model, values, part)
         shown = diffuse[..., None] * values["base_color"] + specular[..., None]
-        return np.moveaxis(shown * self.gains[kept, t, None] - self.target[kept, t, None], 1, 0)
+        return np.moveaxis(shown * self.gains[used, t, None] - self.target[used, t, None], 1, 0)
 
     def cost(self, x: np.ndarray, t: int) -> np.ndarray:
         """(S,) the loss of S tries at texel t."""
@@ -65,14 +65,14 @@ class Objective:
 
     def starts(self, restarts: bool) -> list[np.ndarray]:
         """Return (T, size) places to begin: the trimmed Lambertian fit with default roughness, and with each start."""
-        found = lambertian.trimmed(self.problem).values
+        seed = lambertian.trimmed(self.problem).values
         rows = ({}, *(STARTS[self.problem.model] if restarts else ()))
-        return [self.box.numbers(self._start(found, row)) for row in rows]
+        return [self.box.numbers(self._start(seed, row)) for row in rows]
 
-    def _start(self, found: Values, row: dict[str, float]) -> Values:
+    def _start(self, seed: Values, row: dict[str, float]) -> Values:
         values = {}
         for p in self.box.model.parameters:
             default = np.broadcast_to(np.asarray(p.default), (self.problem.count, p.components))
-            value = found.get(p.name, default) if p.name not in row else np.full_like(default, row[p.name])
+            value = seed.get(p.name, default) if p.name not in row else np.full_like(default, row[p.name])
             values[p.name] = value if p.is_normal else np.clip(value, *p.range)
         return values

@@ -48,8 +48,8 @@ class Problem:
     def scale(self, percentile: float = 80.0) -> np.ndarray:
         """(T,): the percentile of each texel's weighted samples that its own brightness is taken to be; 1 if none."""
         ordered = np.sort(np.where(self.weights > 0, self.grey, np.inf), axis=0)
-        found = percentile_of(ordered, (self.weights > 0).sum(axis=0), percentile)
-        return np.where((found > 0) & np.isfinite(found), found, 1.0)
+        brightness = percentile_of(ordered, (self.weights > 0).sum(axis=0), percentile)
+        return np.where((brightness > 0) & np.isfinite(brightness), brightness, 1.0)
 
     def subset(self, texels: Sequence[int] | np.ndarray) -> Problem:
         """Return the problem with only some texels, by index."""

@@ -58,9 +58,9 @@ def swarm_texel(
     place[0] = starts[0]
 
     def cost(x: np.ndarray) -> np.ndarray:
-        found = objective.cost(x, t)
-        way.saw(x, found)
-        return found
+        costs = objective.cost(x, t)
+        way.saw(x, costs)
+        return costs
 
     swarm = GlobalBestPSO(
         particles, size, {"w": inertia, "c1": pull, "c2": pull}, bounds=(np.zeros(size), np.ones(size)),
@@ -80,9 +80,9 @@ def evolve_texel(
 
     def cost(x: np.ndarray) -> np.ndarray:
         tries = np.atleast_2d(x.T)
-        found = objective.cost(tries, t)
-        way.saw(tries, found)
-        return found if x.ndim == 2 else found[0]
+        costs = objective.cost(tries, t)
+        way.saw(tries, costs)
+        return costs if x.ndim == 2 else costs[0]
 
     evolve(
         cost, [(0, 1)] * size, x0=starts[0], popsize=population, maxiter=generations, polish=polish, vectorized=True,

@@ -44,12 +44,12 @@ class Shot:
 
 def shots(cameras: int, lights: int, near: bool = False) -> list[Shot]:
     """Return the first ``cameras`` views (up to 8), each with ``lights`` around its own axis, no two alike."""
-    found = []
+    result = []
     for number, (right, up) in enumerate(_VIEWS[:cameras]):
         axis = _direction(right, up)
         dome = dome_lights(lights, _WIDEST) @ _turned(2 * np.pi * number / len(_VIEWS)).T
-        found.append(Shot(axis, (NEAR if near else 1.0) * dome @ _frame(axis).T, near))
-    return found
+        result.append(Shot(axis, (NEAR if near else 1.0) * dome @ _frame(axis).T, near))
+    return result
 
 
 def unseen_shots() -> list[Shot]:

@@ -60,11 +60,11 @@ def make(title: str, scene: Scene, size: tuple[int, int], cache: Path, out: Path
 
 def _write_truth(maps: dict[str, np.ndarray], mask: np.ndarray, plain: bool, out: Path) -> None:
     for name in ("normal", "base_color"):
-        kept = np.where(mask[..., None], maps[name], 0).astype(np.float32)
-        write_exr(out / f"{name}_gt.exr", {"": {c: kept[..., i] for i, c in enumerate("RGB")}})
+        values = np.where(mask[..., None], maps[name], 0).astype(np.float32)
+        write_exr(out / f"{name}_gt.exr", {"": {c: values[..., i] for i, c in enumerate("RGB")}})
     if plain:
-        kept = np.where(mask, maps["roughness"], 0).astype(np.float32)
-        write_exr(out / "roughness_gt.exr", {"": {"Y": kept}})
+        values = np.where(mask, maps["roughness"], 0).astype(np.float32)
+        write_exr(out / "roughness_gt.exr", {"": {"Y": values}})
 
 
 def read_truth(folder: Path, name: str) -> np.ndarray:

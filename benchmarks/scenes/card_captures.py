@@ -57,7 +57,7 @@ class Subject(Protocol):
     def digest(self) -> bytes: ...
     @property
     def fine(self) -> bool: ...
-    def build(self, found: TrueMaps | None = None) -> None: ...
+    def build(self, maps: TrueMaps | None = None) -> None: ...
     def truth(self, as_seen: TrueMaps) -> TrueMaps: ...
     def points(self, camera: Camera) -> np.ndarray: ...
     def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]: ...
@@ -132,13 +132,13 @@ def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> 
     return Photographed(folder / CAPTURE, arguments, subject.truth(as_seen), as_seen, points, shown, unseen)
 
 
-def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
+def relight(subject: Subject, maps: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
     """Return (8, H, W, 3) radiance of a subject with recovered maps under UNSEEN, and the maps as the camera sees them.
 
     The camera is that of ``near``.
     """
     _empty(subject, near, _RELIT_SAMPLES, 0)
-    subject.build(found)
+    subject.build(maps)
     as_seen = _maps(render.truth(folder))
     return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), as_seen
 

@@ -59,9 +59,9 @@ class Card:
         """Whether a pixel shows lobes so narrow that it wants more samples than others."""
         return bool(self.roughness.min() < _NARROW)
 
-    def build(self, found: TrueMaps | None = None) -> None:
+    def build(self, maps: TrueMaps | None = None) -> None:
         """Put the card into the open scene; with recovered maps flat, as the picture shows them pixel for pixel."""
-        build_true(self) if found is None else build_flat(found)
+        build_true(self) if maps is None else build_flat(maps)
 
     def truth(self, as_seen: TrueMaps) -> TrueMaps:
         """Return the true maps of the texels that are recovered: of the pixels."""

@@ -88,11 +88,11 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def _mean(rows: Sequence[Row]) -> Row:
-    found: Row = {}
+    means: Row = {}
     for name in COMPARED:
         values = [row[name] for row in rows if row[name] is not None]
-        found[name] = sum(values) / len(values) if values else None
-    return found
+        means[name] = sum(values) / len(values) if values else None
+    return means
 
 
 def _number(row: Row | None, key: str) -> str:

@@ -59,21 +59,21 @@ def _tile() -> tuple[TrueMaps, np.ndarray]:
 def poses(count: int, seed: int) -> list[np.ndarray]:
     """Return (4, 4) cameras of a hand that goes around the card: tilted by 3° to 50°, 260 to 400 mm away."""
     random = np.random.default_rng(seed)
-    found = []
+    matrices = []
     for k in range(count):
         tilt = np.radians(3 + 47 * np.sqrt((k + 0.5) / count))
         around = k * _GOLDEN_ANGLE + random.uniform(-0.2, 0.2)
-        away = np.array([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)])
+        direction = np.array([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)])
         aim = np.array([*random.uniform(-15, 15, 2), 0.0])
-        backward = away
+        backward = direction
         up = np.array([*(np.array([0, 1.0]) + random.uniform(-0.4, 0.4, 2)), 0.0])
         right = np.cross(up, backward)
         right /= np.linalg.norm(right)
         matrix = np.eye(4)
         matrix[:3, :3] = np.stack([right, np.cross(backward, right), backward], axis=-1)
-        matrix[:3, 3] = aim + random.uniform(260, 400) * away
-        found.append(matrix)
-    return found
+        matrix[:3, 3] = aim + random.uniform(260, 400) * direction
+        matrices.append(matrix)
+    return matrices
 
 
 def photograph(name: str, subject: Subject, markers: bool, folder: Path, count: int = 32, seed: int = 0) -> None:

@@ -69,13 +69,13 @@ class Head:
         maps = (np.round(a, 6).astype(np.float32).tobytes() for a in vars(self.maps).values() if a is not None)
         return b"".join((*maps, repr((_HEIGHT, _FACE, self.side)).encode()))
 
-    def build(self, found: TrueMaps | None = None) -> None:
+    def build(self, maps: TrueMaps | None = None) -> None:
         """Put the head into the open scene, its face at the origin, with its true maps or with recovered ones."""
         made = subjects.scan(self.scan, 1)
         made.name = NAME
         subjects.fit(made, np.inf, _HEIGHT)
         made.data.transform(Matrix.Translation([-v for v in _FACE]))
-        made.data.materials.append(true_material(self.maps if found is None else found))
+        made.data.materials.append(true_material(self.maps if maps is None else maps))
 
     def truth(self, as_seen: TrueMaps) -> TrueMaps:
         """Return the true maps of the texels that are recovered."""

@@ -70,11 +70,11 @@ def harvest():
     surfaces = [((0.7, 0.08, 0.05), 0.2, 0.0), ((0.8, 0.55, 0.08), 0.5, 0.0), ((0.25, 0.5, 0.1), 0.35, 0.0),
              ((0.9, 0.6, 0.3), 0.35, 1.0), ((0.3, 0.08, 0.3), 0.15, 0.0), ((0.75, 0.75, 0.7), 0.6, 0.0),
              ((0.6, 0.62, 0.65), 0.45, 1.0)]  # fmt: skip
-    for place, look in zip(places, surfaces, strict=True):
+    for place, surface in zip(places, surfaces, strict=True):
         bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=rng.uniform(0.3, 0.42), location=place)
         parts.append(bpy.context.object)
         parts[-1].scale = (1, rng.uniform(0.8, 1.2), 1)
-        set_surface(parts[-1], *look)
+        set_surface(parts[-1], *surface)
     bpy.ops.mesh.primitive_torus_add(
         major_radius=0.32, minor_radius=0.11, major_segments=128, minor_segments=48, location=(-0.25, 0.45, 0.45),
         rotation=(0.9, 0.5, 0),

@@ -38,7 +38,7 @@ class GpuSwarm:
         self._blocks, self._every, self._entry = -(-dimensions // 4), every, entry
         self._dimensions, self.iteration = dimensions, 0
         self._defines = {"DIMENSIONS": dimensions, "PARTICLES": particles, "FUNCTION": function.number, "SIDE": _SIDE}
-        self._given = {
+        self._constants = {
             "u_inertia": constants.inertia, "u_c1": constants.c1, "u_c2": constants.c2, "u_v_max": constants.v_max,
             "u_start_speed": constants.start_speed, "u_reach": function.reach, "u_rows": self._rows,
             "u_width": self._width, "u_seed": seed,
@@ -62,13 +62,13 @@ class GpuSwarm:
             self._v.reverse()
             self._run(self._evaluate, [self._value, self._least[1]], u_x=self._x[0], u_least=self._least[0])
             self._least.reverse()
-            self._remember()
+            self._update_bests()
             if self.iteration % self._every == 0:
-                self._find()
+                self._update_goal()
 
     def goal(self) -> tuple[float, np.ndarray]:
         """Return the least value that any particle has had, and where, (D,) in 0…1 of the range."""
-        self._find()
+        self._update_goal()
         value = float(textures.download(self._tree[-1])[0, 0, 0])
         return value, textures.download(self._goal).ravel()[: self._dimensions]
 
@@ -102,18 +102,18 @@ class GpuSwarm:
         self._run(self._pass("move", Output("o_x"), Output("o_v"), START=1), [self._x[0], self._v[0]])
         begin = self._pass("evaluate", Output("o_value", "R32F"), Output("o_least", "R32F"), START=1)
         self._run(begin, [self._value, self._least[0]], u_x=self._x[0])
-        self._remember()
-        self._find()
+        self._update_bests()
+        self._update_goal()
 
-    def _remember(self) -> None:
+    def _update_bests(self) -> None:
         self._run(self._keep, [self._best], u_x=self._x[0], u_value=self._value, u_least=self._least[0])
 
-    def _find(self) -> None:
+    def _update_goal(self) -> None:
         self._run(self._first, [self._tree[0]], u_from=self._least[0])
         for before, after in zip(self._tree, self._tree[1:], strict=False):
             self._run(self._reduce, [after], u_from=before)
         self._run(self._aim, [self._goal], u_best=self._best, u_from=self._tree[-1])
 
-    def _run(self, made: Pass, targets: list[Any], **given: Any) -> None:
-        held = {"u_best": self._best, "u_goal": self._goal} | given
-        made.run(targets, held, self._given | {"u_iteration": self.iteration})
+    def _run(self, made: Pass, targets: list[Any], **inputs: Any) -> None:
+        bindings = {"u_best": self._best, "u_goal": self._goal} | inputs
+        made.run(targets, bindings, self._constants | {"u_iteration": self.iteration})

@@ -96,12 +96,12 @@ def compiled(inline: Callable[[Callable], Any]) -> Any:
                 speed = constants[0] * v[i, d] + pull
                 speed = min(max(speed, -constants[3]), constants[3])
                 target = x[i, d] + speed
-                kept = min(max(target, 0.0), 1.0)
-                x[i, d] = kept
-                v[i, d] = speed if kept == target else 0.0
-        found = evaluate(x, i, number, reach)
-        if found < value[i]:
-            value[i] = found
+                clamped = min(max(target, 0.0), 1.0)
+                x[i, d] = clamped
+                v[i, d] = speed if clamped == target else 0.0
+        new_value = evaluate(x, i, number, reach)
+        if new_value < value[i]:
+            value[i] = new_value
             for d in range(x.shape[1]):
                 best[i, d] = x[i, d]
 

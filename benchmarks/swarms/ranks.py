@@ -37,15 +37,15 @@ def run(
     first, last = bounds[world.rank : world.rank + 2]
     swarm = rule.place(constants, function, dimensions, first, last - first, seed)
     world.Barrier()
-    began, told, news = time.perf_counter(), 0.0, 0
+    began, communication, improvements = time.perf_counter(), 0.0, 0
     for iteration in range(1, iterations + 1):
         at = time.perf_counter()
-        news += _aim(world, swarm, bounds)
-        told += time.perf_counter() - at
+        improvements += _aim(world, swarm, bounds)
+        communication += time.perf_counter() - at
         threads.move(swarm, constants, function, seed, iteration)
     _aim(world, swarm, bounds)
     world.Barrier()
-    return swarm, {"seconds": time.perf_counter() - began, "told": told, "news": news}
+    return swarm, {"seconds": time.perf_counter() - began, "told": communication, "news": improvements}
 
 
 def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
@@ -91,11 +91,11 @@ def main() -> None:
         swarm, seconds = run(world, constants, function, *sizes, options.iterations, options.seed)
         taken.append(seconds)
     if world.rank == 0:
-        found = {
+        result = {
             "ranks": world.size, "threads": options.threads, "layer": threads.layer(), "value": swarm.goal_value,
             "particle": swarm.goal_particle, "place": swarm.goal.tolist(), "runs": taken, "news": taken[-1]["news"],
         }  # fmt: skip
-        print(json.dumps(found))
+        print(json.dumps(result))
 
 
 if __name__ == "__main__":
