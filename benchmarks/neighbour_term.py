@@ -30,7 +30,7 @@ CONSTANTS = (0.02, 0.05, 0.1, 0.3)
 
 @dataclass(frozen=True)
 class Subject:
-    """domain: what is observed. albedo, normal: (H, W, 3). edge: (H, W) bool, texels near a jump of either."""
+    """A card. domain: its observations. albedo, normal: (H, W, 3). edge: (H, W) bool, texels near a jump of either."""
 
     domain: Domain
     albedo: np.ndarray
@@ -98,7 +98,7 @@ def errors(subject: Subject, schedule: Schedule, seed: int) -> np.ndarray:
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return degrees between unit vectors; from the chord, which keeps its digits where the cosine loses them."""
+    """Return degrees between unit vectors, from the chord: the cosine has no precision at small angles."""
     return np.degrees(2 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=-1) / 2, 1)))
 
 

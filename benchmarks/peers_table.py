@@ -1,4 +1,4 @@
-"""The program against its peers: same capture, same machine, same run, every method in a process of its own.
+"""The program against its peers: same capture, machine and run, every method in a process of its own.
 
 Usage: python -m benchmarks.peers_table [--quick] [--again] [--output FOLDER]
 """
@@ -20,8 +20,8 @@ from benchmarks.report import short
 from irpso_addon.gpu import context
 
 REPEATS = 3  # of the program, spread over the run: the median of its seconds counts
-NEGLIGIBLE = 0.01  # degrees, or % of a range: below it lies what float32 rounds off
-NEARLY = 1.05  # of its final error: from there on a peer has arrived
+NEGLIGIBLE = 0.01  # degrees, or % of a range: smaller differences are float32 rounding
+NEARLY = 1.05  # over its final error: below it a peer has converged
 TITLES = {"clean": "Two lobes, clean", "dirty": "Two lobes, dirty", peer_child.BUNNY: "bunny_specular, one lobe"}
 
 
@@ -59,7 +59,7 @@ def _capture(capture: str, folder: Path, quick: bool) -> dict[str, Any]:
 def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, Any]:
     target = folder / "result.npz"
     command = [sys.executable, "-m", "benchmarks.peer_child", capture, method, str(target)]
-    # Two threads that wait for each other on cores that others use too only spin.
+    # On shared cores two threads that synchronise only spin.
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     subprocess.run(
         [*command, "--quick"] if quick else command, cwd=report.ROOT, check=True, env={**os.environ, **threads},
@@ -73,14 +73,14 @@ def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, An
 
 
 def _median_of(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return one of several runs that found the same, with the median of their times."""
+    """Return one of several runs with equal results, with the median of their times."""
     times = np.median([run["times"] for run in runs], axis=0)
     seconds = [run["seconds"] for run in runs]
     return {**runs[0], "times": times, "seconds": float(np.median(seconds)), "all_seconds": seconds}
 
 
 def _row(run: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Return what the table holds of one method, and of the program on the same texels."""
+    """Return the data of one method's row, with the program's on the same texels."""
     at = _places(own["texels"], run["texels"])
     same = {name: report.mean_interval(error[at]) for name, error in own["errors"].items()}
     less = {
@@ -96,7 +96,7 @@ def _row(run: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def _places(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return where texels (T, 2) lie among others."""
+    """Return the indices of the texels ``part`` (T, 2) in ``whole``."""
     index = {tuple(texel): i for i, texel in enumerate(whole.tolist())}
     return np.array([index[tuple(texel)] for texel in part.tolist()])
 
@@ -111,9 +111,9 @@ def _arrival(run: dict[str, Any]) -> float | None:
 
 
 def _reach(run: dict[str, Any], own: dict[str, Any], at: np.ndarray) -> dict[str, float | None]:
-    """Return the program's seconds a texel to a peer's own final mean error: of the normal, and of all it tells.
+    """Return the program's seconds a texel to a peer's own final mean error, of the normal and of all its parameters.
 
-    The time of all texels of the capture, setting up included, over their number; the error of the peer's texels.
+    Time: of all texels of the capture, with setup, over their number. Error: over the peer's texels.
     """
     ways = {name: way[:, at].mean(axis=1) for name, way in own["way"].items()}
     reached = {n: way <= run["errors"][n].mean() for n, way in ways.items() if n in run["errors"]}

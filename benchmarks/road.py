@@ -1,4 +1,4 @@
-"""The whole road in a real Blender window, from photographs to a kept material: seconds and clicks of each step.
+"""Seconds and clicks of each step in a real Blender window, from photographs to a kept material.
 
 Usage: python -m benchmarks.road [--quick] [--again] [--output FOLDER]
 
@@ -61,7 +61,7 @@ sample._rendering = partial(sample._rendering, options=["--size", "300x225", "--
 
 
 class Walk:
-    """A user's steps in a window; ``rows`` has what each took."""
+    """A user's steps in a window; ``rows``: clicks, seconds and reports of each."""
 
     def __init__(self, window: Any, name: str):
         self.window, self.name, self.rows = window, name, list[dict[str, Any]]()
@@ -75,7 +75,7 @@ class Walk:
         self.window.screenshot(f"{self.name} {len(self.rows)} {step}")
 
     def step(self, name: str, clicks: int, act: Callable[[], object]) -> None:
-        """Take a step, wait until nothing is at work, and note it."""
+        """Take a step, wait until the program is idle, and add a row."""
         reported = len(self.window.reports())
         self.window.run("turn.update(last=time.perf_counter(), longest=0.0)", area="")
         begun = time.perf_counter()
@@ -90,7 +90,7 @@ class Walk:
         self.picture(name)
 
     def press(self, name: str, operator: str, then: Callable[[], object] = lambda: None, clicks: int = 1) -> None:
-        """Click a button of the sidebar, and do what follows."""
+        """Click a button of the sidebar, and call ``then``."""
         place = self.window.find_button(operator)
 
         def act() -> None:

@@ -1,4 +1,4 @@
-"""What every pass reads, writes and computes at a texel, what bounds it on some devices, and what is reached here.
+"""Roofline of every pass: reads, writes and operations per texel, bounds of some devices, and rates on this machine.
 
 Usage: python -m benchmarks.roofline [--quick] [--again] [--output FOLDER]; needs glslang-tools and spirv-tools.
 
@@ -34,17 +34,17 @@ from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
 _SMALL, _REPEATS = 16, 5
 _SIDE = {True: 192, False: 1024}  # texels of the card, on a software renderer or not
-_WIDTH, _LAYERS = {True: 512, False: 2048}, 24  # of the stack that is read for a ceiling
-_CHAINS, _TURNS = 32, {True: 256, False: 8192}  # operations of a turn of the loop for the other ceiling, and its turns
-_RUNS = {True: 1, False: 20}  # of such a pass that are timed together
+_WIDTH, _LAYERS = {True: 512, False: 2048}, 24  # of the stack that the bandwidth kernel reads
+_CHAINS, _TURNS = 32, {True: 256, False: 8192}  # of the arithmetic kernel: operations a turn of its loop, and turns
+_RUNS = {True: 1, False: 20}  # of these kernels that are timed together
 _TEXELS = 12 * 10**6
 _STACK = "u_stack"
-_SHOWN = 0.01  # of all operations or of all bytes: passes of less are one row
+_SHOWN = 0.01  # least share of all operations or bytes of a pass in the table
 
 
 @dataclass(frozen=True)
 class Device:
-    """Published peaks: operations a second in float32, a product with its sum as two; bytes a second of its memory."""
+    """Published peaks: float32 operations a second, a multiply-add counting two, and bytes a second of memory."""
 
     title: str
     operations: float
@@ -62,8 +62,8 @@ _DEVICES = (
 class Recorded:
     """All runs of one pass in one phase, over the whole card. runs: of all rows.
 
-    targets: texels that it writes. read: sampler → texels of what it reads, tables left out, which caches hold. each:
-    sampler → bytes of a texel. written: bytes. known: what its loops may end at.
+    targets: texels that it writes. read: sampler → texels of its texture, without tables, which caches hold. each:
+    sampler → bytes of a texel. written: bytes. known: possible bounds of its loops.
     """
 
     phase: int
@@ -77,7 +77,7 @@ class Recorded:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Record a recovery, count its passes, and find the ceilings of this machine."""
+    """Record a recovery, count the work of its passes, and measure the ceilings of this machine."""
     if missing := [name for name in ("glslangValidator", "spirv-opt", "spirv-dis") if shutil.which(name) is None]:
         raise SystemExit(f"{', '.join(missing)} not found; install glslang-tools and spirv-tools")
     context.ensure()
@@ -99,7 +99,7 @@ def measure(quick: bool) -> dict[str, Any]:
 def recorded(
     domain: Domain, model: ReflectanceModel, schedule: Schedule, entry: Entry
 ) -> tuple[list[dict[str, Any]], list[Recorded]]:
-    """Recover a card, waiting for every pass; return its phases, and all passes of them."""
+    """Recover a card, waiting for every pass; return its phases and their passes."""
     passes: dict[tuple, Recorded] = {}
     stage, run = 0, Pass.run
 
@@ -138,7 +138,7 @@ def recorded(
 
 
 def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
-    """Return what JSON holds of a pass, at a texel of the card and a run; ``fixed``: what no photograph changes."""
+    """Return the data of a pass, per texel of the card and run; ``fixed``: the part without photographs."""
     known = {"u_observations": observations, **recorded.known}
     whole, fixed = counts(recorded.kernel, known, {**known, "u_observations": 0})
     scale = recorded.targets / texels
@@ -156,7 +156,7 @@ def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
 
 
 def ceilings(software: bool, entry: Entry) -> dict[str, float]:
-    """Return the operations, and the bytes from memory, that this machine makes in a second at best."""
+    """Return the machine's peak operations, and bytes from memory, a second."""
     folder, width, turns, runs = Path(__file__).parent / "ceilings", _WIDTH[software], _TURNS[software], _RUNS[software]
     target = textures.empty(width, width)
     stack = textures.upload_layers(np.ones((_LAYERS, width, width, 4)))
@@ -187,7 +187,7 @@ def _area(texture: Any) -> int:
 
 
 def _bytes(texture: Any) -> int:
-    """Return the bytes of a texel, whose channels are 32 bits wide wherever the solver reads or writes."""
+    """Return the bytes of a texel; the solver's channels have 32 bits."""
     return 4 * textures.CHANNELS[texture.format]
 
 
@@ -242,7 +242,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _of_passes(data: dict[str, Any], whole: Mapping[str, float]) -> Iterator[list[str]]:
-    """Yield the rows of the passes that count."""
+    """Yield the rows of the passes above ``_SHOWN``."""
     for p in data["passes"]:
         if any(p["runs"] * p[name] > _SHOWN * whole[name] for name in ("operations", "fetched")):
             each = (p["operations"] - p["fixed_operations"]) / data["observations"]
@@ -259,7 +259,7 @@ def _runs(passes: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _sums(passes: Sequence[Mapping[str, Any]], phase: int) -> dict[str, float]:
-    """Return what a phase costs a texel, all runs of its passes together."""
+    """Return a phase's cost per texel, summed over all runs of its passes."""
     names = ("operations", "fetched", "once", "written")
     return {name: sum(p["runs"] * p[name] for p in passes if p["phase"] == phase) for name in names}
 
@@ -292,7 +292,7 @@ def _reached(data: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _by_hand(data: dict[str, Any]) -> list[str]:
-    """Return three of the numbers, counted by hand."""
+    """Return the lines that compare three of the counts with counts by hand."""
     by_pass = {(data["phases"][p["phase"]]["title"], p["source"]): p for p in data["passes"]}
     step = by_pass["refinement", "refine/step.glsl"]
     commit = by_pass["prefit of the normals", "swarm/synchronous/commit.glsl"]

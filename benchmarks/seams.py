@@ -214,8 +214,8 @@ def nearest(among: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Return (N,) how far each of ``wanted`` (N, C) is from the nearest of ``among`` (M, C)."""
     lengths = (among**2).sum(axis=-1)
     parts = [
-        (lengths - 2 * part @ among.T).min(axis=1) + (part**2).sum(axis=-1)
-        for part in np.array_split(wanted, len(wanted) // 200)
+        (lengths - 2 * rows @ among.T).min(axis=1) + (rows**2).sum(axis=-1)
+        for rows in np.array_split(wanted, len(wanted) // 200)
     ]
     return np.sqrt(np.maximum(np.concatenate(parts), 0))
 

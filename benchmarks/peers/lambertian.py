@@ -1,9 +1,9 @@
-"""Photometric stereo that takes the surface for Lambertian and all else for outliers, all texels at once in float64.
+"""Lambertian photometric stereo with outliers, for all texels at once in float64.
 
-With b = albedo · normal a texel's grey samples are y = L b + e. The methods differ in what they take e to be: noise
-(least squares), what lies outside of percentiles (trimmed), sparse with an ℓ1 norm, sparse over the whole image stack
-whose rest has low rank (Wu et al. 2010), sparse under a hierarchical prior (Ikehata et al. 2012). Samples in shadow,
-below ``shadow`` times the texel's own brightness, are left out of each: that is what both papers do with them.
+With b = albedo · normal a texel's grey samples are y = L b + e. The methods differ in their model of e: noise (least
+squares), outside of percentiles (trimmed), sparse with an ℓ1 norm, sparse over the whole image stack, the rest of low
+rank (Wu et al. 2010), sparse under a hierarchical prior (Ikehata et al. 2012). All omit samples in shadow, below
+``shadow`` times the texel's brightness, as both papers do.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 
 from .problem import PeerResult, Problem, peak_memory_mb, percentile_of
 
-_RIDGE = 1e-9  # of the trace: texels with fewer than three samples get the shortest of their many answers
+_RIDGE = 1e-9  # of the trace: texels with fewer than three samples get their shortest solution
 
 
 def least_squares(problem: Problem, shadow: float | None = None) -> PeerResult:
-    """Woodham 1980. shadow: None to take every sample, as the plain method does."""
+    """Woodham 1980. shadow: None to use every sample, as the plain method does."""
     return _run("least squares", problem, shadow, lambda y, weights, L: _solve(L, weights, y), unit=False)
 
 
 def trimmed(problem: Problem, shadow: float = 0.0, low: float = 20.0, high: float = 75.0) -> PeerResult:
-    """Least squares over the lit samples of a texel that lie between two of their percentiles."""
+    """Least squares over the lit samples of a texel between two of their percentiles."""
 
     def fit(y: np.ndarray, weights: np.ndarray, L: np.ndarray) -> np.ndarray:
         values = np.sort(np.where(weights > 0, y, np.inf), axis=0)
@@ -83,7 +83,7 @@ def low_rank(
     """
 
     def fit(y: np.ndarray, weights: np.ndarray, L: np.ndarray) -> np.ndarray:
-        seen = (weights > 0).any(axis=1)  # nothing tells what an image shows of which nothing is known
+        seen = (weights > 0).any(axis=1)  # an image without valid samples is undetermined
         part = _low_rank_part(y[seen], weights[seen] > 0, strength, tolerance, iterations)
         return part.T @ np.linalg.pinv(L[seen]).T
 
@@ -98,7 +98,7 @@ METHODS: dict[str, Callable[..., PeerResult]] = {
     "low rank": low_rank,
 }
 
-# Settings to choose each method's best among, against the truth: the ends of what was searched on three captures.
+# Candidate settings of each method, of which the truth chooses the best: the ends of a search on three captures.
 SETTINGS: dict[str, tuple[dict[str, float], ...]] = {
     "least squares": ({}, {"shadow": 0.0}, {"shadow": 0.2}, {"shadow": 0.5}),
     "trimmed": ({}, {"low": 40, "high": 60}, {"low": 45, "high": 60}, {"low": 50, "high": 60}),
@@ -109,7 +109,7 @@ SETTINGS: dict[str, tuple[dict[str, float], ...]] = {
 
 
 def _low_rank_part(y: np.ndarray, fixed: np.ndarray, strength: float, tolerance: float, iterations: int) -> np.ndarray:
-    """(K, T) A of robust principal component analysis with missing entries; Lin, Chen & Ma 2010, Algorithm 5."""
+    """Return A (K, T) of robust PCA with missing entries; Lin, Chen & Ma 2010, Algorithm 5."""
     data = np.where(fixed, y, 0)
     weight = strength / np.sqrt(max(y.shape))
     size = np.linalg.norm(data)
@@ -130,7 +130,7 @@ def _low_rank_part(y: np.ndarray, fixed: np.ndarray, strength: float, tolerance:
 
 
 def _shrink_spectrum(matrix: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the (K, T) matrix with its singular values less by the threshold: through its K×K Gram matrix, K ≪ T."""
+    """Return the (K, T) matrix with singular values reduced by the threshold, by its K×K Gram matrix (K ≪ T)."""
     squared, left = np.linalg.eigh(matrix @ matrix.T)
     values = np.sqrt(np.maximum(squared, 0))
     share = np.maximum(values - threshold, 0) / np.maximum(values, 1e-300)
@@ -140,7 +140,7 @@ def _shrink_spectrum(matrix: np.ndarray, threshold: float) -> np.ndarray:
 def _run(
     name: str, problem: Problem, shadow: float | None, fit: Callable[..., np.ndarray], unit: bool = True, **settings
 ) -> PeerResult:
-    """Fit b to the grey samples, over the texel's brightness where ``unit``; return normals and albedos."""
+    """Fit b to the grey samples, divided by the texel's brightness if ``unit``; return normals and albedos."""
     start = time.perf_counter()
     y, scale = problem.grey, problem.scale() if unit or shadow is not None else np.ones(problem.count)
     weights = problem.weights if shadow is None else problem.weights * (y > shadow * scale)
@@ -156,7 +156,7 @@ def _run(
 
 
 def _tint(problem: Problem, weights: np.ndarray) -> np.ndarray:
-    """(T, 3): each channel over the grey, from the samples that were kept."""
+    """Return (T, 3): each channel over the grey, by the samples with weight."""
     intensities = np.where(problem.intensities > 0, problem.intensities, np.inf)
     channels = np.einsum("kt,ktc,kc->tc", weights, problem.radiance, 1 / intensities, optimize=True)
     grey = (weights * problem.grey).sum(axis=0)[:, None]
@@ -172,5 +172,5 @@ def _ridged(gram: np.ndarray) -> np.ndarray:
 
 
 def _solve(L: np.ndarray, weight: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(T, 3) weighted least squares."""
+    """Return (T, 3), b by weighted least squares."""
     return np.linalg.solve(_ridged(_gram(L, weight)), ((weight * y).T @ L)[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""Swarms and populations a texel: pyswarms' global-best particle swarm and scipy's differential evolution."""
+"""Population methods per texel: pyswarms' global-best particle swarm and scipy's differential evolution."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def differential_evolution(
     polish: bool = True,
     seed: int = 0,
 ) -> PeerResult:
-    """scipy's differential evolution (Storn & Price 1997), begun at the seed; population: tries for each dimension."""
+    """scipy's differential evolution (Storn & Price 1997), from the seed; population: members per dimension."""
     settings = {"population": population, "generations": generations, "polish": polish}
     return run("differential evolution", problem, loss, evolve_texel, False, workers, seed, **settings)
 
@@ -48,7 +48,7 @@ def swarm_texel(
     objective: Objective, t: int, starts: np.ndarray, seed: int, particles: int, iterations: int, inertia: float,
     pull: float,
 ) -> Way:  # fmt: skip
-    """Return one texel's way. pyswarms draws from numpy's global generator, so that one is seeded."""
+    """Return one texel's trace. pyswarms draws from numpy's global generator, which is seeded here."""
     GlobalBestPSO = _global_best_class()
     np.random.seed(seed % 2**32)
     way, size = Way(), objective.box.size
@@ -73,7 +73,7 @@ def swarm_texel(
 def evolve_texel(
     objective: Objective, t: int, starts: np.ndarray, seed: int, population: int, generations: int, polish: bool
 ) -> Way:
-    """Return one texel's way."""
+    """Return one texel's trace."""
     from scipy.optimize import differential_evolution as evolve
 
     way, size = Way(), objective.box.size
@@ -93,7 +93,7 @@ def evolve_texel(
 
 @cache
 def _global_best_class() -> type:
-    """Import pyswarms without the report.log that it would open in the current folder, at every swarm anew."""
+    """Import pyswarms without its report.log, which every swarm would open in the current folder."""
     quiet = {"version": 1, "disable_existing_loggers": False}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "logging.yml"
