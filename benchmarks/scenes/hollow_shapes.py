@@ -1,4 +1,4 @@
-"""Shapes that throw light on themselves: unwrapped meshes that face +z. All but the scan's parts are made in code."""
+"""Shapes with interreflection: unwrapped meshes that face +z. All but the scan's parts are made in code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mathutils import Matrix, Vector
 from . import subjects
 
 _MARGIN = 0.01  # of the UV square
-_ISLAND = 0.2  # of it: how far a part of a scan reaches
+_ISLAND = 0.2  # of the UV square: radius of a part of a scan
 _Stroke = Sequence[tuple[float, float]]
 _LETTERS: tuple[tuple[_Stroke, ...], ...] = (
     (((0.75, 1), (0, 1), (0, 0.5), (0.75, 0.5), (0.75, 0), (0, 0)),),
@@ -87,9 +87,9 @@ def cubes() -> bpy.types.Object:
 
 
 def part_of_scan(path: Path, middle: Sequence[float], radius: float, turn: float) -> bpy.types.Object:
-    """Return what of an .obj file lies within a ball; its UVs fill the square. turn: around the vertical, degrees.
+    """Return the part of an .obj file within a ball; its UVs fill the square. turn: around the vertical, degrees.
 
-    Without what lies elsewhere in the UVs: the inside of the mouth.
+    Without faces elsewhere in the UVs: the inside of the mouth.
     """
     made = subjects.scan(path, 1)
     edited = bmesh.new()
@@ -132,7 +132,7 @@ def _unwrap_lathed(mesh: bpy.types.Mesh) -> None:
 
 
 def _sheet(points: np.ndarray, side: float, included: np.ndarray | None = None) -> bpy.types.Object:
-    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. kept: which points."""
+    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. included: (rows, columns)."""
     rows, columns = points.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
     faces = np.stack([number[1:, :-1], number[1:, 1:], number[:-1, 1:], number[:-1, :-1]], axis=-1).reshape(-1, 4)
@@ -156,13 +156,13 @@ def _unwrapped(points: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> bpy.typ
 
 
 def _set_uv(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
-    """Give a mesh UVs of its corners (…, 2) in 0…1, in place of those that it has."""
+    """Set the UVs (…, 2) in 0…1 of a mesh's corners."""
     layer = mesh.uv_layers[0] if mesh.uv_layers else mesh.uv_layers.new(name="UVMap")
     layer.data.foreach_set("uv", (_MARGIN + (1 - 2 * _MARGIN) * uv).astype(np.float32).ravel())
 
 
 def _distance(x: np.ndarray, y: np.ndarray, stroke: _Stroke) -> np.ndarray:
-    """Return the distance of places to a line through points."""
+    """Return the distance of points (x, y) to a polyline."""
     place, distances = np.stack([x, y], axis=-1), []
     for begin, end in zip(np.array(stroke, float), np.array(stroke[1:], float), strict=False):
         along = end - begin
