@@ -1,7 +1,7 @@
-"""What a kernel does at one texel, counted in its optimised SPIR-V: arithmetic, and texels that it fetches.
+"""Counts a kernel's arithmetic operations and fetches per texel in its optimised SPIR-V.
 
-Needs glslangValidator and spirv-opt (Debian: glslang-tools, spirv-tools). All branches count, as in a group of threads
-that disagree; a loop counts as often as its bounds say, one whose bound is another's counter half as often as that.
+Needs glslangValidator and spirv-opt (Debian: glslang-tools, spirv-tools). All branches count, as in a divergent group
+of threads; a loop counts as often as its bounds say, one whose bound is another's counter half as often as that.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _PLAIN = re.compile(
     r"Op([FSIU](Add|Sub|Mul|Negate|Mod|Rem|LessThan|GreaterThan|LessThanEqual|GreaterThanEqual|Equal|NotEqual)"
     r"|FOrd\w+|FUnord\w+|Select|VectorTimesScalar|Convert\w+|Not|IsNan|IsInf|(Bitwise|Logical|Shift)\w+)"
 )
-_SPECIAL = 4  # operations that a root or an exponential counts as: GPUs have a quarter as many units for them
+_SPECIAL = 4  # operations of a root or an exponential: GPUs have a quarter as many units for them
 _DIVISION = _SPECIAL + 1  # a reciprocal and a product
-# Operations a component of what is not one; what is not here is one (min, max, abs, floor, …).
+# Operations a component of a function; one (min, max, abs, floor, …) if it is not listed.
 _FUNCTIONS = {
     "Sqrt": _SPECIAL, "InverseSqrt": _SPECIAL, "Exp2": _SPECIAL, "Log2": _SPECIAL, "Sin": _SPECIAL, "Cos": _SPECIAL,
     "Exp": _SPECIAL + 1, "Log": _SPECIAL + 1, "Pow": 2 * _SPECIAL + 1, "Tan": 2 * _SPECIAL + _DIVISION, "Atan": 12,
@@ -39,24 +39,24 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Counts:
-    """At one texel. operations: of scalars. fetches: sampler → texels that are read from it."""
+    """Work at one texel. operations: of scalars. fetches: sampler → texels read from it."""
 
     operations: float = 0.0
     fetches: Mapping[str, float] = field(default_factory=dict)
 
 
 def counts(kernel: Kernel, *known: Mapping[str, int | float]) -> list[Counts]:
-    """Return what a kernel does at one texel of its targets, once for each set of what its loops may end at.
+    """Return a kernel's work at one texel of its targets, for each set of values that bound its loops.
 
     known: constants by name, and the widths of textures by the names of their samplers. Raises CalledProcessError,
-    FileNotFoundError without the tools, ValueError where a loop has other bounds.
+    FileNotFoundError without the tools, ValueError for loops with other bounds.
     """
     text = _disassembled(_fragment(kernel))
     return [_Module(text, each).counts() for each in known]
 
 
 def _fragment(kernel: Kernel) -> str:
-    """Return a kernel as plain GLSL, with the declarations that Blender would make."""
+    """Return a kernel as plain GLSL, with the declarations that Blender adds."""
     source = source_of(kernel)
     samplers, constants = kernel.declared(source), kernel.needed(source)
     lines = ["#version 450", *(f"#define {name} {value}" for name, value in kernel.defines.items())]
@@ -94,7 +94,7 @@ class _Instruction:
 
 
 class _Module:
-    """A module of one function. known: values of push constants, and widths of textures."""
+    """A SPIR-V module of one function. known: values of push constants, and widths of textures."""
 
     def __init__(self, text: str, known: Mapping[str, int | float]):
         self.known = known
@@ -115,7 +115,7 @@ class _Module:
                 block.append(instruction)
 
     def counts(self) -> Counts:
-        """Return the sums over all blocks, each as often as the loops around it say."""
+        """Return the sums over all blocks, each times the trips of the loops around it."""
         operations, fetches = 0.0, Counter[str]()
         for label, block in self.blocks.items():
             times = 1.0
@@ -148,7 +148,7 @@ class _Module:
         return bodies
 
     def trips(self, header: str) -> float:
-        """Return how often the body of a loop runs. Raises ValueError where its bounds are not known."""
+        """Return how often the body of a loop runs. Raises ValueError if its bounds are not known."""
         block = self.blocks[header]
         if block[-1].name == "OpBranch":
             block = self.blocks[block[-1].operands[0]]
@@ -163,7 +163,7 @@ class _Module:
         return (abs(self._value(test.operands[2]) - start) + closed) / abs(self._value(step.operands[2]))
 
     def _value(self, name: str) -> float:
-        """Return a constant's value; of another loop's counter, or what is near it, the mean."""
+        """Return a constant's value; the mean of another loop's counter; of other phis the largest input."""
         instruction = self.defined[name]
         if instruction.name == "OpConstant":
             return float(instruction.operands[1])
@@ -185,14 +185,14 @@ class _Module:
         raise ValueError(f"a loop's bound by {instruction.name} is not known")
 
     def _push_constant(self, pointer: _Instruction) -> str | None:
-        """Return the name of the push constant at which a pointer points, or None."""
+        """Return the name of a pointer's push constant, or None."""
         block = self.defined[self.defined[pointer.operands[1]].operands[0]]
         if pointer.name != "OpAccessChain" or block.operands[0] != "PushConstant":
             return None
         return self.names[block.operands[1], str(int(self._value(pointer.operands[2])))]
 
     def _sampler(self, name: str) -> str:
-        """Return the name of the sampler whose image is fetched from."""
+        """Return the name of the sampler of a fetched image."""
         while (instruction := self.defined[name]).name != "OpVariable":
             name = instruction.operands[1]
         return self.names[(name,)]

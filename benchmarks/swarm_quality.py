@@ -1,10 +1,10 @@
-"""What one swarm finds on the standard test functions, beside other optimisers with as many evaluations.
+"""Least values of one swarm on standard test functions, against other optimisers with as many evaluations.
 
 Usage: python -m benchmarks.swarm_quality [--quick] [--again] [--output FOLDER]
 
 The solver's rule (presets constriction and swarm), pyswarms (Miranda 2018) with the same constants as constriction,
 pymoo's PSO (Blank & Deb 2020), which adapts its constants, and scipy's differential evolution (Storn & Price 1997)
-without its final polish. All have about as many members, start at random and see the same ranges.
+without its final polish. All have about as many members, random starts and the same ranges.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ METHODS: dict[str, Method] = {
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run every method on every function, several times from other random numbers."""
+    """Run every method on every function with several seeds."""
     members, iterations, seeds = (60, 20, 1) if quick else (_MEMBERS, _ITERATIONS, _SEEDS)
     rows = []
     for function in FUNCTIONS.values():

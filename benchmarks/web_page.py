@@ -36,7 +36,7 @@ def by_program(maps: Maps, lights: np.ndarray) -> np.ndarray:
 
 
 def by_page(folder: Path, size: tuple[int, int], lights: np.ndarray) -> np.ndarray:
-    """Return (K, H, W, 3) sRGB values of the page in Chromium."""
+    """Return (K, H, W, 3) sRGB values that the page shows in Chromium."""
     browser, pictures = Browser(*size), []
     browser.open(folder / "index.html", "controls=0&zoom=1")
     for u, v, _ in lights:
@@ -47,7 +47,7 @@ def by_page(folder: Path, size: tuple[int, int], lights: np.ndarray) -> np.ndarr
 
 
 def main() -> None:
-    """Print mean and least PSNR, in dB of sRGB values over the covered texels."""
+    """Print mean and least PSNR, in dB, of sRGB values over the covered texels."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("result", type=Path)
     result = read_result(parser.parse_args().result)

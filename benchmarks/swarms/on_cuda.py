@@ -1,6 +1,6 @@
-"""A big swarm by CUDA, through numba-cuda: a thread a particle, in double precision.
+"""A large swarm by CUDA, with numba-cuda: a thread a particle, in double precision.
 
-Where no CUDA device is present ``available`` says so; with NUMBA_ENABLE_CUDASIM=1 numba's simulator runs it, slowly.
+NUMBA_ENABLE_CUDASIM=1 runs it, slowly, in numba's simulator.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def _move(x, v, best, value, goal, seed, iteration, constants, number, reach):
 
 @cuda.jit
 def _aim(best, value, goal, least):
-    """One block: each thread looks through every _BLOCK-th value, then halves of the block compare what they have."""
-    values = cuda.shared.array(_BLOCK, float64)  # a line each: the simulator knows them by their lines
+    """Reduce in one block: each thread the least of every _BLOCK-th value, then pairs of threads, in a tree."""
+    values = cuda.shared.array(_BLOCK, float64)  # one line each: the simulator identifies arrays by their lines
     owners = cuda.shared.array(_BLOCK, int32)
     t = cuda.threadIdx.x
     values[t], owners[t] = np.inf, 0
@@ -53,7 +53,7 @@ def _aim(best, value, goal, least):
 
 
 class CudaSwarm:
-    """One swarm of ``rule`` on the CUDA device, placed like its own. every: the steps between looks for the best."""
+    """One swarm of ``rule`` on the CUDA device, with the same start. every: steps between updates of its best."""
 
     def __init__(
         self, constants: rule.Rule, function: Function, dimensions: int, particles: int, seed: int, every: int = 1
@@ -67,7 +67,7 @@ class CudaSwarm:
         self._update_goal()
 
     def step(self, iterations: int) -> None:
-        """Make so many iterations, and wait until they are made."""
+        """Run iterations, and wait for their end."""
         for _ in range(iterations):
             self._made += 1
             _move[self._blocks, _BLOCK](
@@ -79,7 +79,7 @@ class CudaSwarm:
         cuda.synchronize()
 
     def goal(self) -> tuple[float, np.ndarray]:
-        """Return the least value and its place (D,)."""
+        """Return the least value and its position (D,)."""
         self._update_goal()
         return float(self._least.copy_to_host()[0]), self._goal.copy_to_host()
 

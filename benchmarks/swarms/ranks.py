@@ -20,18 +20,17 @@ _LEAST = np.dtype([("value", np.float64), ("particle", np.int32)], align=True)  
 
 
 def shares(particles: int, ranks: int) -> list[int]:
-    """Return where each rank's particles begin, and the end: as even as can be."""
+    """Return the first particle of each rank, and their number, for even shares."""
     return [particles * rank // ranks for rank in range(ranks + 1)]
 
 
 def run(
     world: Any, constants: rule.Rule, function: Function, dimensions: int, particles: int, iterations: int, seed: int
 ) -> tuple[rule.Swarm, dict[str, float]]:
-    """Return this rank's particles after so many iterations, and what it took.
+    """Return this rank's particles after ``iterations`` iterations, and the measurements.
 
-    That is seconds in all, of them for communication (told), and the iterations that brought a new best (news).
-    An iteration: every rank moves its particles; the least value and its first particle are found by one reduction;
-    who has that particle tells all where it is.
+    These are seconds, those of communication (told), and the iterations with a new best (news). An iteration: one
+    reduction finds the least value and its first particle; its owner broadcasts the position; all ranks move.
     """
     bounds = shares(particles, world.size)
     first, last = bounds[world.rank : world.rank + 2]
@@ -49,9 +48,9 @@ def run(
 
 
 def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
-    """Let all ranks know the best place, and return whether it is another.
+    """Distribute the global best to all ranks; return whether its value has changed.
 
-    16 bytes are reduced, and where it moved 8 a dimension are sent round.
+    Reduces 16 bytes, and broadcasts 8 bytes a dimension if it has.
     """
     from mpi4py import MPI
 
@@ -70,7 +69,7 @@ def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
 
 
 def main() -> None:
-    """Run as told, and print what it took."""
+    """Run the swarm of the command line, and print its measurements."""
     from mpi4py import MPI
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
