@@ -37,7 +37,7 @@ _RANGES = {"r1": (0.09, 0.16), "r2": (0.28, 0.4), "w": (0.3, 0.5), "roughness": 
 
 @dataclass(frozen=True)
 class Dirt:
-    """noise: σ. shadow: share of a texel's lights. interreflection: a. reach: share of the lights under which U is 1."""
+    """noise: σ. shadow: share of a texel's lights. interreflection: a. reach: share of the lights with U = 1."""
 
     title: str
     noise: float = 0.0

@@ -132,7 +132,7 @@ def _unwrap_lathed(mesh: bpy.types.Mesh) -> None:
 
 
 def _sheet(points: np.ndarray, side: float, included: np.ndarray | None = None) -> bpy.types.Object:
-    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. included: their mask."""
+    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. included: a mask."""
     rows, columns = points.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
     faces = np.stack([number[1:, :-1], number[1:, 1:], number[:-1, 1:], number[:-1, :-1]], axis=-1).reshape(-1, 4)
