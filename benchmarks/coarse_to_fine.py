@@ -127,7 +127,7 @@ def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Solve all subjects in all ways, and with ``standard`` a larger part of one."""
+    """Solve all subjects by all variants, and a larger part of one by the variants of ``standard``."""
     small, large = (12, 16) if quick else (SMALL, LARGE)
     chosen = ways()[:: 4 if quick else 1]
     for subject in subjects_of(_TINY):

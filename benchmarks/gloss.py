@@ -238,7 +238,7 @@ def main() -> None:
 def measure_all(names: list[str], kinds: list[str], table: dict, options: argparse.Namespace) -> list[Row]:
     """Measure every card in every capture and write the tables; return all rows of the output folder.
 
-    What the folder's gloss.json holds of other cards and captures stays, where it was recovered in the same way.
+    Rows of other cards and captures in the folder's gloss.json stay if their settings are the same.
     """
     path, rows = options.out / "gloss.json", {}
     if path.exists():

@@ -136,7 +136,7 @@ def rows(name: str, quick: bool, samples: Iterable[int], cache: Path) -> list[li
 
 
 def _usual() -> int:
-    """Return the bounces of the preset."""
+    """Return the bounces of the preset *thorough*."""
     return load_schedule("thorough").interreflection.bounces
 
 

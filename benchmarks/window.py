@@ -26,7 +26,7 @@ from irpso_addon.capture.write import write_capture
 
 sys.path.insert(0, str(report.ROOT / "scripts"))
 
-LARGE, LIGHTS = 512, 32  # the size at which a window must not stall
+LARGE, LIGHTS = 512, 32  # size at which a window must not stall
 SMALL, ITERATIONS, REPEATS = 96, 1000, 3  # of the preset swarm, with pictures and without
 MODULE = "bl_ext.user_default.irpso.irpso_addon.ui"
 WATCH = f"""

@@ -29,7 +29,7 @@ NEWER = {"macos-x64": ("macosx_12_0_x86_64",)}
 # The last version with wheels for a system, where the one that is tested here has none.
 VERSIONS = {("rawpy", "macos-x64"): "0.25.1"}
 # A wheel of the stable ABI serves this Python and all later ones. Some Blenders accept a wheel by its Python alone, so
-# the packed name says the first of PYTHONS.
+# the packed name has the first of PYTHONS.
 STABLE = "abi3"
 # pip's messages: NO_WHEEL if there is no such wheel, with NO_NETWORK before it if it could not look.
 NO_WHEEL, NO_NETWORK = "No matching distribution found", "Retrying ("

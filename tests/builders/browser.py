@@ -25,7 +25,7 @@ _SECONDS = 60
 
 
 def chromium():
-    """Return the path of Chromium, None where it is not installed."""
+    """Return the path of Chromium, None if it is not installed."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 

@@ -116,7 +116,7 @@ class Shifted(Sheet):
 
 
 def part(columns: np.ndarray, to_texels, high: int = HIGH, shape: tuple[int, int] = SHAPE) -> MeshData:
-    """Return columns s and rows t = 0 … high of the sheet. to_texels: from (…, 2) s, t to places in (rows, columns)."""
+    """Return columns s and rows t = 0 … high of the sheet. to_texels: from (…, 2) s, t to positions in texels."""
     s, t = np.meshgrid(columns.astype(float), np.arange(high + 1.0))
     grid = np.stack([s, t], axis=-1)
     angle = s / 40

@@ -54,11 +54,11 @@ def cook_torrance_two_lobe(s: dict[str, np.ndarray], light: np.ndarray, view: np
 MODELS = {"lambert": lambert, "cook_torrance_two_lobe": cook_torrance_two_lobe}
 
 
-# ---- places in [0, 1]ⁿ -------------------------------------------------------------------------------------------
+# ---- positions in [0, 1]ⁿ ----------------------------------------------------------------------------------------
 
 
 def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 2) places: square to disc by ellipses (Fong 2015), disc to hemisphere by area."""
+    """Return unit normals of (…, 2) positions: square to disc by ellipses (Fong 2015), disc to hemisphere by area."""
     q = 2 * x - 1
     d = np.stack([q[..., 0] * np.sqrt(1 - q[..., 1] ** 2 / 2), q[..., 1] * np.sqrt(1 - q[..., 0] ** 2 / 2)], axis=-1)
     r2 = np.minimum(dot(d, d), 1)
@@ -66,7 +66,7 @@ def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
 
 
 def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
-    """Return (…, 2) places of unit normals; those below the horizon move onto it."""
+    """Return (…, 2) positions of unit normals; those below the horizon move onto it."""
     xy, z = n[..., :2], n[..., 2:]
     below = xy / np.sqrt(np.maximum(dot(xy, xy), 1e-20))
     u, v = np.moveaxis(np.where(z <= 0, below, xy / np.sqrt(np.maximum(1 + z, 1e-20))), -1, 0)
@@ -77,7 +77,7 @@ def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
 
 
 def cartesian_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 3) places, with |z|."""
+    """Return unit normals of (…, 3) positions, with |z|."""
     n = 2 * x - 1
     length = np.linalg.norm(n, axis=-1, keepdims=True)
     n = np.concatenate([n[..., :2], np.abs(n[..., 2:])], axis=-1)
@@ -136,7 +136,7 @@ class Problem:
         return delta_of(self.domain.stack.values, self.level, self.schedule.fitness, self.domain.noise)
 
     def decode(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the material of places (H, W, D): the estimates with the searched parameters replaced."""
+        """Return the material of positions (H, W, D): the estimates with the searched parameters replaced."""
         s = {name: np.asarray(value, np.float64) for name, value in self.estimates.items()}
         for name, at, size in self.places:
             part = x[..., at : at + size]
@@ -148,7 +148,7 @@ class Problem:
         return s
 
     def encode(self, s: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the places (H, W, D) of a material."""
+        """Return the positions (H, W, D) of a material."""
         x = np.zeros((*self.domain.shape, self.columns))
         for name, at, size in self.places:
             p, value = self.model.parameter(name), np.asarray(s[name], np.float64)
@@ -195,7 +195,7 @@ def delta_of(samples: np.ndarray, level: np.ndarray, settings: Fitness, noise: f
 
 
 def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Return (H, W): the mean loss of the render of places (H, W, D) over weighted samples and channels; Eq. 1."""
+    """Return (H, W): the mean loss of the render of positions (H, W, D) over weighted samples and channels; Eq. 1."""
     domain, settings = problem.domain, problem.schedule.fitness
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
     s = problem.decode(x)
@@ -309,7 +309,7 @@ def uniforms(problem: Problem, iteration: int, particle, purpose: int) -> np.nda
 
 
 def place(problem: Problem, state: State, index: int) -> Step:
-    """Return the state after particle ``index`` of every swarm gets its first place."""
+    """Return the state after particle ``index`` of every swarm gets its first position."""
     swarm, iteration = problem.schedule.swarm, index - problem.particles
     seeded = int(np.ceil(swarm.seeded * problem.particles)) if swarm.seed != "random" else 0
     seeded = max(1, seeded) if problem.stage.cycle else seeded
@@ -381,7 +381,7 @@ def chance_direction(problem: Problem, iteration: int) -> np.ndarray:
 
 
 def ordered_lobes(problem: Problem, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities with interchangeable lobes in ascending order."""
+    """Return positions and velocities with interchangeable lobes in ascending order."""
     at = {name: first for name, first, _ in problem.places}
     estimated = {*at, *(p.name for p in problem.stage.solved)}
     lobes, weights = problem.model.ordered, problem.model.complement

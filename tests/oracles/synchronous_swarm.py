@@ -38,7 +38,7 @@ class SynchronousSwarm(swarm.Problem):
         return s
 
     def material(self, x: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the material of places (…, H, W, D) and linear weights (…, H, W, L)."""
+        """Return the material of positions (…, H, W, D) and linear weights (…, H, W, L)."""
         return self.with_weights(self.decode(x), w)
 
 
