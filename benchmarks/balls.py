@@ -1,4 +1,4 @@
-"""Balls found in photographs of tables by themselves, and the lights that they give.
+"""Detection of balls in photographs of tables, and the lights from the detected balls, against the truth.
 
 Usage: python -m benchmarks.balls [--quick] [--again] [--output FOLDER]
 
@@ -28,14 +28,14 @@ from irpso_addon.core.steps import run_steps
 _SEEDS = range(201, 237)
 _LARGE_SEED = 1  # six photographs and one ball
 _BLUR, _NOISE = 0.6, 0.004  # pixels, of white
-_WHITE, _EXPOSURE = 98, 1.2  # percentile of all values, and how far above it the sensor clips
-_SAME = 0.3  # of the radius: a found ball's centre is a ball's
+_WHITE, _EXPOSURE = 98, 1.2  # percentile of all values, and the sensor's clipping level over it
+_SAME = 0.3  # largest distance, over the radius, between the centres of a ball and its detection
 _ENLARGED = 4
-_HIDDEN = 0.5  # visible part of a ball's disc: balls of less are counted apart
+_HIDDEN = 0.5  # least visible part of the disc of a ball in the table
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Search all scenes, one of them where it is quick."""
+    """Search all scenes, or one if quick."""
     balls, empty, false = [], 0, []
     seeds = list(_SEEDS)[: 1 if quick else None]
     for seed in seeds:
@@ -48,13 +48,13 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _scene(seed: int) -> dict[str, Any]:
-    """Return what the search finds in a scene."""
+    """Return the detections in a scene: rows of its balls, false ones, and the seconds of the search."""
     table = photographed(seed, report.CACHE)
     images = camera_images(table, seed)
     began = time.perf_counter()
-    found = _searched(images, table)
+    detected = _detected(images, table)
     seconds = time.perf_counter() - began
-    rows, others = _compared(table, images, found)
+    rows, others = _matched(table, images, detected)
     scene = {"seed": seed, "near": bool(table.near), "cloth": bool(table.cloth)}
     false = [{"kind": o.kind, "radius": o.radius, "exact": bool(o.exact), "empty": not table.balls} for o in others]
     return {
@@ -64,7 +64,7 @@ def _scene(seed: int) -> dict[str, Any]:
 
 
 def camera_images(table: BallTable, seed: int) -> list[np.ndarray]:
-    """Return images (H, W, 4) as a reader gives 8-bit sRGB files: blurred, noisy, weight 0 where clipped."""
+    """Return images (H, W, 4) like a reader's of 8-bit sRGB files: blurred, noisy, weight 0 where clipped."""
     rng = np.random.default_rng(seed)
     white = _EXPOSURE * np.percentile(table.images.mean(axis=-1), _WHITE)
     images = []
@@ -77,15 +77,15 @@ def camera_images(table: BallTable, seed: int) -> list[np.ndarray]:
     return images
 
 
-def _searched(images: Sequence[np.ndarray], table: BallTable) -> list[FoundBall]:
+def _detected(images: Sequence[np.ndarray], table: BallTable) -> list[FoundBall]:
     return run_steps(search_steps([lambda image=image: image for image in images], table.camera, KINDS))
 
 
-def _compared(
-    table: BallTable, images: Sequence[np.ndarray], found: Sequence[FoundBall]
+def _matched(
+    table: BallTable, images: Sequence[np.ndarray], detected: Sequence[FoundBall]
 ) -> tuple[list[dict[str, Any]], list[FoundBall]]:
-    """Return a row for each ball, and what was found where none is."""
-    rows, left = [], list(found)
+    """Return a row for each ball, and the detections without a ball."""
+    rows, left = [], list(detected)
     for (kind, centre, radius), visible in zip(table.balls, table.visible, strict=True):
         middle, size = outline(Ball("truth", table.camera, centre, radius, 1.0, (0.0, 0.0)))
         row: dict[str, Any] = {"kind": kind, "radius": size, "visible": visible, "found": False}
@@ -100,14 +100,14 @@ def _compared(
                     readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius, tables=tables_of([match]))
                 )
             ).lights
-            off = [
+            error = [
                 float(np.degrees(np.arccos(np.clip(np.dot(light.light.vector, truth), -1, 1))))
                 for light, truth in zip(lights, table.lights(centre), strict=True)
                 if light.light is not None
             ]
             row |= {
                 "found": True, "centre": float(np.hypot(*(place - middle)) / size), "across": across / size - 1,
-                "light": float(np.mean(off)), "largest": max(off), "lights": len(off), "photographs": len(lights),
+                "light": float(np.mean(error)), "largest": max(error), "lights": len(error), "photographs": len(lights),
             }  # fmt: skip
         rows.append(row)
     return rows, left
@@ -121,7 +121,7 @@ def outline(ball: Ball) -> tuple[np.ndarray, float]:
 
 
 def _large(quick: bool) -> dict[str, Any]:
-    """Return the seconds that the search takes in large photographs: those of a scene, enlarged."""
+    """Return the seconds of the search in the enlarged photographs of a scene."""
     table = photographed(_LARGE_SEED, report.CACHE)
     images = camera_images(table, 0)
     times = 2 if quick else _ENLARGED
@@ -131,9 +131,9 @@ def _large(quick: bool) -> dict[str, Any]:
     )
     readers = [lambda image=image: image.repeat(times, axis=0).repeat(times, axis=1) for image in images]
     began = time.perf_counter()
-    found = run_steps(search_steps(readers, camera, KINDS))
+    detected = run_steps(search_steps(readers, camera, KINDS))
     seconds = time.perf_counter() - began
-    return {"pixels": width * height, "photographs": len(images), "seconds": seconds, "found": len(found)}
+    return {"pixels": width * height, "photographs": len(images), "seconds": seconds, "found": len(detected)}
 
 
 def write(data: dict[str, Any], folder) -> list[str]:
@@ -186,19 +186,19 @@ def _seen(data: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _sets(balls: Sequence[dict[str, Any]]) -> list[bool]:
-    """Return for each scene with balls that calibration can use whether all of them were found."""
+    """Return, for each scene with balls large enough for calibration, whether all of these were detected."""
     sized = [ball for ball in balls if ball["radius"] >= SMALL]
     return [all(ball["found"] for ball in sized if ball["seed"] == seed) for seed in sorted({b["seed"] for b in sized})]
 
 
 def _cells(balls: Sequence[dict[str, Any]]) -> list[str]:
-    found = [ball for ball in balls if ball["found"]]
-    cells = [f"{len(found)} of {len(balls)}"]
-    if not found:
+    detected = [ball for ball in balls if ball["found"]]
+    cells = [f"{len(detected)} of {len(balls)}"]
+    if not detected:
         return [*cells, *["–"] * 6]
-    centre, across, light, largest = (np.array([ball[key] for ball in found]) for key in
+    centre, across, light, largest = (np.array([ball[key] for ball in detected]) for key in
                                       ("centre", "across", "light", "largest"))  # fmt: skip
-    lights, photographs = (sum(ball[key] for ball in found) for key in ("lights", "photographs"))
+    lights, photographs = (sum(ball[key] for ball in detected) for key in ("lights", "photographs"))
     return [
         *cells, f"{(centre < 0.01).sum()}", f"{100 * np.median(centre):.2f}", f"{100 * np.median(across):+.2f}",
         f"{(light < 1).sum()}", f"{np.median(light):.2f}, {largest.max():.1f}", f"{lights} of {photographs}",
@@ -206,13 +206,13 @@ def _cells(balls: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     large = [ball for ball in _seen(data) if ball["radius"] >= SMALL]
-    found = [ball for ball in large if ball["found"]]
+    detected = [ball for ball in large if ball["found"]]
     none = sum(row["empty"] for row in data["false"])
-    light = np.median([ball["light"] for ball in found]) if found else np.nan
+    light = np.median([ball["light"] for ball in detected]) if detected else np.nan
     return (
-        f"{len(found)} of {len(large)} balls of radius {SMALL:g} pixels and more found, light {light:.2f}°; {none}"
+        f"{len(detected)} of {len(large)} balls of radius {SMALL:g} pixels and more found, light {light:.2f}°; {none}"
         f" false in {data['empty']} scenes without a ball"
     )
 

@@ -1,11 +1,11 @@
-"""What solving coarse to fine brings: errors and cost with 1, 2 and 3 levels at equal settings.
+"""Coarse-to-fine solving: errors and cost with 1, 2 and 3 levels at equal settings.
 
 Usage: python -m benchmarks.coarse_to_fine [--quick] [--again] [--output FOLDER]
 
 Subjects are a synthetic card of two lobes, and the middle of real and rendered captures: those of the folder
-IRPSO_DATA (or ../shared/data), and whatever folders IRPSO_CAPTURES names (apart by ":"), each with its normal_gt.exr
-if it has one. One observation in twelve is held out, and relit. Other work on the machine makes seconds of the clock
-worthless, hence seconds of all cores that the process itself had, once shaders are compiled.
+IRPSO_DATA (or ../shared/data), and the folders that IRPSO_CAPTURES lists (separated by ":"), each with its
+normal_gt.exr if it has one. One observation in twelve is held out, and relit. Times are processor seconds of the
+process, without compilation: other work on the machine disturbs them least.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from irpso_addon.solver.settings.schedule import load_schedule
 
 CAPTURES = ("bunny_specular", "rti_icon")
 HELD_OUT = 12  # one in so many observations
-_TINY, SMALL, LARGE = 6, 40, 112  # texels along a side of what is measured; where the seconds count
-ITERATIONS = 400  # of the preset swarm: few, as where the time is short
-_LARGE = CAPTURES[:1]  # those that are also solved in large
+_TINY, SMALL, LARGE = 6, 40, 112  # texels along a side: to compile, of all subjects, of _LARGE
+ITERATIONS = 400  # of the preset swarm: few
+_LARGE = CAPTURES[:1]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """domain: what is observed, to be held out in part. truth: (H, W, 3) normals, or None."""
+    """A subject. domain: with all observations. truth: (H, W, 3) normals, or None."""
 
     name: str
     domain: Domain
@@ -45,7 +45,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Way:
-    """A preset with changes, as Schedule.replaced takes them; group: the rows that are to be compared."""
+    """A variant: a preset with changes (of Schedule.replaced). group: heading of the table that compares it."""
 
     group: str
     name: str
@@ -54,20 +54,20 @@ class Way:
 
 
 def ways() -> list[Way]:
-    """Return what is compared. What has no levels is also tried with as much work as three levels have."""
-    found = [Way("standard", f"levels {n}", "standard", {"levels": n}) for n in (1, 2, 3)]
+    """Return the compared variants; swarms also with 1 level and as many evaluations as 3 levels take."""
+    variants = [Way("standard", f"levels {n}", "standard", {"levels": n}) for n in (1, 2, 3)]
     for seed in ("lambert", "random"):
         group = f"swarm, {ITERATIONS} iterations, {seed} start"
         swarm = {"iterations": ITERATIONS, "seed": seed}
-        found += [Way(group, f"levels {n}", "swarm", {**swarm, "levels": n}) for n in (1, 3)]
+        variants += [Way(group, f"levels {n}", "swarm", {**swarm, "levels": n}) for n in (1, 3)]
         part = load_schedule("swarm").level_iterations
         equal = {**swarm, "iterations": round(ITERATIONS * (part + part / 4 + 1 / 16))}
-        found.append(Way(group, "levels 1, the work of 3", "swarm", equal))
-    return found
+        variants.append(Way(group, "levels 1, the work of 3", "swarm", equal))
+    return variants
 
 
 def subjects_of(size: int) -> Iterator[Subject]:
-    """Yield the subjects that are there, ``size``² texels of each."""
+    """Yield the available subjects, ``size``² texels of each."""
     card = subjects.make_card(size, 60, subjects.NOISY, seed=1)
     yield Subject("card of two lobes, noise 0.003", card.domain, card.model, card.truth["normal"])
     more = [Path(folder) for folder in os.environ.get("IRPSO_CAPTURES", "").split(os.pathsep) if folder]
@@ -105,14 +105,14 @@ def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
     context.ensure()
     schedule = load_schedule(way.preset).replaced(**way.changes)
     held_out = list(range(HELD_OUT // 2, subject.domain.observations, HELD_OUT))
-    kept = [k for k in range(subject.domain.observations) if k not in held_out]
+    fitted = [k for k in range(subject.domain.observations) if k not in held_out]
     start = time.process_time()
-    with Pyramid(subset(subject.domain, kept), load_model(subject.model), schedule, seed) as run:
+    with Pyramid(subset(subject.domain, fitted), load_model(subject.model), schedule, seed) as run:
         evaluations = run.step().evaluations
         maps = run.maps(confidence=False)
     seconds = time.process_time() - start
     rows = image_rows(subject.domain, maps, held_out, [str(k) for k in held_out])
-    found = {
+    result = {
         "subject": subject.name, "texels": int(maps.covered.sum()), "group": way.group, "way": way.name,
         "relit": float(np.mean([image_psnr(row) for row in rows])), "seconds": seconds,
         "evaluations": evaluations / max(int(maps.covered.sum()), 1),
@@ -120,14 +120,14 @@ def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
     if subject.truth is not None:
         normal = maps.values[next(p.name for p in maps.model.parameters if p.is_normal)]
         error = subjects.angles(normal[maps.covered], subject.truth[maps.covered])
-        found |= {"normal": float(error.mean()), "median": float(np.median(error)),
+        result |= {"normal": float(error.mean()), "median": float(np.median(error)),
                   "worst": float(np.quantile(error, 0.99))}  # fmt: skip
-    report.say(f"coarse_to_fine: {found}")
-    return found
+    report.say(f"coarse_to_fine: {result}")
+    return result
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Solve all subjects in all ways, and with ``standard`` a larger part of one."""
+    """Solve all subjects by all variants, and a larger part of one by the variants of ``standard``."""
     small, large = (12, 16) if quick else (SMALL, LARGE)
     chosen = ways()[:: 4 if quick else 1]
     for subject in subjects_of(_TINY):
@@ -157,7 +157,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     return lines
 
 
-# What the tables come to; to be looked at again when they have changed.
+# Conclusions from the tables; check them when the tables have changed.
 VERDICT = (
     "**It pays for swarms that search everything (`swarm`) from a random start, or with little time.** With 3"
     " levels they do 40 % less work than with 1, in about 70 % of the time. From a random start normals are then up"
@@ -185,7 +185,7 @@ def _table(rows: list[dict]) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index of pages says."""
+    """Return the text of the index."""
     rows = [row for row in data["rows"] if row["group"] == "standard"]
     means = [np.mean([row.get("normal", np.nan) for row in rows if row["way"] == f"levels {n}"
                       and "normal" in row]) for n in (1, 3)]  # fmt: skip

@@ -18,31 +18,31 @@ from irpso_addon.gpu import context
 DIRTS = ("clean", "noisy", "dirty")
 JOINT = ("paper", "constriction", "swarm", "standard", product.LM_ALONE, "DE")
 STAGED = ("paper", "constriction", "swarm")
-POINTS = 11  # looks at a recovery on its way
+POINTS = 11  # samples of a recovery's trace
 NAMES = ("normal", "base_color", "r1", "r2", "w")
 Trace = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run everything for every seed and dirt; seeds outermost, so that a disturbance falls on all methods alike."""
+    """Run all methods for every seed and dirt; seeds outermost, so that other load affects all methods equally."""
     size, lights, seeds, evolved = (6, 20, 1, 1) if quick else (16, 100, 3, 6)
-    found: dict[str, dict[str, list[Trace]]] = {}
+    runs: dict[str, dict[str, list[Trace]]] = {}
     for seed in range(seeds):
         for dirt in DIRTS:
             card = subjects.make_card(size, lights, subjects.DIRTS[dirt], seed)
             for kind, names in (("joint", JOINT), ("staged", STAGED)):
                 for name in names:
                     trace = _de(card, evolved, seed, quick) if name == "DE" else _ours(card, kind, name, seed, quick)
-                    found.setdefault(f"{dirt}/{kind}", {}).setdefault(name, []).append(trace)
+                    runs.setdefault(f"{dirt}/{kind}", {}).setdefault(name, []).append(trace)
             report.say(f"convergence: seed {seed}, {dirt} done")
-    curves = {key: {name: _folded(traces) for name, traces in group.items()} for key, group in found.items()}
+    curves = {key: {name: _quartiles(traces) for name, traces in group.items()} for key, group in runs.items()}
     return {"size": size, "lights": lights, "seeds": seeds, "evolved": evolved, "curves": curves}
 
 
 def _ours(card: subjects.Card, kind: str, name: str, seed: int, quick: bool) -> Trace:
     schedule = product.schedule_of(name)
     if name in product.ONE_PARTICLE:
-        # A swarm searches eight numbers at most: with all else the paper's normal is two of them, not three.
+        # A swarm searches at most eight dimensions: in a joint search the normal takes two of them, not three.
         made = schedule.replaced(normal="hemisphere") if kind == "joint" else schedule
         once = sum(stage.iterations for stage in schedule.stages)
         most = 60 if quick else None
@@ -71,8 +71,8 @@ def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> Trace:
     return trace
 
 
-def _folded(traces: list[Trace]) -> dict[str, Any]:
-    """Return evaluations, and of every parameter median and quartiles over seeds, all at the same evaluations."""
+def _quartiles(traces: list[Trace]) -> dict[str, Any]:
+    """Return evaluations, and every parameter's median and quartiles over seeds at these evaluations."""
     grid = np.array([at for at, _ in traces[0]])
     rows = {name: [] for name in NAMES}
     for trace in traces:
@@ -141,12 +141,12 @@ _COLORS = dict(zip(("standard", "LM alone", "swarm", "constriction", "paper", "D
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    told = []
+    """Return the text of the index."""
+    parts = []
     for name in ("paper", "standard", product.LM_ALONE):
         curve = data["curves"]["noisy/joint"][name]
-        told.append(f"{name} {short(curve['normal']['median'][-1])}° after {short(curve['evaluations'][-1])}")
-    return f"normals with noise, joint: {', '.join(told)} evaluations"
+        parts.append(f"{name} {short(curve['normal']['median'][-1])}° after {short(curve['evaluations'][-1])}")
+    return f"normals with noise, joint: {', '.join(parts)} evaluations"
 
 
 PROGRAM = report.Program("convergence", "Error against evaluations", __file__, measure, write, headline)

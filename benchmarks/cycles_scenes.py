@@ -39,7 +39,7 @@ from irpso_addon.results.read import read_maps
 
 @dataclass(frozen=True)
 class Result:
-    """normal: degrees. base_color, roughness: absolute differences. psnr: dB, ssim: over the unseen lights."""
+    """One recovery. normal: degrees. base_color, roughness: absolute differences. psnr (dB), ssim: per unseen light."""
 
     scene: str
     preset: str
@@ -68,26 +68,26 @@ def measure(name: str, scene: textured.TexturedScene, presets: list[str], option
         seconds = recover(folder / textured.CAPTURE, out, *mesh, "--preset", preset)
         errors, texels = map_errors(out, truth)
         pictures = textured.photograph_result(out / "material.blend", view, out / "relit", unseen)
-        shown, found = (srgb_from_linear(np.clip(p, 0, 1)) for p in (true_pictures, pictures))
-        compared = [(psnr(a, b, mask), ssim(a, b, mask)) for a, b in zip(found, shown, strict=True)]
-        encode_png(out / "relit.png", side_by_side(found, shown), bits=8)
+        shown, relit = (srgb_from_linear(np.clip(p, 0, 1)) for p in (true_pictures, pictures))
+        compared = [(psnr(a, b, mask), ssim(a, b, mask)) for a, b in zip(relit, shown, strict=True)]
+        encode_png(out / "relit.png", side_by_side(relit, shown), bits=8)
         results.append(Result(name, Path(preset).stem, texels, seconds, *errors, *np.array(compared).T))
     return results
 
 
 def side_by_side(below: np.ndarray, above: np.ndarray, count: int = 4) -> np.ndarray:
-    """Return one picture of the first of two series (K, H, W, 3), in two rows."""
+    """Return one picture of the first ``count`` pictures of two series (K, H, W, 3), in two rows."""
     return np.concatenate([np.concatenate(list(series[:count]), axis=1) for series in (below, above)])
 
 
 def map_errors(out: Path, truth: TrueMaps) -> tuple[tuple[Errors, Errors, Errors], int]:
     """Return the errors of normal, base colour and roughness at the texels that the camera sees, and their number."""
-    found = read_maps(out, load_model("principled"))
+    maps = read_maps(out, load_model("principled"))
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     seen = coverage > 0
-    colour = np.abs(found["base_color"] - truth.base_color).mean(axis=-1)
-    rough = np.abs(found["roughness"][..., 0] - truth.roughness)
-    normal = angles(found["normal"], truth.normal)
+    colour = np.abs(maps["base_color"] - truth.base_color).mean(axis=-1)
+    rough = np.abs(maps["roughness"][..., 0] - truth.roughness)
+    normal = angles(maps["normal"], truth.normal)
     return tuple(Errors.of(values[seen]) for values in (normal, colour, rough)), int(seen.sum())
 
 

@@ -19,9 +19,9 @@ ITERATIONS = 1000
 SIZES = ((150, 225), (300, 450), (600, 900), (1200, 1800), (2400, 3600))
 LIGHTS = 200
 COUNTS = (25, 50, 100, 200, 400)
-PARTICLES = 16  # the most that move together
-BUDGET = 5 << 30  # bytes of textures: what a software renderer may take of this machine's memory
-REPEATS = 3  # of what is compared, interleaved
+PARTICLES = 16  # largest synchronous swarm
+BUDGET = 5 << 30  # bytes of textures, which a software renderer takes from main memory
+REPEATS = 3  # interleaved runs of each case
 SOFTWARE = (
     "This machine has no GPU: shaders run on its processor. Seconds are processor time over all cores, which other"
     " load hardly changes, unless wall time is stated. Two idle cores take about half of them."
@@ -31,13 +31,13 @@ KNOWN = ("base_color", "normal")
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Time everything, the full run first."""
+    """Time all sizes (the full run first), numbers of lights, rates and the refinement."""
     sizes = [(h // 12, w // 12) for h, w in SIZES] if quick else SIZES
     lights, counts = (20, COUNTS[:3]) if quick else (LIGHTS, COUNTS)
     data = {"lights": lights, "sizes": _sizes(sizes, lights, quick), "software": product.software_renderer()}
     shape = (40, 60) if quick else SIZES[1]
     data["counts"] = [
-        {"lights": n, **_told(start(Job(*shape, n, changes=ROUGHNESS, fixed=KNOWN, iterations=5, chunks=3)), 5)}
+        {"lights": n, **_with_medians(start(Job(*shape, n, changes=ROUGHNESS, fixed=KNOWN, iterations=5, chunks=3)), 5)}
         for n in counts
     ]
     report.say("fig7: numbers of lights done")
@@ -47,9 +47,9 @@ def measure(quick: bool) -> dict[str, Any]:
     return data
 
 
-def _told(found: dict[str, Any], iterations: int) -> dict[str, Any]:
-    clock, work = (statistics.median(found[key]) / iterations for key in ("clock", "work"))
-    return {**found, "iteration": clock, "computed": work}
+def _with_medians(result: dict[str, Any], iterations: int) -> dict[str, Any]:
+    clock, work = (statistics.median(result[key]) / iterations for key in ("clock", "work"))
+    return {**result, "iteration": clock, "computed": work}
 
 
 def _sizes(sizes: list[tuple[int, int]], lights: int, quick: bool) -> list[dict[str, Any]]:
@@ -61,17 +61,17 @@ def _sizes(sizes: list[tuple[int, int]], lights: int, quick: bool) -> list[dict[
             height, width, lights, changes=ROUGHNESS, fixed=KNOWN, iterations=iterations, chunks=chunks,
             budget=BUDGET if number > 1 else 0, part=2 if number > 2 else 0, warm=0 if full else 1,
         )  # fmt: skip
-        found = _told(start(job), iterations)
-        # Of tiles that take turns some were solved: all others are like them.
-        share = found.get("tiles", 1) / found.get("solved", 1)
+        result = _with_medians(start(job), iterations)
+        # Of tiles that take turns only some were solved; the others are assumed equal.
+        share = result.get("tiles", 1) / result.get("solved", 1)
         seconds, computed = (
-            share * (found["setup"][i] + found["placing"][i] + ITERATIONS * found[key])
+            share * (result["setup"][i] + result["placing"][i] + ITERATIONS * result[key])
             for i, key in enumerate(("iteration", "computed"))
         )
         measured = full and not quick
         rows.append({
-            **found, "height": height, "width": width, "full": measured, "timed": iterations * chunks,
-            "all": height * width, "iteration": share * found["iteration"], "computed": share * found["computed"],
+            **result, "height": height, "width": width, "full": measured, "timed": iterations * chunks,
+            "all": height * width, "iteration": share * result["iteration"], "computed": share * result["computed"],
             "seconds": seconds, "computed_all": computed,
         })  # fmt: skip
         report.say(f"fig7: {height}×{width}: {seconds:.0f} s for {ITERATIONS} iterations")
@@ -79,11 +79,11 @@ def _sizes(sizes: list[tuple[int, int]], lights: int, quick: bool) -> list[dict[
 
 
 def _rates(shape: tuple[int, int], lights: int, repeats: int) -> list[dict[str, Any]]:
-    """Return texel·lights a second of ways to do the same, interleaved."""
+    """Return texel·lights a second of several variants, interleaved."""
     bare = {"search": ["all"], "cycles": 1, "iterations": 60, "prefit_iterations": 0, "refinement_iterations": 0,
             "refinement_rounds": 0}  # fmt: skip
-    alike = {**bare, "linear": "search", "particles": PARTICLES, "particles_per_dimension": 0.0}
-    one, whole = ({**alike, "update": update} for update in ("one", "all"))
+    shared = {**bare, "linear": "search", "particles": PARTICLES, "particles_per_dimension": 0.0}
+    one, whole = ({**shared, "update": update} for update in ("one", "all"))
     cases = {
         f"{title}, {entry}": Job(*shape, lights, preset, changes, fixed, count, 2, entry, covered)
         for title, preset, changes, fixed, count, covered in (
@@ -102,12 +102,12 @@ def _rates(shape: tuple[int, int], lights: int, repeats: int) -> list[dict[str, 
         )
         for entry in ("fragment", "compute")
     }
-    found: dict[str, list[dict[str, Any]]] = {name: [] for name in cases}
+    results: dict[str, list[dict[str, Any]]] = {name: [] for name in cases}
     for _ in range(repeats):
         for name, job in cases.items():
-            found[name].append(start(job))
+            results[name].append(start(job))
     rows = []
-    for name, runs in found.items():
+    for name, runs in results.items():
         rates = [e * lights / s for run in runs for e, s in zip(run["evaluations"], run["work"], strict=True)]
         evaluations = runs[0]["evaluations"][0] / runs[0]["texels"] / cases[name].iterations
         cost = statistics.median(s for run in runs for s in run["work"]) / cases[name].iterations / evaluations
@@ -117,7 +117,7 @@ def _rates(shape: tuple[int, int], lights: int, repeats: int) -> list[dict[str, 
 
 
 def _refinement(shape: tuple[int, int], lights: int) -> dict[str, Any]:
-    """Return seconds of each step of a refinement: texels that are done cost less and less."""
+    """Return the seconds of each step of a refinement, which fall as texels converge."""
     schedule = product.schedule_of(product.LM_ALONE)
     steps = 30
     changes = {"refinement_starts": False, "refinement_rounds": 0, "refinement_iterations": steps}
@@ -197,17 +197,17 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _affine(counts: list[dict[str, Any]]) -> list[str]:
-    """Return what is proportional to observations once the part that does not depend on them is taken off."""
+    """Return the lines on time and memory as affine functions of the number of observations."""
     lights = np.array([row["lights"] for row in counts], float)
-    told = []
+    fits = []
     for key, unit, scale in (("computed", "ms", 1e3), ("memory", "MB", 1.0)):
         values = scale * np.array([row[key] for row in counts])
         each, fixed = np.polyfit(lights, values, 1)
-        off = np.abs(fixed + each * lights - values) / values
-        told.append(f"{short(fixed)} {unit} + {short(each)} {unit} an observation (within {off.max():.0%})")
+        residual = np.abs(fixed + each * lights - values) / values
+        fits.append(f"{short(fixed)} {unit} + {short(each)} {unit} an observation (within {residual.max():.0%})")
     return [
         "Time and memory grow linearly with observations, with an offset for the swarms themselves, which every"
-        f" iteration reads and writes: {told[0]}; {told[1]}. So the slopes are below 1.",
+        f" iteration reads and writes: {fits[0]}; {fits[1]}. So the slopes are below 1.",
         "",
     ]
 
@@ -277,7 +277,7 @@ def _draw(sizes: list[dict], counts: list[dict], folder: Path) -> None:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     first, last = data["sizes"][0], data["sizes"][-1]
     return (
         f"{first['height']} × {first['width']} texels, {data['lights']} lights: {first['computed_all']:.0f} s of work;"

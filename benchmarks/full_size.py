@@ -1,9 +1,9 @@
-"""A card of twelve megapixels under 24 lights, from JPEG files to the material, within 16 GiB.
+"""Recovery of a card of twelve megapixels under 24 lights, from JPEG files to the material, within 16 GiB.
 
 Usage: python -m benchmarks.full_size [--quick] [--again] [--output FOLDER]; two hours without a GPU.
 
 The card is a glossy relief with slopes of 14°, shaded in float64 (benchmarks/peers/models.py), with noise, written as
-JPEGs. The command runs in a process of its own, with the memory that it would plan on a machine of 16 GiB.
+JPEGs. The command runs in a process of its own, with the memory budget of a machine of 16 GiB.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from irpso_addon.results.read import read_maps
 
 SIZE, SMALL = (4000, 3000), (200, 150)
 _LIGHTS = 24
-_MEMORY = "device=6.4G,host=6.4G"  # what is planned where 16 GiB are free
+_MEMORY = "device=6.4G,host=6.4G"  # the budget where 16 GiB are free
 _EXPOSURE, _NOISE, _QUALITY = 0.8, 0.003, 95
 _ROWS = 20  # shaded at once
-_EVERY = 2.0  # seconds between looks at the process
+_EVERY = 2.0  # seconds between samples of the process
 _COLOURS = ((0.55, 0.16, 0.07), (0.12, 0.28, 0.45))
 _TRUTH = "truth.exr"
 
@@ -46,7 +46,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def recovered(size: tuple[int, int], memory: str) -> dict[str, Any]:
-    """Make the card, unless it is there, and recover it with so much ``--memory``; "" for what the machine has."""
+    """Make the card, unless it exists, and recover it with this ``--memory``; "" for all of the machine's."""
     capture = report.CACHE / "full_size" / "{}x{}".format(*size)
     if not (capture / "filenames.txt").is_file():
         make_card(capture, size)
@@ -56,8 +56,8 @@ def recovered(size: tuple[int, int], memory: str) -> dict[str, Any]:
     plan = subprocess.run(
         [*command, *allowed, "--dry-run"], cwd=report.ROOT, check=True, capture_output=True, text=True
     ).stdout.splitlines()
-    found = watched([*command, *allowed, "--checkpoint-every", "60"], out)
-    return {"size": size, "lights": _LIGHTS, "memory": memory, "plan": plan, **found, "errors": errors(capture, out)}
+    run = watched([*command, *allowed, "--checkpoint-every", "60"], out)
+    return {"size": size, "lights": _LIGHTS, "memory": memory, "plan": plan, **run, "errors": errors(capture, out)}
 
 
 def make_card(folder: Path, size: tuple[int, int]) -> None:
@@ -116,14 +116,14 @@ def _noise(size: tuple[int, int], grain: int, seed: int) -> np.ndarray:
     """Return (H, W) float32 smooth noise of deviation 1."""
     width, height = size
     coarse = np.random.default_rng(seed).normal(size=(height // grain + 6, width // grain + 6)).astype(np.float32)
-    found = zoom(gaussian_filter(coarse, 1), grain, order=3)[:height, :width]
-    return found / found.std()
+    noise = zoom(gaussian_filter(coarse, 1), grain, order=3)[:height, :width]
+    return noise / noise.std()
 
 
 def watched(command: list[str], out: Path) -> dict[str, Any]:
-    """Run a command; return seconds, processor seconds, memory, bytes written, and how its progress was foreseen.
+    """Run a command; return its seconds, processor seconds ("work"), peak memory, GiB written, and shown progress.
 
-    memory_at_most: GiB, without pages of files, which the system can drop. foreseen: (seconds, fraction done).
+    memory_at_most: GiB, without file pages, which the system can drop. foreseen: (seconds, percent shown).
     """
     began, before = time.perf_counter(), os.times()
     process = subprocess.Popen(command, cwd=report.ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -152,11 +152,11 @@ def watched(command: list[str], out: Path) -> dict[str, Any]:
 
 
 def look(pid: int, out: Path, seen: dict[str, Any], now: float) -> None:
-    """Add to ``seen`` what /proc and the output folder show of a process."""
+    """Update ``seen`` from /proc and the output folder of a process; now: seconds since its start."""
     try:
         status = Path(f"/proc/{pid}/status").read_text().split()
         counters = Path(f"/proc/{pid}/io").read_text().split()
-    except OSError:  # it has just ended, or this is no Linux
+    except OSError:  # the process has just ended, or the system is not Linux
         return
     if "RssAnon:" in status:
         seen["memory_at_most"] = max(seen["memory_at_most"], int(status[status.index("RssAnon:") + 1]) / 2**20)
@@ -170,19 +170,19 @@ def look(pid: int, out: Path, seen: dict[str, Any], now: float) -> None:
 def errors(capture: Path, out: Path) -> dict[str, float]:
     """Return mean errors: of the normal in degrees, of base colour in %, of roughness and metallic."""
     truth = read_maps(capture / _TRUTH, load_model(DEFAULT_MODEL))
-    found = read_maps(out, load_model(DEFAULT_MODEL))
-    colour = np.abs(found["base_color"] - truth["base_color"]) / truth["base_color"]
+    maps = read_maps(out, load_model(DEFAULT_MODEL))
+    colour = np.abs(maps["base_color"] - truth["base_color"]) / truth["base_color"]
     return {
-        "normal": float(angles(found["normal"].reshape(-1, 3), truth["normal"].reshape(-1, 3)).mean()),
+        "normal": float(angles(maps["normal"].reshape(-1, 3), truth["normal"].reshape(-1, 3)).mean()),
         "base_color": 100 * float(colour.mean()),
-        "roughness": float(np.abs(found["roughness"] - truth["roughness"]).mean()),
-        "metallic": float(found["metallic"].mean()),
+        "roughness": float(np.abs(maps["roughness"] - truth["roughness"]).mean()),
+        "metallic": float(maps["metallic"].mean()),
     }
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
-    (width, height), off = data["size"], data["errors"]
+    (width, height), error = data["size"], data["errors"]
     memory = f" --memory {data['memory']}`, what is planned on a machine of 16 GiB" if data["memory"] else "`"
     half = next((seconds for seconds, percent in data["foreseen"] if percent >= 50), None)
     return [
@@ -201,13 +201,13 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         f"| memory at most | {data['memory_at_most']:.1f} GiB |",
         f"| written to disk | {data['written']:.0f} GiB |",
         f"| checkpoint at most | {data['checkpoint']:.2f} GiB |",
-        f"| normal, base colour, roughness, metallic off by | {off['normal']:.2f}°, {off['base_color']:.1f} %,"
-        f" {off['roughness']:.3f}, {off['metallic']:.3f} |",
+        f"| normal, base colour, roughness, metallic off by | {error['normal']:.2f}°, {error['base_color']:.1f} %,"
+        f" {error['roughness']:.3f}, {error['metallic']:.3f} |",
     ]
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     return f"12 megapixels, 24 JPEGs: {data['seconds'] / 60:.0f} min, {data['errors']['normal']:.2f}°"
 
 

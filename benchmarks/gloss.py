@@ -55,9 +55,9 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 from irpso_addon.solver.views.forward import rendered
 
-_GLOSSY = 0.2  # of roughness
-_METAL = 0.9  # of metallic
-_SHOWN = {"base_color", "normal", "roughness", "metallic", "specular"}  # parameters that Cycles is shown here
+_GLOSSY = 0.2  # roughness below it
+_METAL = 0.9  # metallic above it
+_SHOWN = {"base_color", "normal", "roughness", "metallic", "specular"}  # parameters that Cycles renders here
 _GAP, _ENLARGED = 4, 2  # of a sheet: pixels between pictures, and pixels a texel
 
 
@@ -68,11 +68,11 @@ def measure(name: str, kind: str, subject: Subject, options: argparse.Namespace)
     settings = [part for setting in options.set for part in ("--set", setting)]
     preset = ["--preset", options.preset] if options.preset else []
     seconds = recover(shot.capture, out, *shot.arguments, "--model", options.model, *preset, *settings)
-    found = recovered_maps(out, options.model)
-    pictures, as_seen = card_captures.relight(subject, found, SHOOTINGS[kind].near, out / "relit")
+    maps = recovered_maps(out, options.model)
+    pictures, as_seen = card_captures.relight(subject, maps, SHOOTINGS[kind].near, out / "relit")
     row = {"card": name, "capture": kind, **_how(options)}
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
-    row |= errors(found, shot.truth, coverage > 0) | beyond(found, shot.truth, coverage > 0, out)
+    row |= errors(maps, shot.truth, coverage > 0) | beyond(maps, shot.truth, coverage > 0, out)
     row |= picture_errors(pictures, shot) | {"seconds": seconds}
     encode_png(options.out / f"{name}-{kind}.png", sheet(as_seen, pictures, shot), bits=8)
     if not options.keep:
@@ -85,31 +85,31 @@ def _how(options: argparse.Namespace) -> Row:
 
 
 def recovered_maps(out: Path, name: str) -> TrueMaps:
-    """Return a result's maps as Cycles is shown them: without roughness matt, without metallic dielectric."""
+    """Return a result's maps for Cycles: matt if the model has no roughness, dielectric if it has no metallic."""
     model = load_model(name)
     if unknown := {p.name for p in model.parameters} - _SHOWN:
         raise SystemExit(f"{name}: Cycles is not shown {', '.join(sorted(unknown))} here; choose a Principled model")
-    found = read_maps(out, model)
-    shape = found["normal"].shape[:2]
-    maps = {key: value[..., 0] for key, value in found.items() if value.shape[-1] == 1}
+    values = read_maps(out, model)
+    shape = values["normal"].shape[:2]
+    maps = {key: value[..., 0] for key, value in values.items() if value.shape[-1] == 1}
     if "roughness" not in maps:
         maps |= {"roughness": np.ones(shape), "specular": np.zeros(shape)}
     maps.setdefault("metallic", np.zeros(shape))
-    return TrueMaps(found["base_color"], found["normal"], **maps)
+    return TrueMaps(values["base_color"], values["normal"], **maps)
 
 
-def errors(found: TrueMaps, truth: TrueMaps, seen: np.ndarray) -> Row:
+def errors(maps: TrueMaps, truth: TrueMaps, seen: np.ndarray) -> Row:
     """Return the errors of maps over the texels seen (H, W); None where a subject has none of a kind."""
-    turned = angles(found.normal, truth.normal)[seen]
-    colour = np.abs(found.base_color - truth.base_color).mean(axis=-1)
-    rough = np.abs(found.roughness - truth.roughness)
+    turned = angles(maps.normal, truth.normal)[seen]
+    colour = np.abs(maps.base_color - truth.base_color).mean(axis=-1)
+    rough = np.abs(maps.roughness - truth.roughness)
     glossy, metal = truth.roughness < _GLOSSY, truth.metallic > _METAL
     return {
         "normal_mean": _of(np.mean, turned),
         "normal_median": _of(np.median, turned),
         "base_color": _of(np.mean, colour[seen]),
         "base_color_metal": _of(np.mean, colour[seen & metal]),
-        "metallic": _of(np.mean, np.abs(found.metallic - truth.metallic)[seen]),
+        "metallic": _of(np.mean, np.abs(maps.metallic - truth.metallic)[seen]),
         "roughness_glossy": _of(np.mean, rough[seen & glossy]),
         "roughness_glossy_median": _of(np.median, rough[seen & glossy]),
         "roughness_matt": _of(np.mean, rough[seen & ~glossy]),
@@ -117,15 +117,15 @@ def errors(found: TrueMaps, truth: TrueMaps, seen: np.ndarray) -> Row:
     }
 
 
-def beyond(found: TrueMaps, truth: TrueMaps, seen: np.ndarray, out: Path) -> Row:
-    """Return for each map the share of the texels seen whose error is above three of the deviations reported.
+def beyond(maps: TrueMaps, truth: TrueMaps, seen: np.ndarray, out: Path) -> Row:
+    """Return, for each map, the share of the seen texels whose error exceeds three reported standard deviations.
 
-    A color is wrong where one of its channels is.
+    A colour counts if one of its channels does.
     """
     layers = read_exr(out / "confidence.exr")
-    wrong = {"normal": np.radians(angles(found.normal, truth.normal))[..., None]}
+    wrong = {"normal": np.radians(angles(maps.normal, truth.normal))[..., None]}
     for name in ("base_color", "metallic", "roughness"):
-        wrong[name] = np.abs(np.atleast_3d(getattr(found, name)) - np.atleast_3d(getattr(truth, name)))
+        wrong[name] = np.abs(np.atleast_3d(getattr(maps, name)) - np.atleast_3d(getattr(truth, name)))
     shares = {}
     for name, error in wrong.items():
         deviation = layers.get(f"confidence_{name}")
@@ -159,9 +159,9 @@ def highlights(shot: Photographed) -> np.ndarray:
 
 
 def sheet(as_seen: TrueMaps, pictures: np.ndarray, shot: Photographed) -> np.ndarray:
-    """Return a picture: above the truth, below what was recovered; base colour, metallic, roughness, normal, relit.
+    """Return a picture: above the truth, below the recovery; base colour, metallic, roughness, normal, relit.
 
-    looks: the recovered maps as the camera sees them. The unseen lamp with the most highlights is shown.
+    as_seen: the recovered maps as the camera sees them. Relit under the unseen lamp with the most highlights.
     """
     lamp = int(highlights(shot).sum(axis=(1, 2)).argmax())
     rows = []
@@ -189,27 +189,27 @@ def forward_error(subject: Subject, shot: Photographed, shadows: bool) -> tuple[
     }
     model = load_model("principled_metallic")
     ours = np.stack([p[..., :3] for p in rendered(domain, model, truth, range(domain.observations))])
-    kept = domain.stack.values[..., 3:] > 0
-    apart, theirs = (ours - domain.stack.values[..., :3]) * kept, domain.stack.values[..., :3] * kept
+    valid = domain.stack.values[..., 3:] > 0
+    residual, theirs = (ours - domain.stack.values[..., :3]) * valid, domain.stack.values[..., :3] * valid
     whole = theirs.sum(axis=(0, 3))
-    share, signed = ((a.sum(axis=(0, 3)) / whole)[whole > 0] for a in (np.abs(apart), apart))
+    share, signed = ((a.sum(axis=(0, 3)) / whole)[whole > 0] for a in (np.abs(residual), residual))
     return float(np.median(share)), float(np.quantile(share, 0.9)), float(np.median(signed))
 
 
 def check(names: list[str], kinds: list[str], table: dict, options: argparse.Namespace) -> None:
-    """Print how far the program's renderer is from Cycles, and the PSNR of the true maps."""
+    """Print the errors of the program's renderer against Cycles, and the PSNR of the true maps."""
     print("| card | capture | error of texels, median | 90 % | signed, median | PSNR dB of true maps | of highlights |")
     print("|---|---|---|---|---|---|---|")
     for kind in kinds:
         for name in names:
             subject, shooting = table[name](), SHOOTINGS[kind]
             shot = card_captures.photograph(f"{name}-{kind}", subject, shooting, options.cache)
-            off = " | ".join(f"{100 * v:.2f} %" for v in forward_error(subject, shot, shooting.shadows))
+            percentages = " | ".join(f"{100 * v:.2f} %" for v in forward_error(subject, shot, shooting.shadows))
             with TemporaryDirectory() as folder:
                 shown, _ = card_captures.relight(subject, shot.truth, shooting.near, Path(folder))
             best = picture_errors(shown, shot)
-            found = [f"{value:.1f}" if value is not None else "–" for value in (best["psnr"], best["psnr_highlights"])]
-            print(f"| {name} | {kind} | {off} | {' | '.join(found)} |", flush=True)
+            psnrs = [f"{value:.1f}" if value is not None else "–" for value in (best["psnr"], best["psnr_highlights"])]
+            print(f"| {name} | {kind} | {percentages} | {' | '.join(psnrs)} |", flush=True)
 
 
 def main() -> None:
@@ -223,9 +223,9 @@ def main() -> None:
     table = tune | report | ({"head": partial(head, scan)} if scan.is_dir() else {})
     chosen = options.names or list(tune if options.tune else report if options.report else table)
     kinds = options.captures.split(",")
-    for asked, fixed in ((chosen, table), (kinds, SHOOTINGS)):
-        if unknown := set(asked) - set(fixed):
-            raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(fixed)}")
+    for requested, available in ((chosen, table), (kinds, SHOOTINGS)):
+        if unknown := set(requested) - set(available):
+            raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(available)}")
     if options.check:
         check(chosen, kinds, table, options)
         return
@@ -238,7 +238,7 @@ def main() -> None:
 def measure_all(names: list[str], kinds: list[str], table: dict, options: argparse.Namespace) -> list[Row]:
     """Measure every card in every capture and write the tables; return all rows of the output folder.
 
-    What the folder's gloss.json holds of other cards and captures stays, where it was recovered in the same way.
+    Rows of other cards and captures in the folder's gloss.json stay if their settings are the same.
     """
     path, rows = options.out / "gloss.json", {}
     if path.exists():

@@ -1,9 +1,9 @@
-"""What a graphics processor does: both entries, where it saturates, Fig. 7 in full, one swarm, twelve megapixels.
+"""Speed on a GPU: both entries, rates by size, Fig. 7 in full, one swarm, twelve megapixels.
 
 Usage: python -m benchmarks.gpu [--quick] [--again] [--output FOLDER]; python -m benchmarks.gpu PART FILE measures one
-part alone. Ten minutes on a GPU; without one it ends at once, since the other pages say all of that.
+part alone. Ten minutes on a GPU; without one it ends at once, because the other pages measure software rendering.
 
-Every part runs in a process of its own and leaves its result in .cache/bench/gpu: a run that was stopped goes on.
+Every part runs in a process of its own and writes its result to .cache/bench/gpu: a stopped run resumes.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ _MODEL = "principled"
 _SOFTWARE, _MESA = "software", Path("/usr/share/glvnd/egl_vendor.d/50_mesa.json")
 _CAPTURE, _OBSERVATIONS = (224, 224), 96  # of the recovery with each entry
 _SIDES, _PHOTOGRAPHS = (256, 512, 1024, 2048), 24
-_CHUNKS, _TIMED = 3, 1 << 26  # of what is timed for a rate, and texels × iterations of each: a second as fragments
+_CHUNKS, _TIMED = 3, 1 << 26  # timed chunks of a rate, and texels × iterations of each: a second of fragment passes
 _OPERATIONS = 195  # of a particle of Fig. 7's stage under one light, counted in SPIR-V (spirv.py)
-_TILED = 1200 * 1800  # texels of Fig. 7 from which on they are tiled
+_TILED = 1200 * 1800  # texels of Fig. 7 above which a domain is tiled
 _BUDGET, _TEXTURE = 60 << 30, 8 << 30  # bytes on the device for Fig. 7, and of one texture
-_LARGE, _MOST_SECONDS = 10**5, 150  # texels from which on there is a slope; of one size of it
-_SOURCES = ("gpu", "timed", "roofline", "full_size", "swarm_scaling", "killed")  # of what is measured here
+_LARGE, _MOST_SECONDS = 10**5, 150  # least texels in the slope of Fig. 7; limit of one size
+_SOURCES = ("gpu", "timed", "roofline", "full_size", "swarm_scaling", "killed")  # modules that the results depend on
 _PARTICLES, _SWARM_ITERATIONS, _REPEATS = (8192, 50000), 100, 3
 
 
 def facts(quick: bool) -> dict[str, Any]:
-    """Return the device and what its probe found."""
+    """Return the device and the results of its probe."""
     from irpso_addon.gpu import probe
 
     return {**probe.probe(), "machine": report.machine()}
 
 
 def speed(quick: bool) -> dict[str, Any]:
-    """Return what ``doctor --benchmark`` says."""
+    """Return the results of ``doctor --benchmark``."""
     from irpso_addon.pipeline.speed import measure_speed
 
     return measure_speed(32 if quick else None).as_dict()
 
 
 def entries(quick: bool) -> dict[str, Any]:
-    """Recover one capture with either entry, and on software GL; return seconds, errors, how far apart the maps are."""
+    """Recover one capture with each entry and on software GL; return seconds, errors, differences between the maps."""
     from benchmarks.killed import write_card
     from benchmarks.subjects import NOISY, make_card
 
@@ -62,7 +62,7 @@ def entries(quick: bool) -> dict[str, Any]:
     shape, lights = ((16, 16), 12) if quick else (_CAPTURE, _OBSERVATIONS)
     write_card(folder / "capture", shape, lights, _MODEL)
     truth = make_card(shape, lights, NOISY, model=_MODEL).truth
-    found: dict[str, Any] = {"texels": shape[0] * shape[1], "observations": lights}
+    result: dict[str, Any] = {"texels": shape[0] * shape[1], "observations": lights}
     software = {_SOFTWARE: "fragment"} if _MESA.is_file() else {}
     for way, entry in {**{entry: entry for entry in _ENTRIES}, **software}.items():
         out = folder / way
@@ -71,19 +71,19 @@ def entries(quick: bool) -> dict[str, Any]:
         mesa = {"__EGL_VENDOR_LIBRARY_FILENAMES": str(_MESA), "LIBGL_ALWAYS_SOFTWARE": "1"} if way == _SOFTWARE else {}
         started = time.perf_counter()
         subprocess.run(command, cwd=report.ROOT, env=os.environ | mesa, check=True, capture_output=True)
-        told = json.loads((out / "report.json").read_text(encoding="utf-8"))
-        found[way] = {
-            "seconds": time.perf_counter() - started, "search": told["seconds"]["solve"],
+        summary = json.loads((out / "report.json").read_text(encoding="utf-8"))
+        result[way] = {
+            "seconds": time.perf_counter() - started, "search": summary["seconds"]["solve"],
             **compared(maps_of(out), truth),
         }  # fmt: skip
-    found["apart"] = compared(*(maps_of(folder / entry) for entry in _ENTRIES))
+    result["apart"] = compared(*(maps_of(folder / entry) for entry in _ENTRIES))
     if software:
-        found["software_apart"] = compared(maps_of(folder / "compute"), maps_of(folder / _SOFTWARE))
-    return found
+        result["software_apart"] = compared(maps_of(folder / "compute"), maps_of(folder / _SOFTWARE))
+    return result
 
 
 def maps_of(folder: Path) -> dict[str, np.ndarray]:
-    """Return the maps in a folder that a recovery wrote."""
+    """Return the maps in a recovery's output folder."""
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.results.read import read_maps
 
@@ -91,15 +91,15 @@ def maps_of(folder: Path) -> dict[str, np.ndarray]:
 
 
 def compared(values: Mapping[str, np.ndarray], others: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
-    """Return parameter → [mean, median, 99th percentile] of how far apart they are, as ``subjects.errors_of``."""
+    """Return parameter → [mean, median, 99th percentile] of the differences, as ``subjects.errors_of``."""
     from benchmarks.subjects import errors_of
 
-    off = errors_of(_MODEL, values, others)
-    return {name: [float(v.mean()), *np.quantile(v, (0.5, 0.99)).tolist()] for name, v in off.items()}
+    errors = errors_of(_MODEL, values, others)
+    return {name: [float(v.mean()), *np.quantile(v, (0.5, 0.99)).tolist()] for name, v in errors.items()}
 
 
 def rates(quick: bool) -> dict[str, Any]:
-    """Return texel·observations·evaluations a second by the size of the card, the steps of the phases in turn."""
+    """Return texel·observations·evaluations a second for every size of the card, phase and entry."""
     from benchmarks.timed import Job, measure
 
     alone = {
@@ -112,8 +112,8 @@ def rates(quick: bool) -> dict[str, Any]:
             for entry in _ENTRIES:
                 count = 2 if quick else max(2, _TIMED // side**2)
                 enough = {**changes, "iterations": 1 + count * (_CHUNKS + 1)}
-                found = measure(Job(side, side, _PHOTOGRAPHS, preset, enough, fixed, count, _CHUNKS, entry))
-                pairs = zip(found["evaluations"], found["clock"], strict=True)
+                result = measure(Job(side, side, _PHOTOGRAPHS, preset, enough, fixed, count, _CHUNKS, entry))
+                pairs = zip(result["evaluations"], result["clock"], strict=True)
                 rate = [_PHOTOGRAPHS * evaluations / seconds for evaluations, seconds in pairs]
                 rows.append({"side": side, "title": title, "entry": entry, "rate": statistics.median(rate),
                              "low": min(rate), "high": max(rate)})  # fmt: skip
@@ -122,7 +122,7 @@ def rates(quick: bool) -> dict[str, Any]:
 
 
 def fig7(quick: bool) -> dict[str, Any]:
-    """Run all sizes of the paper's Fig. 7 in full, with the entry that the probe prefers."""
+    """Run all sizes of the paper's Fig. 7 in full, with the entry that the probe chose."""
     from irpso_addon.gpu import probe
 
     entry, rows = probe.chosen_entry(probe.probe()), []
@@ -147,7 +147,7 @@ def fig7(quick: bool) -> dict[str, Any]:
 
 
 def run_job(text: str) -> None:
-    """Print what timed.measure finds of a job, where one texture may be larger than on software renderers."""
+    """Print the result of timed.measure for a job in JSON, with larger textures than on software renderers."""
     from benchmarks import timed
     from irpso_addon.solver.planning import plan
 
@@ -170,7 +170,7 @@ def swarm(quick: bool) -> dict[str, Any]:
 
 
 def cuda(quick: bool) -> dict[str, Any]:
-    """Time the same swarm by CUDA, in whichever Python has numba-cuda."""
+    """Time the same swarm by CUDA, where this Python has numba-cuda."""
     from benchmarks.swarm_scaling import on_cuda
 
     count, repeats = (5, 1) if quick else (_SWARM_ITERATIONS, _REPEATS)
@@ -181,14 +181,14 @@ def cuda(quick: bool) -> dict[str, Any]:
 
 
 def card(quick: bool) -> dict[str, Any]:
-    """Recover twelve megapixels from JPEGs, with all the memory that is planned on this machine."""
+    """Recover twelve megapixels from JPEGs, with all memory of this machine."""
     from benchmarks import full_size
 
     return full_size.recovered(full_size.SMALL if quick else full_size.SIZE, "")
 
 
 def ceilings(quick: bool) -> dict[str, Any]:
-    """Return the operations and the bytes that the device makes in a second at best, with the entry that it prefers."""
+    """Return the device's peak operations and bytes a second, with its faster entry."""
     from benchmarks import roofline
     from irpso_addon.gpu import probe
 
@@ -201,7 +201,7 @@ PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Measure all parts that have no result yet; one that fails is noted as such."""
+    """Measure all parts without a result; {} for a part that fails."""
     from irpso_addon.gpu import context
 
     sources = [report.digest(str(Path(__file__).with_name(f"{name}.py"))) for name in _SOURCES]
@@ -220,13 +220,13 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def run_part(name: str, path: Path) -> None:
     """Measure one part and write its JSON file."""
-    found = PARTS[name](path.stem.endswith("-quick"))
+    result = PARTS[name](path.stem.endswith("-quick"))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    path.write_text(json.dumps(result, indent=1), encoding="utf-8")
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
-    """Return the page's lines, of the parts that were measured."""
+    """Return the page's lines for the measured parts."""
     if not (facts := data["facts"]):
         return ["The device could not be examined.", ""]
     ratio = facts["fragment_seconds"] / facts["compute_seconds"]
@@ -252,40 +252,40 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _speed(data: dict[str, Any]) -> list[str]:
-    found = data["speed"]
-    total = sum(phase["seconds"] for phase in found["phases"].values())
+    part = data["speed"]
+    total = sum(phase["seconds"] for phase in part["phases"].values())
     return [
         "## The phases of a recovery",
         "",
-        f"`doctor --benchmark`: {found['texels']} texels, {found['photographs']} photographs, {found['model']},"
-        f" {found['preset']}. Shaders took {found['compiling_seconds']:.1f} s to compile. A texture goes to the device"
-        f" with {found['upload_bytes_per_second'] / 1e9:.1f} GB/s and comes back with"
-        f" {found['download_bytes_per_second'] / 1e9:.1f} GB/s. All together {total:.1f} s.",
+        f"`doctor --benchmark`: {part['texels']} texels, {part['photographs']} photographs, {part['model']},"
+        f" {part['preset']}. Shaders took {part['compiling_seconds']:.1f} s to compile. A texture goes to the device"
+        f" with {part['upload_bytes_per_second'] / 1e9:.1f} GB/s and comes back with"
+        f" {part['download_bytes_per_second'] / 1e9:.1f} GB/s. All together {total:.1f} s.",
         "",
         *report.table(
             ["phase", "s", "million texel·photograph·evaluations a second"],
             [[title, f"{phase['seconds']:.2f}", f"{phase['renders_per_second'] / 1e6:.0f}"]
-             for title, phase in found["phases"].items()],
+             for title, phase in part["phases"].items()],
         ),
     ]  # fmt: skip
 
 
 def _entries(data: dict[str, Any]) -> list[str]:
-    found = data["entries"]
-    ways = [name for name in (*_ENTRIES, _SOFTWARE) if name in found]
-    pairs = {"fragment and compute": found["apart"], "compute and software GL": found.get("software_apart")}
-    header = ["", "s of the search", *found["apart"]]
+    part = data["entries"]
+    ways = [name for name in (*_ENTRIES, _SOFTWARE) if name in part]
+    pairs = {"fragment and compute": part["apart"], "compute and software GL": part.get("software_apart")}
+    header = ["", "s of the search", *part["apart"]]
     return [
         "## One capture with either kind of pass",
         "",
-        f"`recover`, {found['texels']} texels under {found['observations']} lights, noise 0.003, {_MODEL}, *Standard*."
+        f"`recover`, {part['texels']} texels under {part['observations']} lights, noise 0.003, {_MODEL}, *Standard*."
         " Mean and 99th percentile of errors: the normal's in degrees, others in % of the range; then how far two ways"
-        f" are apart. Software: Mesa's renderer{found.get('software_on', '')}.",
+        f" are apart. Software: Mesa's renderer{part.get('software_on', '')}.",
         "",
         *report.table(header, [
-            *([name, report.short(found[name].get("search")), *(_error(found[name][p]) for p in found["apart"])]
+            *([name, report.short(part[name].get("search")), *(_error(part[name][p]) for p in part["apart"])]
               for name in ways),
-            *([f"{title} apart", "", *(_error(each[p]) for p in found["apart"])]
+            *([f"{title} apart", "", *(_error(each[p]) for p in part["apart"])]
               for title, each in pairs.items() if each),
         ]),
     ]  # fmt: skip
@@ -299,7 +299,7 @@ def _rates(data: dict[str, Any]) -> list[str]:
     rows = data["rates"]["rows"]
     cases, sides = (list(dict.fromkeys(row[name] for row in rows)) for name in ("title", "side"))
     ways = [(title, entry) for title in cases for entry in _ENTRIES]
-    found = {(r["side"], r["title"], r["entry"]): f"{r['rate'] / 1e9:.2f} ({r['low'] / 1e9:.2f}–{r['high'] / 1e9:.2f})"
+    cells = {(r["side"], r["title"], r["entry"]): f"{r['rate'] / 1e9:.2f} ({r['low'] / 1e9:.2f}–{r['high'] / 1e9:.2f})"
              for r in rows}  # fmt: skip
     return [
         "## Where it saturates",
@@ -309,21 +309,21 @@ def _rates(data: dict[str, Any]) -> list[str]:
         "",
         *report.table(
             ["texels", *(", ".join(way) for way in ways)],
-            [[f"{side}²", *(found.get((side, *way), "not measured") for way in ways)] for side in sides],
+            [[f"{side}²", *(cells.get((side, *way), "not measured") for way in ways)] for side in sides],
         ),
     ]
 
 
 def _fig7(data: dict[str, Any]) -> list[str]:
-    found, here = data["fig7"], data["ceilings"]
-    done = [row for row in found["rows"] if "clock" in row]
+    part, here = data["fig7"], data["ceilings"]
+    done = [row for row in part["rows"] if "clock" in row]
     cells = []
-    for row in found["rows"]:
+    for row in part["rows"]:
         size = f"{row['height']} × {row['width']}"
         if "clock" not in row:
             cells.append([size, f"not finished in {_MOST_SECONDS} s", "", "", ""])
             continue
-        rate = row["texels"] * row["lights"] * found["iterations"] / row["clock"][0]
+        rate = row["texels"] * row["lights"] * part["iterations"] / row["clock"][0]
         share = f"{rate * _OPERATIONS / here['operations']:.0%}, {16 * rate / here['bytes']:.0%}" if here else ""
         cells.append([size, f"{row['clock'][0]:.2f}", f"{row['setup'][0] + row['placing'][0]:.1f}",
                       f"{rate / 1e9:.1f}", share])  # fmt: skip
@@ -334,7 +334,7 @@ def _fig7(data: dict[str, Any]) -> list[str]:
         "## The paper's Fig. 7 in full",
         "",
         f"As in [fig7.md](fig7.md): two-lobe roughness, 16 particles of which one moves in an iteration, {LIGHTS}"
-        f" lights, all {found['iterations']} iterations, {found['entry']} passes. A particle takes {_OPERATIONS}"
+        f" lights, all {part['iterations']} iterations, {part['entry']} passes. A particle takes {_OPERATIONS}"
         " operations a light and reads 16 bytes. Shares are of the ceilings above: operations, bytes.",
         "",
         *report.table(["texels", "s", "s before: samples to the device, swarms placed",
@@ -371,7 +371,7 @@ def _card(data: dict[str, Any]) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     name = str(data["facts"].get("renderer", "")).partition("/")[0]
     done = [row for row in data["fig7"].get("rows", []) if "clock" in row]
     if not done:

@@ -1,4 +1,4 @@
-"""What the observations of a texel determine at all: the Cramér–Rao bound, from ground truth, in float64."""
+"""Cramér–Rao bound of a texel's parameters, from ground truth, in float64."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from benchmarks.peers.problem import problem_of
 from benchmarks.subjects import Card
 from irpso_addon.reflectance.model import load_model
 
-_STEP = 1e-5  # of a range: central differences in float64 are good to 1e-9
+_STEP = 1e-5  # of a range: central differences in float64 are precise to 1e-9
 
 
 def bounds(card: Card, noise: float) -> dict[str, np.ndarray]:
-    """Return parameter → (T,) the least standard deviation that an unbiased estimate of it can have, over its range.
+    """Return parameter → (T,), the least standard deviation of an unbiased estimate, over the parameter's range.
 
-    All parameters are unknown and every sample carries Gaussian noise of standard deviation ``noise`` and no shadow:
+    All parameters are unknown; every sample has Gaussian noise of standard deviation ``noise`` and no shadow:
     σ² = noise² (JᵀJ)⁻¹ (Cramér 1946). A normal is two angles with a range of π/2; of several components the worst
     counts. Infinite where JᵀJ is singular.
     """
@@ -26,16 +26,16 @@ def bounds(card: Card, noise: float) -> dict[str, np.ndarray]:
     regular = np.linalg.cond(matrix) < 1e14
     inverse = np.linalg.inv(np.where(regular[:, None, None], matrix, np.eye(matrix.shape[-1])))
     deviation = np.where(regular[:, None], noise * np.sqrt(np.einsum("taa->ta", inverse)), np.inf)
-    found, at = {}, 0
+    deviations, at = {}, 0
     for p in load_model(card.model).parameters:
         size = 2 if p.is_normal else p.components
-        found[p.name] = deviation[:, at : at + size].max(axis=1)
+        deviations[p.name] = deviation[:, at : at + size].max(axis=1)
         at += size
-    return found
+    return deviations
 
 
 def _jacobian(card: Card) -> np.ndarray:
-    """(n, K, T, 3) change of the radiance with every number, per range."""
+    """Return (n, K, T, 3) derivatives of the radiance by every component, per range."""
     problem = problem_of(card.domain, card.model, card.truth)
     geometry = geometry_of(problem)
 
@@ -61,7 +61,7 @@ def _jacobian(card: Card) -> np.ndarray:
 
 
 def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (T, 3) at right angles to normals of the upper hemisphere and to each other."""
+    """Return two unit vectors (T, 3) perpendicular to normals of the upper hemisphere and to each other."""
     first = np.stack([normal[:, 2], np.zeros(len(normal)), -normal[:, 0]], axis=-1)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return first, np.cross(normal, first)

@@ -1,11 +1,11 @@
-"""The light that hollow bodies throw on themselves, found from their true maps: gathered, and baked by Cycles.
+"""Interreflection of hollow bodies from their true maps: gathered by the program, and baked by Cycles.
 
 Usage: python -m benchmarks.indirect_light [--quick] [--samples 16,64] [--cache .cache/hollows] [NAME …]
 
 The bodies are those of benchmarks/scenes/hollows.py. The reference is what Cycles renders for four of the 40 lights, by
 default with 256 samples a pixel and 8 bounces, projected to the texels. *Gather* is solver/views/indirect.py by the
 settings of the preset *thorough*, or with as many bounces as the reference. *Bake* is Cycles' bake of indirect light,
-looked at from the camera, one for each light, with its own seed. Seconds are of all cores together (CPU time), for 40
+viewed from the camera, one for each light, with its own seed. Seconds are of all cores together (CPU time), for 40
 lights. Ratio: of the sums over texels and lights. Error: the mean absolute one over the mean of the reference.
 """
 
@@ -40,7 +40,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.views.indirect import IndirectLight
 
 _CACHE = report.CACHE.parent / "hollows"
-_CHOSEN = (0, 13, 26, 39)  # lights, from the middle of the dome to its rim
+_CHOSEN = (0, 13, 26, 39)  # lights of the reference, from the middle of the dome to its rim
 _BOUNCES = hollows.BOUNCES
 _INDIRECT = {"INDIRECT", "DIFFUSE", "GLOSSY"}
 _MODEL = "metallic_roughness"
@@ -66,7 +66,7 @@ class Body:
         self.counted = ((weight > 0) & self.domain.solvable)[:, self.domain.bake.coverage]
 
     def gathered(self, bounces: int) -> np.ndarray:
-        """Return (40, T, 3), what the program gathers from the true maps."""
+        """Return (40, T, 3), the light that the program gathers from the true maps."""
         settings, domain, model = load_schedule("thorough").interreflection, self.domain, load_model(_MODEL)
         true = {
             "base_color": self.body.color, "normal": (0, 0, 1), "roughness": (self.body.roughness,),
@@ -80,7 +80,7 @@ class Body:
             return np.stack([light.at_texels(light.of_elements(k)[0]) for k in range(domain.observations)])
 
     def baked(self, samples: int) -> np.ndarray:
-        """Return (40, T, 3), what Cycles bakes of the true material; the lights are distant."""
+        """Return (40, T, 3), the light that Cycles bakes with the true material; the lights are distant."""
         scene = bpy.context.scene
         render.set_up(scene, replace(self.view, samples=samples))
         scene.render.use_persistent_data = True
@@ -91,17 +91,17 @@ class Body:
         nodes.active.image = image
         self.thing.select_set(True)
         bpy.context.view_layer.objects.active = self.thing
-        found, pixels = [], np.empty((self.texels, self.texels, 4), np.float32)
+        light, pixels = [], np.empty((self.texels, self.texels, 4), np.float32)
         for number, _ in enumerate(render.lamps(self.domain.lights[:, :3])):
             scene.cycles.seed = number
             bpy.ops.object.bake(type="COMBINED", pass_filter=_INDIRECT)
             image.pixels.foreach_get(pixels.ravel())
-            found.append(pixels[self.domain.bake.coverage, :3])
-        return np.stack(found)
+            light.append(pixels[self.domain.bake.coverage, :3])
+        return np.stack(light)
 
-    def compared(self, found: np.ndarray) -> list[str]:
+    def compared(self, radiance: np.ndarray) -> list[str]:
         """Return the ratio and the error of (40, T, 3), in words."""
-        mine, true = (part.mean(axis=-1)[self.counted] for part in (found[list(_CHOSEN)], self.reference))
+        mine, true = (part.mean(axis=-1)[self.counted] for part in (radiance[list(_CHOSEN)], self.reference))
         return [f"{mine.sum() / true.sum():.3f}", f"{100 * np.abs(mine - true).sum() / true.sum():.0f} %"]
 
     def _photographed(self, folder: Path, bounces: int) -> np.ndarray:
@@ -126,17 +126,17 @@ def rows(name: str, quick: bool, samples: Iterable[int], cache: Path) -> list[li
         *((f"gather, {bounces} bounces", partial(body.gathered, bounces)) for bounces in (_usual(), _BOUNCES)),
         *((f"bake, {count} samples", partial(body.baked, count)) for count in samples),
     ]
-    found = []
+    table = []
     for title, way in ways:
         started = time.process_time()
         light = way()
-        found.append([name, title, f"{time.process_time() - started:.0f}", *body.compared(light)])
-        report.say(" ".join(found[-1]))
-    return found
+        table.append([name, title, f"{time.process_time() - started:.0f}", *body.compared(light)])
+        report.say(" ".join(table[-1]))
+    return table
 
 
 def _usual() -> int:
-    """Return the bounces of the preset."""
+    """Return the bounces of the preset *thorough*."""
     return load_schedule("thorough").interreflection.bounces
 
 

@@ -1,12 +1,11 @@
-"""Hollow bodies recovered with and without the light that they throw on themselves, and from pictures without it.
+"""Recovery of hollow bodies with and without rounds of interreflection, and from pictures without indirect light.
 
 Usage: python -m benchmarks.interreflection [--quick] [--again] [--output FOLDER]; the head's scan is looked for in the
 folder IRPSO_DATA, or in ../shared/data, and left out where it is not there.
 
-Cycles renders each body (benchmarks/scenes/hollows.py) with 8 bounces, which ``irpso recover`` gets, and with none,
-from which the oracle is recovered. The mesh is known, so its own normals are the truth. *Inside* is what owes more than
-5 % of its light to the rest of the body. One body is rendered with 1 and 2 bounces, too. Three are recovered with parts
-of what makes up the presets.
+Cycles renders each body (benchmarks/scenes/hollows.py) with 8 bounces, for ``irpso recover``, and with none, for the
+oracle. The mesh is known, so its own normals are the truth. *Inside* are texels with more than 5 % indirect light. One
+body is rendered with 1 and 2 bounces, too. Three are recovered with parts of the presets' settings.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ from irpso_addon.geometry.build import domain_from_mesh
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 
-_INSIDE = 0.05
-_WIDEST = 0.999 * np.pi / 2  # deviations of normals that no photograph tells
+_INSIDE = 0.05  # least indirect share
+_WIDEST = 0.999 * np.pi / 2  # radians: a larger deviation marks an undetermined normal
 _CACHE = report.CACHE.parent / "hollows"
 _ORACLE = "oracle"
 _STANDARD, _THOROUGH = (("--preset", preset) for preset in ("standard", "thorough"))
@@ -58,7 +57,7 @@ _SIZE, _QUICK = (128, 80, 32), (40, 24, 2)  # pixels, texels, samples
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Photograph and recover all bodies, one of them where it is quick."""
+    """Photograph and recover all bodies, or one if quick."""
     size, (first, *others) = _QUICK if quick else _SIZE, _bodies().items()
     bodies = dict([first] if quick else [first, *others])
     rows = [row for name, body in bodies.items() for row in _compared(name, body, hollows.BOUNCES, _RUNS, size)]
@@ -86,19 +85,19 @@ def _bodies() -> dict[str, hollows.Hollow]:
 def _compared(
     name: str, body: hollows.Hollow, bounces: int, runs: Mapping[str, tuple[str, ...]], size: tuple[int, int, int]
 ) -> list[dict[str, Any]]:
-    """Return the rows of a body: the errors of each run, inside and outside. Normals: where all runs know them."""
+    """Return the rows of a body: the errors of each run, inside and outside. Normals: where all runs determine them."""
     side, texels, samples = size
     with_light, with_none = (hollows.photograph(name, body, n, side, samples, _CACHE) for n in (bounces, 0))
     share = indirect_share(with_light, with_none, texels)
-    found = {
+    results = {
         run: _recovered(with_none if run == _ORACLE else with_light, arguments, texels)
         for run, arguments in runs.items()
     }
-    unknown = {run: _channel(out, "confidence_normal") > _WIDEST for run, (out, _) in found.items()}
+    unknown = {run: _channel(out, "confidence_normal") > _WIDEST for run, (out, _) in results.items()}
     known = ~np.logical_or.reduce(list(unknown.values()))
     rows = []
     for where, texel in (("inside", share > _INSIDE), ("outside", (share >= 0) & (share <= _INSIDE))):
-        for run, (out, seconds) in found.items():
+        for run, (out, seconds) in results.items():
             chosen = texel & (_channel(out, "coverage") > 0)
             if (chosen & known).any():
                 row = {"body": name, "run": run, "where": where, "seconds": seconds, "texels": int(chosen.sum())}
@@ -118,7 +117,7 @@ def _recovered(folder: Path, arguments: tuple[str, ...], texels: int) -> tuple[P
 
 
 def indirect_share(with_light: Path, with_none: Path, texels: int) -> np.ndarray:
-    """Return (H, W): the part of all its light that a texel owes to the rest of the body, −1 where none is seen."""
+    """Return (H, W): the indirect share of each texel's light, −1 outside the solvable texels."""
     bpy.ops.wm.open_mainfile(filepath=str(with_light / BLEND))
     mesh = extract_mesh(bpy.data.objects[NAME])
     domains = [
@@ -131,13 +130,13 @@ def indirect_share(with_light: Path, with_none: Path, texels: int) -> np.ndarray
 
 def errors(body: hollows.Hollow, out: Path, chosen: np.ndarray, known: np.ndarray) -> dict[str, Any]:
     """Return the errors of a recovery at some texels, (H, W) bool; of the normals where they are known."""
-    found = {name: value[chosen] for name, value in read_maps(out, load_model("metallic_roughness")).items()}
+    maps = {name: value[chosen] for name, value in read_maps(out, load_model("metallic_roughness")).items()}
     return {
-        "normal": asdict(Errors.of(angles(found["normal"], np.array((0.0, 0.0, 1.0)))[known[chosen]])),
-        "bias": float((found["base_color"] / body.color).mean() - 1),
-        "color": float(np.abs(found["base_color"] / body.color - 1).mean()),
-        "roughness": float(np.abs(found["roughness"] - body.roughness).mean()),
-        "metallic": float(np.abs(found["metallic"] - body.metallic).mean()),
+        "normal": asdict(Errors.of(angles(maps["normal"], np.array((0.0, 0.0, 1.0)))[known[chosen]])),
+        "bias": float((maps["base_color"] / body.color).mean() - 1),
+        "color": float(np.abs(maps["base_color"] / body.color - 1).mean()),
+        "roughness": float(np.abs(maps["roughness"] - body.roughness).mean()),
+        "metallic": float(np.abs(maps["metallic"] - body.metallic).mean()),
     }
 
 
@@ -200,7 +199,7 @@ def _cell(values: list[float], digits: int) -> str:
 
 
 def way(values: list[float], least: float) -> str:
-    """Return how much of the way from the first error to the third the second is, where they differ by ``least``."""
+    """Return (first − second) / (first − third) of the errors, in %, if first − third is at least ``least``."""
     before, after, oracle = values
     return f"{100 * (before - after) / (before - oracle):.0f} %" if before - oracle >= least else "–"
 
@@ -222,9 +221,9 @@ def _parts(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    found = {r["run"]: r for r in data["rows"] if r["where"] == "inside" and r["body"] == data["rows"][0]["body"]}
-    tilts = [f"{found[run]['normal']['mean']:.1f}°" for run in _RUNS if run in found]
+    """Return the text of the index."""
+    inside = {r["run"]: r for r in data["rows"] if r["where"] == "inside" and r["body"] == data["rows"][0]["body"]}
+    tilts = [f"{inside[run]['normal']['mean']:.1f}°" for run in _RUNS if run in inside]
     return f"{data['rows'][0]['body']}, inside: {', '.join(tilts)} ({', '.join(_RUNS)})"
 
 

@@ -1,4 +1,4 @@
-"""All maps unknown at once, two lobes, 100 lights: how many texels come out right, and how right under dirt.
+"""Joint recovery of all maps, two lobes, 100 lights: the share of right texels, and errors under disturbances.
 
 Usage: python -m benchmarks.joint [--quick] [--again] [--output FOLDER]
 """
@@ -16,8 +16,8 @@ from benchmarks.identifiable import bounds
 from benchmarks.report import short
 from irpso_addon.gpu import context
 
-NOISE, LEAST = 0.003, 0.02  # σ of the bound, and the part of a range under which a parameter counts as identifiable
-DEGREES, PERCENT = 1.0, 1.0  # what counts as right
+NOISE, LEAST = 0.003, 0.02  # σ of the bound, and the bound, over the range, below which a parameter is identifiable
+DEGREES, PERCENT = 1.0, 1.0  # largest errors of a right texel
 METHODS = ("standard", product.LM_ALONE)
 DIRTS = ("clean", "noisy", "shadowed", "dirty", "patched")
 
@@ -30,42 +30,42 @@ def measure(quick: bool) -> dict[str, Any]:
         for method in METHODS:
             schedule = product.schedule_of(method)
             pooled: dict[str, list[np.ndarray]] = {}
-            kept, seconds, evaluations = [], 0.0, 0.0
+            identifiable, seconds, evaluations = [], 0.0, 0.0
             for seed in range(seeds):
                 card = subjects.make_card(size, lights, subjects.DIRTS[dirt], seed)
                 run = product.recover(card.domain, card.model, schedule, seed)
                 for name, error in subjects.errors_of(card.model, run.values, card.truth).items():
                     pooled.setdefault(name, []).append(error)
-                kept.append(np.max(list(bounds(card, NOISE).values()), axis=0) < LEAST)
+                identifiable.append(np.max(list(bounds(card, NOISE).values()), axis=0) < LEAST)
                 seconds, evaluations = seconds + run.seconds, evaluations + run.evaluations / seeds
             errors = {name: np.concatenate(parts) for name, parts in pooled.items()}
             rows.append({"dirt": dirt, "method": method, "seconds": seconds, "evaluations": evaluations,
-                         **_summary(errors, np.concatenate(kept))})  # fmt: skip
+                         **_summary(errors, np.concatenate(identifiable))})  # fmt: skip
             right, degrees = rows[-1]["right"], rows[-1]["errors"]["normal"][0]
             report.say(f"joint: {dirt}, {method}: {right:.4f} right, {degrees:.3f}°")
     return {"size": size, "lights": lights, "seeds": seeds, "rows": rows, "floor": _floors(size, lights, quick)}
 
 
-def _summary(errors: dict[str, np.ndarray], kept: np.ndarray) -> dict[str, Any]:
+def _summary(errors: dict[str, np.ndarray], identifiable: np.ndarray) -> dict[str, Any]:
     limits = {name: DEGREES if name == "normal" else PERCENT for name in errors}
     within = {name: error < limits[name] for name, error in errors.items()}
     everything = np.all(list(within.values()), axis=0)
     return {
-        "excluded": 1 - kept.mean(),
-        "right": float(everything[kept].mean()),
-        "within": {name: float(ok[kept].mean()) for name, ok in within.items()},
+        "excluded": 1 - identifiable.mean(),
+        "right": float(everything[identifiable].mean()),
+        "within": {name: float(ok[identifiable].mean()) for name, ok in within.items()},
         "errors": {
-            name: [float(x) for x in (e.mean(), np.median(e), np.quantile(e, 0.99), e[kept].mean())]
+            name: [float(x) for x in (e.mean(), np.median(e), np.quantile(e, 0.99), e[identifiable].mean())]
             for name, e in errors.items()
         },
     }
 
 
 def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
-    """Return what interreflection alone leaves of the normals: dirt → mean error of a fit that knows the shadows.
+    """Return dirt → mean normal error, with its interval, that interreflection alone leaves.
 
-    scipy's least squares from the truth, without the samples in shadow, on some texels of the first card: the minimum
-    next to the truth of what the model can say of such images.
+    scipy's least squares from the truth, without the samples in shadow, on some texels of the first card: the model's
+    local minimum next to the truth.
     """
     from benchmarks.peers.least_squares import scipy_least_squares
     from benchmarks.peers.objective import Loss
@@ -78,8 +78,8 @@ def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
         chosen = subjects.sample(whole.count, 4 if quick else 150)
         lit = ~card.shadowed.reshape(lights, -1)
         fixed = replace(whole, weights=whole.weights * lit).subset(chosen)
-        found = scipy_least_squares(fixed, Loss(kind="linear", shadow=0.0), restarts=False, max_nfev=60)
-        error = subjects.errors_of(card.model, found.values, fixed.truth)["normal"]
+        fit = scipy_least_squares(fixed, Loss(kind="linear", shadow=0.0), restarts=False, max_nfev=60)
+        error = subjects.errors_of(card.model, fit.values, fixed.truth)["normal"]
         floors[dirt] = list(report.mean_interval(error))
     return floors
 
@@ -141,7 +141,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     clean, dirty = (next(r for r in data["rows"] if r["dirt"] == d) for d in ("clean", "dirty"))
     return (
         f"{clean['right']:.2%} of identifiable texels right ({clean['excluded']:.1%} excluded); normals under dirt off"

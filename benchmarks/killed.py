@@ -1,10 +1,10 @@
-"""Recoveries killed with signal 9 at random moments and resumed: do they end in the same maps?
+"""Recoveries killed with signal 9 at random moments and resumed, compared bit for bit with an uninterrupted one.
 
 Usage: python -m benchmarks.killed [--quick] [--again] [--output FOLDER]; mpirun is looked for beside Python.
 
-A small card is recovered once in one piece. Then again and again: started, killed at a random moment of its life
-(reading, searching, writing a checkpoint, writing the result), started again with --resume where a checkpoint is, until
-a run gets through; its maps are compared bit for bit. With ranks, one of them, chosen at random, is killed.
+A small card is recovered once without interruption. Then repeatedly: started, killed at a random moment (reading,
+searching, writing a checkpoint or the result), started again, with --resume if there is a checkpoint, until a run ends.
+With ranks, a random one of them is killed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _OPTIONS = ("--model", "lambert", "--preset", "swarm", "--iterations", "800", "-
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run the chains side by side, each with its own folder."""
+    """Run the chains in parallel, each in its own folder."""
     folder = report.CACHE / "killed"
     shutil.rmtree(folder, ignore_errors=True)
     capture = write_card(folder / "capture", _TEXELS, _LIGHTS)
@@ -44,10 +44,10 @@ def measure(quick: bool) -> dict[str, Any]:
     kills = 4 if quick else _KILLS
     chains = [n for n in _CHAINS if n == 1 or launcher() is not None]
     with ThreadPoolExecutor(len(chains)) as pool:
-        found = pool.map(
+        results = pool.map(
             lambda ranks: _chain(capture, folder / f"ranks-{ranks}", ranks, kills, took, reference), chains
         )
-        return {"chains": list(found), "seconds": took, "iterations": 800}
+        return {"chains": list(results), "seconds": took, "iterations": 800}
 
 
 def _chain(
@@ -55,7 +55,7 @@ def _chain(
 ) -> dict[str, Any]:
     chosen = random.Random(ranks)
     done = {"ranks": ranks, "kills": 0, "resumed": 0, "whole": 0, "equal": 0, "failed": 0}
-    out, number, life = folder / "0", 0, 1.2 * took  # so that some come while the result is being written
+    out, number, life = folder / "0", 0, 1.2 * took  # 1.2: some kills come while the result is being written
     while done["kills"] < kills:
         resume = (out / "checkpoint.npz").exists()
         run = _start(capture, out, ranks, resume)
@@ -93,7 +93,7 @@ def _start(capture: Path, out: Path, ranks: int, resume: bool) -> subprocess.Pop
 
 
 def _kill(run: subprocess.Popen, ranks: int, chosen: random.Random) -> None:
-    """Kill the process, or one of its ranks, after which the launcher has to end the others."""
+    """Kill the process, or one of its ranks; then the launcher must end the others."""
     if ranks > 1 and (children := _ranks_of(run.pid)):
         with contextlib.suppress(ProcessLookupError):  # where it has ended by itself meanwhile
             os.kill(chosen.choice(children), signal.SIGKILL)
@@ -107,24 +107,24 @@ def _kill(run: subprocess.Popen, ranks: int, chosen: random.Random) -> None:
 
 
 def _ranks_of(launched: int) -> list[int]:
-    """Return the processes below a launcher that run the program."""
+    """Return the launcher's child processes that run the program."""
     listed = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines()[1:]
     rows = [line.split(None, 2) for line in listed]
     return [int(pid) for pid, parent, words in rows if int(parent) == launched and "irpso_addon" in words]
 
 
 def _finished(run: subprocess.Popen) -> float:
-    """Wait for a run, and return the seconds; raises CalledProcessError where it fails."""
+    """Wait for a run; return the seconds. Raises CalledProcessError if it fails."""
     began = time.monotonic()
-    _, told = run.communicate()
+    _, stderr = run.communicate()
     if run.returncode:
-        report.say(told.decode())
+        report.say(stderr.decode())
         raise subprocess.CalledProcessError(run.returncode, run.args)
     return time.monotonic() - began
 
 
 def write_card(folder: Path, shape: tuple[int, int], lights: int, model: str = "lambert") -> Path:
-    """Write the capture of a noisy card of (H, W) texels, as subjects.make_card has it, and return its folder."""
+    """Write the capture of a noisy card of (H, W) texels by subjects.make_card; return its folder."""
     from benchmarks.subjects import NOISY, make_card
     from irpso_addon.capture.camera import Camera
     from irpso_addon.capture.types import Capture, Light, Observation
@@ -169,7 +169,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     kills, whole, equal, failed = (sum(c[k] for c in data["chains"]) for k in ("kills", "whole", "equal", "failed"))
     refused = f", {failed} refused to resume" if failed else ""
     return f"{kills} kills: {equal} of {whole} runs ended in the same maps{refused}"

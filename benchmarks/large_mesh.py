@@ -1,9 +1,9 @@
-"""Large maps on a mesh within a budget of memory: 1024² in full, and at 4096² the plan and two of its tiles.
+"""Large maps on a mesh within a memory budget: 1024² in full, and at 4096² the plan and two of its tiles.
 
 Usage: python -m benchmarks.large_mesh [--quick] [--again] [--output FOLDER]
 
-Subject and pictures are those of benchmarks.multiview, whose captures must be there. For 40 lights a camera its
-24 pictures are used again: memory and time are measured here, not errors.
+Subject and pictures are those of benchmarks.multiview, whose captures must exist. For 40 lights a camera its 24
+pictures are repeated: memory and time are measured here, not errors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CAPTURE = _FOLDER / "capture-8"
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run the command at 1024², plan at 4096², and run two tiles of that plan."""
+    """Run the command at 1024², and two tiles of the plan at 4096²."""
     from benchmarks.scenes import textured
 
     if not _CAPTURE.is_dir():
@@ -51,7 +51,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _with_lights(count: int) -> Path:
-    """Write a capture of ``count`` observations for each camera, of the pictures that there are; return its path."""
+    """Write a capture of ``count`` observations for each camera, with repeated pictures; return its path."""
     head, *observations = (_CAPTURE / "capture.toml").read_text(encoding="utf-8").split("[[observation]]")
     cameras: dict[str, list[str]] = {}
     for text in observations:
@@ -69,7 +69,7 @@ def _with_lights(count: int) -> Path:
 
 
 def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
-    """Solve the two fullest tiles side by side of the plan at ``resolution``, and write what it took as JSON."""
+    """Solve the fullest tile of the plan at ``resolution`` and the next one; write times and sizes as JSON."""
     import numpy as np
 
     from benchmarks.product import now
@@ -108,11 +108,11 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
         solved = recovery.maps().covered
     done = now()
     texels = int(sum(solved[y : y + h, x : x + w].sum() for x, y, w, h in moved))
-    found = {
+    facts = {
         "plan": plan.lines(), "solved": texels, "observations": count, "read": (read - started).tolist(),
         "solve": (done - read).tolist(), "texels": plan.texels, "tiles": len(plan.tiles),
     }  # fmt: skip
-    result.write_text(json.dumps(found), encoding="utf-8")
+    result.write_text(json.dumps(facts), encoding="utf-8")
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
@@ -142,7 +142,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     return f"{_FULL}² in {data['full']['peak']:.1f} GiB; two tiles of {_HUGE}² in {data['huge']['peak']:.1f} GiB"
 
 

@@ -1,4 +1,4 @@
-"""How many lights, and how spread, a capture needs: errors, texels that fail, and what ``inspect`` says beforehand.
+"""Number and spread of the lights of a capture: errors, texels that fail, and the warnings of ``inspect``.
 
 Usage: python -m benchmarks.lights [--quick] [--again] [--output FOLDER]
 """
@@ -23,29 +23,29 @@ from irpso_addon.gpu import context
 COUNTS = (200, 100, 50, 20, 10, 5, 3)
 SPREAD_OVER = 50  # lights, where their spread is measured
 CONES = (73, 60, 45, 30, 20, 10)  # degrees between the axis and the outermost light
-FANS = (0.5, 0.2, 0.1, 0.05, 0.02)  # across the fan's plane, of what it has along it
-DEGREES, PERCENT = 5.0, 10.0  # beyond them a texel has failed
-FEW = 0.05  # of texels may fail
-OUTDATED = 0.03  # how far a figure that inspect has may be off the one that is measured
+FANS = (0.5, 0.2, 0.1, 0.05, 0.02)  # width across the fan's plane over that along it
+DEGREES, PERCENT = 5.0, 10.0  # larger errors are failures
+FEW = 0.05  # share of texels that may fail
+OUTDATED = 0.03  # largest difference between a figure in inspect and the measured one
 MODELS = {"principled": "one lobe", "cook_torrance_two_lobe": "two lobes"}
-# What people ask for, and the parameters that tell whether they have it.
-ASKED = {"normal": ("normal",), "roughness": ("roughness",), "two lobes": ("r1", "r2", "w")}
+# Goal of a capture → the parameters that must not fail.
+GOALS = {"normal": ("normal",), "roughness": ("roughness",), "two lobes": ("r1", "r2", "w")}
 
 
 def cone(count: int, degrees: float) -> np.ndarray:
-    """Return lights on a spiral no further from the axis than that."""
+    """Return (K, 3) lights on a spiral up to ``degrees`` off the axis."""
     return subjects.spiral_lights(count, float(np.cos(np.radians(degrees))))
 
 
 def fan(count: int, width: float) -> np.ndarray:
-    """Return the spiral's lights with their y made smaller by ``width``, z made up for it."""
+    """Return (K, 3) lights of the spiral with y scaled by ``width`` and z recomputed."""
     lights = subjects.spiral_lights(count) * (1, width, 1)
     lights[:, 2] = np.sqrt(1 - (lights[:, :2] ** 2).sum(axis=1))
     return lights
 
 
 def lights_of(kind: str, value: float) -> np.ndarray:
-    """Return the unit directions (K, 3) of a set of lights: of a number, of a cone's degrees or of a fan's width."""
+    """Return unit directions (K, 3) of a set of lights. value: their number, the cone's degrees or the fan's width."""
     if kind == "number":
         return subjects.spiral_lights(int(value))
     return cone(SPREAD_OVER, value) if kind == "cone" else fan(SPREAD_OVER, value)
@@ -76,9 +76,9 @@ def _row(model: str, lights: np.ndarray, dirt: str, size: int, seeds: int) -> di
     errors = {name: np.concatenate(parts) for name, parts in pooled.items()}
     bad = {name: error > (DEGREES if name == "normal" else PERCENT) for name, error in errors.items()}
     failed = {"any": float(np.any(list(bad.values()), axis=0).mean())}
-    for asked, names in ASKED.items():
+    for goal, names in GOALS.items():
         if all(name in bad for name in names):
-            failed[asked] = float(np.any([bad[name] for name in names], axis=0).mean())
+            failed[goal] = float(np.any([bad[name] for name in names], axis=0).mean())
     return {
         "model": model, "dirt": dirt, "failed": failed,
         "errors": {name: [float(e.mean()), float(np.median(e))] for name, e in errors.items()},
@@ -86,7 +86,7 @@ def _row(model: str, lights: np.ndarray, dirt: str, size: int, seeds: int) -> di
 
 
 def spoken(lights: np.ndarray) -> tuple[str, list[str]]:
-    """Return what ``inspect`` calls these lights enough for, and what it finds wrong with them."""
+    """Return the goals for which ``inspect`` calls these lights enough, and its findings on them."""
     shades = np.random.default_rng(0).random((len(lights), 1)) + 1
     picture = np.ones((4, 4, 4), np.float32)
     observations = tuple(
@@ -97,9 +97,9 @@ def spoken(lights: np.ndarray) -> tuple[str, list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "capture"
         write_capture(Capture("lights", observations, (camera,), (np.ones((4, 4), bool),)), target, single_file=True)
-        found = inspect_capture(target, goals=sufficiency.GOALS)
-    (told,) = [value for name, value in found.facts if name == "enough for"]
-    return told, [f.message.split(": ", 1)[1] for f in found.findings if f.code.startswith("lights")]
+        inspection = inspect_capture(target, goals=sufficiency.GOALS)
+    (enough_for,) = [value for name, value in inspection.facts if name == "enough for"]
+    return enough_for, [f.message.split(": ", 1)[1] for f in inspection.findings if f.code.startswith("lights")]
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
@@ -124,7 +124,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
             if chosen:
                 lines += [f"## {label[0].upper()}{label[1:]}, {title} (`{model}`)", "", *_table(chosen, label)]
     lines += ["## What `inspect` says beforehand", "", *_outdated(rows)]
-    # Asked now and not kept with the measurement, whose result may be older than what inspect says.
+    # Inspected now: the stored measurement may be older than inspect's texts.
     cells = []
     for kind, value in dict.fromkeys((r["kind"], r["value"]) for r in rows):
         enough_for, findings = spoken(lights_of(kind, value))
@@ -133,7 +133,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _outdated(rows: list[dict]) -> list[str]:
-    """Return what tells that the figures inspect speaks from are not these any more."""
+    """Return a warning line if the figures in inspect differ from the measured ones."""
     off = []
     for kind, dirt, figures in (("number", "dirty", sufficiency.NUMBER), ("cone", "noisy", sufficiency.CONE),
                                 ("fan", "noisy", sufficiency.ACROSS)):  # fmt: skip
@@ -159,13 +159,13 @@ def _draw(axis: Any, rows: list[dict], label: str, kind: str) -> None:
     for model in MODELS:
         for dirt, dash in (("noisy", "-"), ("dirty", "--")):
             chosen = [r for r in rows if r["model"] == model and r["dirt"] == dirt]
-            for asked, color in styles.items():
-                if not chosen or asked not in chosen[0]["failed"]:
+            for goal, color in styles.items():
+                if not chosen or goal not in chosen[0]["failed"]:
                     continue
-                if asked == "normal" and model != "principled":
+                if goal == "normal" and model != "principled":
                     continue
-                x, y = [r["value"] for r in chosen], [100 * r["failed"][asked] for r in chosen]
-                name = f"{asked}, {dirt}" if kind == "number" else asked
+                x, y = [r["value"] for r in chosen], [100 * r["failed"][goal] for r in chosen]
+                name = f"{goal}, {dirt}" if kind == "number" else goal
                 axis.plot(x, y, dash, marker="o", markersize=3, color=report.COLORS[color], label=name, linewidth=1.3)
     axis.set(xscale="log", xlabel=label, ylabel="texels that fail, %", ylim=(-3, 103))
     values = sorted({r["value"] for r in rows})
@@ -185,13 +185,13 @@ def _table(rows: list[dict], label: str) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says: the fewest lights with which few texels fail."""
-    told = []
-    for asked in ASKED:
-        rows = [r for r in data["rows"] if r["kind"] == "number" and r["dirt"] == "noisy" and asked in r["failed"]]
-        good = [r["value"] for r in rows if r["failed"][asked] <= FEW]
-        told.append(f"{asked} from {min(good)} lights" if good else f"{asked} with none of these numbers")
-    return f"under {FEW:.0%} of texels fail: {', '.join(told)}"
+    """Return the index entry: the fewest lights with which few texels fail."""
+    parts = []
+    for goal in GOALS:
+        rows = [r for r in data["rows"] if r["kind"] == "number" and r["dirt"] == "noisy" and goal in r["failed"]]
+        good = [r["value"] for r in rows if r["failed"][goal] <= FEW]
+        parts.append(f"{goal} from {min(good)} lights" if good else f"{goal} with none of these numbers")
+    return f"under {FEW:.0%} of texels fail: {', '.join(parts)}"
 
 
 PROGRAM = report.Program("lights", "How many lights a capture needs", __file__, measure, write, headline)

@@ -1,4 +1,4 @@
-"""One view against several, with and without predicted shadows, near lights: a head photographed by Cycles all around.
+"""One view against several, with and without predicted shadows, near lights: a head rendered by Cycles from all sides.
 
 Usage: python -m benchmarks.multiview [--quick] [--again] [--output FOLDER]; the scan is looked for in the folder
 IRPSO_DATA, or in ../shared/data.
@@ -6,8 +6,8 @@ IRPSO_DATA, or in ../shared/data.
 The head has its own colours and normals, and a roughness authored from its specular map; cast shadows, four bounces.
 Each camera has 24 lights of its own, up to 60° off its axis. ``python -m irpso_addon recover`` solves the captures; its
 maps are compared texel by texel, and the material that it writes is rendered by Cycles from two views and under ten
-lights that were in no capture. All errors but the last two columns are over what the front camera sees, which all
-captures have seen.
+lights that were in no capture. All errors but the last two columns are over the texels that the front camera, which is
+in all captures, sees.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SEAM = 4  # texels
 
 @dataclass(frozen=True)
 class Size:
-    """picture: pixels, maps: texels along a side. detail: texels that the true maps really have. samples: Cycles'."""
+    """Sizes. picture: pixels, maps: texels along a side. detail: texels of the true maps' detail. samples: Cycles'."""
 
     picture: int = 256
     maps: int = 256
@@ -48,7 +48,7 @@ QUICK = Size(48, 32, 16, 2, 6)
 
 @dataclass(frozen=True)
 class Case:
-    """cameras: how many of around.shots. near: point lights. shadows: whether cast shadows are predicted."""
+    """A recovery. cameras: number of around.shots. near: point lights. shadows: whether cast shadows are predicted."""
 
     cameras: int
     near: bool = False
@@ -56,7 +56,7 @@ class Case:
 
     @property
     def title(self) -> str:
-        """What the table calls it."""
+        """The row's title."""
         views = f"{self.cameras} view{'s' if self.cameras > 1 else ''}"
         return f"{views}{', near lights' if self.near else ''}{'' if self.shadows else ', shadows not predicted'}"
 
@@ -67,10 +67,10 @@ CASES = tuple(Case(n, near, shadows) for n, near in ((1, False), (3, False), (8,
 
 @dataclass(frozen=True)
 class _Subject:
-    """What results are compared with. front: (H, W) texels that the front camera sees. angle: degrees to it.
+    """The truth. front: (H, W) bool, texels that the front camera sees. angle: degrees between it and the normal.
 
-    border: texels to the nearest one without surface. relit: true pictures under the unseen lights, by view, with the
-    mask of the subject and that of what the front camera sees.
+    border: texels to the nearest one without surface. relit: for each view, true pictures under the unseen lights, the
+    subject's mask, and the mask of what the front camera sees.
     """
 
     truth: Any
@@ -101,7 +101,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _photograph(scene, size: Size, view, folder: Path) -> _Subject:
-    """Render what the folder lacks, write the captures, and return what there is to compare with."""
+    """Render what the folder lacks, write the captures, and return the truth."""
     import bpy
     from scipy.ndimage import distance_transform_edt
 
@@ -147,7 +147,7 @@ def _capture(cameras: int, near: bool) -> str:
 
 
 def recover(folder: Path, out: Path, resolution: int, case: Case, extra: Sequence[str] = ()) -> tuple[float, float]:
-    """Run the command as a person would, into a new folder; return its seconds, and the GiB that it held at most."""
+    """Run the public command into a new folder; return its seconds and its peak memory in GiB."""
     from benchmarks.scenes import textured
 
     shutil.rmtree(out, ignore_errors=True)
@@ -160,7 +160,7 @@ def recover(folder: Path, out: Path, resolution: int, case: Case, extra: Sequenc
 
 
 def run_measured(command: list[str]) -> tuple[float, float]:
-    """Run a command in the project's root; return its seconds, and the GiB that it held at most."""
+    """Run a command in the project's root; return its seconds and its peak memory in GiB."""
     from benchmarks.product import now
 
     started = now()[0]
@@ -181,12 +181,12 @@ def _compare(case: Case, out: Path, subject: _Subject, view, unseen) -> dict[str
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.results.read import read_maps
 
-    found, truth = read_maps(out, load_model("principled")), subject.truth
+    maps, truth = read_maps(out, load_model("principled")), subject.truth
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     solved = coverage > 0
-    normal = angles(found["normal"], truth.normal)
-    colour = np.abs(found["base_color"] - truth.base_color).mean(axis=-1)
-    rough = np.abs(found["roughness"][..., 0] - truth.roughness)
+    normal = angles(maps["normal"], truth.normal)
+    colour = np.abs(maps["base_color"] - truth.base_color).mean(axis=-1)
+    rough = np.abs(maps["roughness"][..., 0] - truth.roughness)
     seen = subject.front & solved
     values, shown = {}, []
     for number, (true, mask, inside) in enumerate(subject.relit):
@@ -210,7 +210,7 @@ def _compare(case: Case, out: Path, subject: _Subject, view, unseen) -> dict[str
 
 
 def _relight(out: Path, shot, view) -> np.ndarray:
-    """(K, H, W, 3) what Cycles sees of the material that a recovery wrote."""
+    """Return (K, H, W, 3), Cycles' renders of the material that a recovery wrote."""
     import bpy
 
     from benchmarks.scenes import around, render
@@ -264,7 +264,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     return "; ".join(f"{r['title']} {r['normal'][0]:.1f}°, {r['psnr_front']:.0f} dB" for r in data["results"])
 
 

@@ -30,7 +30,7 @@ CONSTANTS = (0.02, 0.05, 0.1, 0.3)
 
 @dataclass(frozen=True)
 class Subject:
-    """domain: what is observed. albedo, normal: (H, W, 3). edge: (H, W) bool, texels near a jump of either."""
+    """A card. domain: its observations. albedo, normal: (H, W, 3). edge: (H, W) bool, texels near a jump of either."""
 
     domain: Domain
     albedo: np.ndarray
@@ -82,7 +82,7 @@ def errors(subject: Subject, schedule: Schedule, seed: int) -> np.ndarray:
         values = recovery.maps().values
     angle = _angle(values["normal"], subject.normal)
     albedo = np.abs(values["base_color"] - subject.albedo).mean(axis=-1)
-    away = angle[~subject.edge].mean()
+    elsewhere = angle[~subject.edge].mean()
     quantile = np.quantile(angle, 0.99)
     return np.array(
         [
@@ -90,7 +90,7 @@ def errors(subject: Subject, schedule: Schedule, seed: int) -> np.ndarray:
             angle.mean(),
             quantile,
             angle[subject.edge].mean(),
-            away,
+            elsewhere,
             albedo.mean(),
             np.quantile(albedo, 0.99),
         ]
@@ -98,7 +98,7 @@ def errors(subject: Subject, schedule: Schedule, seed: int) -> np.ndarray:
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return degrees between unit vectors; from the chord, which keeps its digits where the cosine loses them."""
+    """Return degrees between unit vectors, from the chord: the cosine has no precision at small angles."""
     return np.degrees(2 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=-1) / 2, 1)))
 
 
@@ -133,10 +133,10 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|---|---|")
     rows = cells(base)
     for number, (kind, window, c3, schedule) in enumerate(rows, 1):
-        found = np.array([errors(subject, schedule, seed) for seed in range(options.seeds)])
-        mean = found.mean(axis=0)
+        errors_by_seed = np.array([errors(subject, schedule, seed) for seed in range(options.seeds)])
+        mean = errors_by_seed.mean(axis=0)
         print(
-            f"| {c3:g} | {kind} | {window or '–'} | {mean[0]:.2f} | {mean[1]:.3f} ± {found[:, 1].std():.3f}"
+            f"| {c3:g} | {kind} | {window or '–'} | {mean[0]:.2f} | {mean[1]:.3f} ± {errors_by_seed[:, 1].std():.3f}"
             f" | {mean[2]:.2f} | {mean[3]:.3f} | {mean[4]:.3f} | {mean[5]:.5f} | {mean[6]:.4f} |",
             flush=True,
         )

@@ -22,22 +22,22 @@ from irpso_addon.geometry.domain import Domain
 
 DATA = Path(os.environ.get("IRPSO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 BUNNY = "bunny_specular"
-FIELD_OF_VIEW = 49.8  # degrees, of its perspective camera, which its folder does not tell
+FIELD_OF_VIEW = 49.8  # degrees, of its perspective camera; the folder does not have it
 CAPTURES = ("clean", "dirty", BUNNY)
 PRODUCT = ("standard", product.LM_ALONE)
 LINEAR = ("plain least squares", "least squares", "trimmed", "trimmed 45–60", "l1", "sparse bayesian", "low rank")
-# How many texels the slow ones are given; fewer are a part of more, so that all have some in common.
+# Number of texels of the slow methods. A smaller sample is a part of a larger one.
 ITERATIVE = {
     "adam": 64, "l-bfgs": 64, "l-bfgs per texel": 64, "scipy least_squares": 32, "pyswarms": 10,
     "differential evolution": 10,
 }  # fmt: skip
 METHODS = (*PRODUCT, *LINEAR, *ITERATIVE)
-POINTS = 24  # looks at the program on its way
+POINTS = 24  # samples of the program's trace
 
 
 @dataclass(frozen=True)
 class Subject:
-    """domain, model and truth, parameter → (H, W, components), of which a real capture may lack some."""
+    """A capture with its model. truth: parameter → (H, W, components); a real capture may lack some."""
 
     domain: Domain
     model: str
@@ -45,7 +45,7 @@ class Subject:
 
 
 def subject(name: str, quick: bool) -> Subject:
-    """Return a capture by name; the folder of the real one is in IRPSO_DATA, or in ../shared/data."""
+    """Return a capture by name; the real one is in the folder IRPSO_DATA, or ../shared/data."""
     if name != BUNNY:
         card = subjects.make_card(8 if quick else 64, 20 if quick else 100, subjects.DIRTS[name], seed=1)
         return Subject(card.domain, card.model, card.truth)
@@ -71,14 +71,14 @@ def _thinned(domain: Domain, every: int) -> Domain:
 
 
 def errors_at(model: str, values: Mapping[str, np.ndarray], problem: Problem) -> dict[str, np.ndarray]:
-    """Return parameter → (T,) errors of values (T, components), as far as both tell it."""
+    """Return parameter → (T,) errors of values (T, components), for parameters in both."""
     return subjects.errors_of(model, values, problem.truth)
 
 
 def solve(capture: str, method: str, quick: bool) -> dict[str, Any]:
-    """Return texels (T, 2), errors, seconds for a texel, evaluations, and the way, with errors as they fell.
+    """Return texels (T, 2), errors, seconds a texel, evaluations, and the trace of errors ("way").
 
-    seconds: that processors computed, all threads together; wall: by the clock.
+    seconds: processor time of all threads; wall: by the clock.
     """
     made = subject(capture, quick)
     problem = problem_of(made.domain, made.model, made.truth)
@@ -90,7 +90,7 @@ def solve(capture: str, method: str, quick: bool) -> dict[str, Any]:
     else:
         result = _linear(method, problem) if method in LINEAR else _iterative(method, problem, quick)
         wall, spent = np.array([time.perf_counter(), time.process_time()]) - began
-        # What was spent on looking, and on other settings, is not the method's: by the clock that is told apart.
+        # The method's share of the wall time: recording the trace and trying other settings do not count.
         processor = np.array([s.seconds for s in result.trace] + [result.seconds]) * spent / wall
     errors = errors_at(made.model, result.values, problem)
     way = [
@@ -118,7 +118,7 @@ def _product(made: Subject, method: str, problem: Problem, quick: bool) -> tuple
 
 
 def _linear(method: str, problem: Problem) -> PeerResult:
-    """Run a Lambertian method, with each of its settings if it has several, and return what is nearest to the truth."""
+    """Run a Lambertian method with each of its settings; return the result with the least normal error."""
     from benchmarks.peers import lambertian
 
     fixed = {
@@ -128,8 +128,8 @@ def _linear(method: str, problem: Problem) -> PeerResult:
     if method in fixed:
         run, settings = fixed[method]
         return run(problem, **settings)
-    found = [lambertian.METHODS[method](problem, **settings) for settings in lambertian.SETTINGS[method]]
-    return min(found, key=lambda r: float(angles(r.values["normal"], problem.truth["normal"]).mean()))
+    results = [lambertian.METHODS[method](problem, **settings) for settings in lambertian.SETTINGS[method]]
+    return min(results, key=lambda r: float(angles(r.values["normal"], problem.truth["normal"]).mean()))
 
 
 def _iterative(method: str, problem: Problem, quick: bool) -> PeerResult:
@@ -142,7 +142,7 @@ def _peers(quick: bool) -> dict[str, tuple[Callable[..., PeerResult], dict[str, 
 
     few = {"iterations": 10} if quick else {}
     torch = {"threads": 1, **few}
-    one = {"workers": 1}  # in this process, whose time is told
+    one = {"workers": 1}  # in this process, whose time is measured
     return {
         "adam": (descent.adam, torch),
         "l-bfgs": (descent.lbfgs, torch),
@@ -161,14 +161,14 @@ def main() -> None:
     parser.add_argument("result", type=Path)
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
-    found = solve(options.capture, options.method, options.quick)
-    arrays = {"texels": found.pop("texels")}
-    arrays |= {f"error_{name}": error for name, error in found.pop("errors").items()}
-    way = found.pop("way")
+    result = solve(options.capture, options.method, options.quick)
+    arrays = {"texels": result.pop("texels")}
+    arrays |= {f"error_{name}": error for name, error in result.pop("errors").items()}
+    way = result.pop("way")
     for name in way[0][2] if way else ():
         arrays[f"way_{name}"] = np.array([errors[name] for _, _, errors in way], np.float32)
     arrays["way"] = np.array([(seconds, evaluations) for seconds, evaluations, _ in way])
-    np.savez(options.result, facts=json.dumps(found), **arrays)
+    np.savez(options.result, facts=json.dumps(result), **arrays)
     if options.method in PRODUCT:
         from irpso_addon.gpu import context
 

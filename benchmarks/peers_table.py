@@ -1,4 +1,4 @@
-"""The program against its peers: same capture, same machine, same run, every method in a process of its own.
+"""The program against its peers: same capture, machine and run, every method in a process of its own.
 
 Usage: python -m benchmarks.peers_table [--quick] [--again] [--output FOLDER]
 """
@@ -20,21 +20,21 @@ from benchmarks.report import short
 from irpso_addon.gpu import context
 
 REPEATS = 3  # of the program, spread over the run: the median of its seconds counts
-NEGLIGIBLE = 0.01  # degrees, or % of a range: below it lies what float32 rounds off
-NEARLY = 1.05  # of its final error: from there on a peer has arrived
+NEGLIGIBLE = 0.01  # degrees, or % of a range: smaller differences are float32 rounding
+NEARLY = 1.05  # over its final error: below it a peer has converged
 TITLES = {"clean": "Two lobes, clean", "dirty": "Two lobes, dirty", peer_child.BUNNY: "bunny_specular, one lobe"}
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """Run every method on every capture; the program first, in the middle and last."""
     with tempfile.TemporaryDirectory() as folder:
-        found = {}
+        captures = {}
         for capture in ("dirty",) if quick else peer_child.CAPTURES:
             if capture == peer_child.BUNNY and not (peer_child.DATA / capture).is_dir():
                 report.say(f"peers: {capture} is not in {peer_child.DATA}, left out; set IRPSO_DATA")
                 continue
-            found[capture] = _capture(capture, Path(folder), quick)
-    return {"captures": found, "sizes": peer_child.ITERATIVE}
+            captures[capture] = _capture(capture, Path(folder), quick)
+    return {"captures": captures, "sizes": peer_child.ITERATIVE}
 
 
 def _capture(capture: str, folder: Path, quick: bool) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def _capture(capture: str, folder: Path, quick: bool) -> dict[str, Any]:
 def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, Any]:
     target = folder / "result.npz"
     command = [sys.executable, "-m", "benchmarks.peer_child", capture, method, str(target)]
-    # Two threads that wait for each other on cores that others use too only spin.
+    # On shared cores two threads that synchronise only spin.
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     subprocess.run(
         [*command, "--quick"] if quick else command, cwd=report.ROOT, check=True, env={**os.environ, **threads},
@@ -73,14 +73,14 @@ def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, An
 
 
 def _median_of(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return one of several runs that found the same, with the median of their times."""
+    """Return one of several runs with equal results, with the median of their times."""
     times = np.median([run["times"] for run in runs], axis=0)
     seconds = [run["seconds"] for run in runs]
     return {**runs[0], "times": times, "seconds": float(np.median(seconds)), "all_seconds": seconds}
 
 
 def _row(run: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Return what the table holds of one method, and of the program on the same texels."""
+    """Return the data of one method's row, with the program's on the same texels."""
     at = _places(own["texels"], run["texels"])
     same = {name: report.mean_interval(error[at]) for name, error in own["errors"].items()}
     less = {
@@ -96,7 +96,7 @@ def _row(run: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def _places(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return where texels (T, 2) lie among others."""
+    """Return the indices of the texels ``part`` (T, 2) in ``whole``."""
     index = {tuple(texel): i for i, texel in enumerate(whole.tolist())}
     return np.array([index[tuple(texel)] for texel in part.tolist()])
 
@@ -111,17 +111,17 @@ def _arrival(run: dict[str, Any]) -> float | None:
 
 
 def _reach(run: dict[str, Any], own: dict[str, Any], at: np.ndarray) -> dict[str, float | None]:
-    """Return the program's seconds a texel to a peer's own final mean error: of the normal, and of all it tells.
+    """Return the program's seconds a texel to a peer's own final mean error, of the normal and of all its parameters.
 
-    The time of all texels of the capture, setting up included, over their number; the error of the peer's texels.
+    Time: of all texels of the capture, with setup, over their number. Error: over the peer's texels.
     """
     ways = {name: way[:, at].mean(axis=1) for name, way in own["way"].items()}
     reached = {n: way <= run["errors"][n].mean() for n, way in ways.items() if n in run["errors"]}
-    found = {}
+    seconds = {}
     for what, met in (("normal", reached["normal"]), ("all", np.all(list(reached.values()), axis=0))):
         first = np.flatnonzero(met)
-        found[what] = float(own["times"][first[0], 0]) if len(first) else None
-    return found
+        seconds[what] = float(own["times"][first[0], 0]) if len(first) else None
+    return seconds
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
@@ -148,12 +148,12 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " error.",
         "",
     ]
-    for capture, found in data["captures"].items():
-        names = list(found["rows"]["standard"]["errors"])
-        lines += [f"## {TITLES[capture]}", "", _about(capture, found["texels"]), ""]
+    for capture, result in data["captures"].items():
+        names = list(result["rows"]["standard"]["errors"])
+        lines += [f"## {TITLES[capture]}", "", _about(capture, result["texels"]), ""]
         header = ["method", "texels", *(f"{n} {subjects.unit_of(n)}" for n in names), "program, same texels: normal",
                   "evaluations", "ms a texel", "wall ms", "MB", "speed-up", "speed-up, converged"]  # fmt: skip
-        lines += report.table(header, [_cells(name, row, names) for name, row in found["rows"].items()])
+        lines += report.table(header, [_cells(name, row, names) for name, row in result["rows"].items()])
     _draw(data["captures"], folder)
     lines += report.image("peers", "Normal error against seconds a texel, of all methods")
     lines += ["## Settings", "", *_settings(data)]
@@ -189,14 +189,14 @@ def _cells(name: str, row: dict[str, Any], names: list[str]) -> list[str]:
 
 def _settings(data: dict[str, Any]) -> list[str]:
     captures = data["captures"]
-    told: dict[str, list[str]] = {}
-    for found in captures.values():
-        for name, row in found["rows"].items():
-            told.setdefault(name, []).append(", ".join(f"{k} {v}" for k, v in row["settings"].items()))
+    settings_of: dict[str, list[str]] = {}
+    for result in captures.values():
+        for name, row in result["rows"].items():
+            settings_of.setdefault(name, []).append(", ".join(f"{k} {v}" for k, v in row["settings"].items()))
     rows = [
         [name, "<br>".join(dict.fromkeys(f"{c}: {t}" if len(set(texts)) > 1 else t for c, t in zip(captures, texts,
                                                                                             strict=True)))]
-        for name, texts in told.items() if any(texts)
+        for name, texts in settings_of.items() if any(texts)
     ]  # fmt: skip
     note = "For each Lambertian method the best of SETTINGS in benchmarks/peers/lambertian.py, chosen by the truth."
     return [note, "", *report.table(["method", "settings"], rows)]
@@ -207,8 +207,8 @@ def _draw(captures: dict[str, Any], folder: Path) -> None:
         folder, "peers", "Normal error against seconds of work a texel, 95 % intervals", len(captures),
         figsize=(4.6 * len(captures), 4),
     ) as axes:  # fmt: skip
-        for axis, (capture, found) in zip(axes[0], captures.items(), strict=True):
-            for i, (name, row) in enumerate(found["rows"].items()):
+        for axis, (capture, result) in zip(axes[0], captures.items(), strict=True):
+            for i, (name, row) in enumerate(result["rows"].items()):
                 mean, low, high = row["errors"]["normal"]
                 mark, color = "osD^vP*"[i // len(report.COLORS)], report.COLORS[i % len(report.COLORS)]
                 bars = [[max(mean - low, 0)], [max(high - mean, 0)]]
@@ -222,13 +222,13 @@ def _draw(captures: dict[str, Any], folder: Path) -> None:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    told = []
-    for capture, found in data["captures"].items():
-        rows = {name: row["errors"]["normal"][0] for name, row in found["rows"].items()}
+    """Return the text of the index."""
+    parts = []
+    for capture, result in data["captures"].items():
+        rows = {name: row["errors"]["normal"][0] for name, row in result["rows"].items()}
         best = min((name for name in rows if name in peer_child.LINEAR), key=rows.get)
-        told.append(f"{capture}: standard {short(rows['standard'])}°, best Lambertian {short(rows[best])}° ({best})")
-    return "; ".join(told)
+        parts.append(f"{capture}: standard {short(rows['standard'])}°, best Lambertian {short(rows[best])}° ({best})")
+    return "; ".join(parts)
 
 
 PROGRAM = report.Program("peers", "The program and its peers", __file__, measure, write, headline)

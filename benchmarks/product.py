@@ -1,4 +1,4 @@
-"""The program itself as the benchmarks run it: recoveries with their way, and schedules that are made of others."""
+"""Runs the program for the benchmarks: recoveries with traces, and schedules derived from presets."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ ONE_PARTICLE = ("paper", "constriction", "swarm")  # presets whose iterations mo
 
 @dataclass(frozen=True)
 class Run:
-    """What a recovery found: values (H, W, components), seconds from the images to the maps, setting up and compiling
-    included, evaluations a texel at the most (texels that are done early cost less), and its way.
+    """A recovery's result. values: name → (H, W, components). seconds: from the images to the maps, with setup and
+    compilation. evaluations: a texel, at most (texels that converge early cost less).
 
-    work: seconds of it, see ``now``; way: the same for every sample of the trace.
+    work: seconds of work, see ``now``; way: the same for every sample of the trace.
     """
 
     values: Values
@@ -53,7 +53,7 @@ def jointly(schedule: Schedule, iterations: int | None = None) -> Schedule:
 
 
 def in_stages(schedule: Schedule, iterations: int | None = None) -> Schedule:
-    """Return the schedule with the paper's three stages, gone round as often as there, on the estimates so far."""
+    """Return the schedule with the paper's three stages and cycles, each on the current estimates."""
     paper = load_schedule("paper")
     total = iterations or sum(stage.iterations for stage in schedule.stages) * schedule.cycles
     each = max(1, total // (len(paper.stages) * paper.cycles))
@@ -69,27 +69,27 @@ def recover(
     points: Sequence[int] = (),
     entry: str = "auto",
 ) -> Run:
-    """Run a recovery to its end. points: iterations in all after which its state is put into the trace.
+    """Run a recovery to its end. points: total iterations after which a sample is added to the trace.
 
-    What looking at it costs is taken off the seconds: each look is taken twice, the second time for its own duration.
+    The seconds exclude reading the maps: each sample reads them twice, the second time to measure its duration.
     """
     context.ensure()
     trace, way = [], []
-    looked, start = np.zeros(2), now()
+    overhead, start = np.zeros(2), now()
     texels = max(int(domain.solvable.sum()), 1)
     with Recovery(domain, load_model(model), schedule, seed, fixed, entry) as recovery:
         total = recovery.progress.iterations_in_all
         for point in [*sorted({p for p in points if p < total}), total]:
-            # To the very end by asking for no number: a threshold may have ended stages early.
+            # None runs to the end: a threshold may have ended stages early.
             recovery.step(iterations=None if point == total else point - recovery.progress.iteration_in_all)
             maps = recovery.maps(confidence=False)
-            found = now()
+            read_at = now()
             recovery.maps(confidence=False)
-            again = now() - found
-            seconds, work = found - again - start - looked
+            read_time = now() - read_at
+            seconds, work = read_at - read_time - start - overhead
             trace.append(Sample(float(seconds), recovery.progress.evaluations / texels, maps.values))
             way.append(float(work))
-            looked += 2 * again
+            overhead += 2 * read_time
     last = trace[-1]
     return Run(maps.values, maps.residual, last.seconds, last.evaluations, tuple(trace), way[-1], tuple(way))
 
@@ -97,8 +97,8 @@ def recover(
 def now() -> np.ndarray:
     """Return seconds by the clock, and seconds of work.
 
-    Work is what all threads of this process have computed, which other load on the machine hardly changes, where the
-    renderer is software and so a part of the process; with a GPU it is the clock again.
+    Work is the processor time of this process, which includes a software renderer and hardly depends on other load;
+    with a GPU it is the clock again.
     """
     clock = time.perf_counter()
     return np.array([clock, time.process_time() if software_renderer() else clock])
@@ -106,12 +106,12 @@ def now() -> np.ndarray:
 
 @cache
 def software_renderer() -> bool:
-    """Return whether shaders run on the processor."""
+    """Return whether shaders run on the CPU."""
     return any(name in str(context.describe()["renderer"]).lower() for name in ("llvmpipe", "softpipe", "lavapipe"))
 
 
 def iterations_of(domain: Domain, model: str, schedule: Schedule) -> int:
-    """Return how many iterations a recovery has in all."""
+    """Return the total iterations of a recovery."""
     context.ensure()
     with Recovery(domain, load_model(model), schedule, entry="fragment") as recovery:
         return recovery.progress.iterations_in_all

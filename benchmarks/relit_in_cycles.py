@@ -35,7 +35,7 @@ def by_cycles(
 ) -> np.ndarray:
     """Return (K, H, W, 3) radiance of the card in a .blend file under Suns of intensity 1, directions (K, 3).
 
-    size: (width, height). filter_width: of a pixel, Cycles' own where None.
+    size: (width, height). filter_width: in pixels; None for Cycles' default.
     """
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     scene = bpy.context.scene

@@ -1,4 +1,4 @@
-"""How benchmarks are run, kept and shown: result files, Markdown tables, plots, the machine, confidence intervals."""
+"""Runs benchmarks and writes their result files and pages: tables, plots, the machine, confidence intervals."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "benchmarks"
 CACHE = ROOT / ".cache" / "bench"
-QUICK_PAGES = CACHE / "quick-pages"  # a smoke run must not replace what was measured
+QUICK_PAGES = CACHE / "quick-pages"  # a smoke run must not replace measured pages
 MOST_BYTES = 60_000  # of a plot
-# Okabe & Ito 2008: told apart by all eyes. Black is the program itself.
+# Okabe & Ito 2008, distinct under colour blindness. Black is the program itself.
 COLORS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c")
-# What a result depends on, besides its own program.
+# Sources that every result depends on, besides its program's.
 _SOURCES = ("presets/*.toml", "shaders/**/*.*", "irpso_addon/solver/**/*.py", "benchmarks/subjects.py",
             "benchmarks/product.py", "benchmarks/peers/*.py")  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Program:
-    """A benchmark. measure(quick) → what JSON holds; write(data, folder) makes plots and the page's lines of that.
+    """A benchmark. measure(quick) → data for JSON; write(data, folder) writes plots and returns the page's lines.
 
     name: of page and result file. source: the module's file. title: of the page. headline(data): for the index.
     """
@@ -48,14 +48,14 @@ class Program:
 
 
 def result_path(program: Program, quick: bool, cache: Path = CACHE) -> Path:
-    """Return where a program's result is kept."""
+    """Return the path of a program's result file."""
     return cache / f"{program.name}{'-quick' if quick else ''}.json"
 
 
 def run(program: Program, arguments: Sequence[str] | None = None) -> None:
-    """Measure, unless a fresh result is there, keep the result, and write the page; the face of every program.
+    """Measure, unless there is a fresh result, store the result, and write the page: every program's command line.
 
-    A result is fresh that was measured in the same mode (--quick or not) with the same sources and presets.
+    A result is fresh if it was measured in the same mode (--quick or not) with the same sources and presets.
     """
     parser = argparse.ArgumentParser(description=program.title)
     parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it runs")
@@ -66,50 +66,50 @@ def run(program: Program, arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     output = options.output or (QUICK_PAGES if options.quick else PAGES)
     path = result_path(program, options.quick, options.cache)
-    kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    wanted = digest(program.source)
-    if options.draw and kept is None:
+    result = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    current_digest = digest(program.source)
+    if options.draw and result is None:
         parser.error(f"{path} is not there; measure first")
     if output.exists() and not output.is_dir():
         parser.error(f"--output {output}: is a file; give a folder")
-    if not options.draw and (options.again or kept is None or kept["digest"] != wanted):
+    if not options.draw and (options.again or result is None or result["digest"] != current_digest):
         load, start = os.getloadavg()[0], time.perf_counter()
         data = program.measure(options.quick)
-        kept = {
-            "name": program.name, "title": program.title, "quick": options.quick, "digest": wanted,
+        result = {
+            "name": program.name, "title": program.title, "quick": options.quick, "digest": current_digest,
             "date": datetime.date.today().isoformat(), "machine": machine(), "commit": commit(),
             "load": [round(load, 1), round(os.getloadavg()[0], 1)],
             "seconds": round(time.perf_counter() - start, 1), "data": data,
         }  # fmt: skip
         options.cache.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(".partial")
-        partial.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+        partial.write_text(json.dumps(result, indent=1), encoding="utf-8")
         partial.replace(path)
     output.mkdir(parents=True, exist_ok=True)
-    tried = ["**A smoke run with tiny sizes: the numbers mean nothing.**", ""] if kept["quick"] else []
-    lines = [f"# {program.title}", "", *tried, *program.write(kept["data"], output), "", *_foot(kept, program)]
+    tried = ["**A smoke run with tiny sizes: the numbers mean nothing.**", ""] if result["quick"] else []
+    lines = [f"# {program.title}", "", *tried, *program.write(result["data"], output), "", *_foot(result, program)]
     (output / f"{program.name}.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     say(f"{program.name}: {output / (program.name + '.md')}")
 
 
-def _foot(kept: dict[str, Any], program: Program) -> list[str]:
+def _foot(result: dict[str, Any], program: Program) -> list[str]:
     return [
-        f"<sub>`python -m benchmarks.{Path(program.source).stem}`, {kept['date']}, commit {kept['commit']},"
-        f" {kept['seconds']:.0f} s; {'; '.join(kept['machine'].values())}; load of the machine"
-        f" {kept['load'][0]} before and {kept['load'][1]} after.</sub>"
+        f"<sub>`python -m benchmarks.{Path(program.source).stem}`, {result['date']}, commit {result['commit']},"
+        f" {result['seconds']:.0f} s; {'; '.join(result['machine'].values())}; load of the machine"
+        f" {result['load'][0]} before and {result['load'][1]} after.</sub>"
     ]
 
 
 def digest(source: str) -> str:
-    """Return what identifies the sources that a result depends on."""
-    found = hashlib.sha256()
+    """Return a digest of the sources that a result depends on."""
+    sha256 = hashlib.sha256()
     for path in [Path(source), *(p for pattern in _SOURCES for p in sorted(ROOT.glob(pattern)) if p.is_file())]:
-        found.update(path.read_bytes())
-    return found.hexdigest()[:16]
+        sha256.update(path.read_bytes())
+    return sha256.hexdigest()[:16]
 
 
 def machine() -> dict[str, str]:
-    """Return what this machine is, in words."""
+    """Return the machine's processor, memory, renderer and software, as texts."""
     import bpy
 
     from irpso_addon.gpu import context
@@ -126,19 +126,19 @@ def machine() -> dict[str, str]:
 
 
 def commit() -> str:
-    """Return the commit that was measured, with "+" where the program differs from it."""
+    """Return the checked-out commit, with "+" if the program has uncommitted changes."""
     head = _git("rev-parse", "--short", "HEAD")
     changed = _git("status", "--porcelain", "--untracked-files=no", "irpso_addon", "shaders", "presets", "benchmarks")
     return f"{head or 'unknown'}{'+' if changed else ''}"
 
 
 def _git(*arguments: str) -> str:
-    found = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
-    return found.stdout.strip() if found.returncode == 0 else ""
+    process = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
+    return process.stdout.strip() if process.returncode == 0 else ""
 
 
 def say(text: str) -> None:
-    """Tell the person at the terminal how far it is."""
+    """Print a line of progress to stderr."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
@@ -147,7 +147,7 @@ def say(text: str) -> None:
 
 
 def short(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many digits that mean something; an en dash for none."""
+    """Return a number with ``digits`` significant digits; an en dash for none."""
     if value is None or not np.isfinite(value):
         return "–"
     if value == 0:
@@ -190,7 +190,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> list[str]:
 
 @contextmanager
 def plot(folder: Path, name: str, title: str, columns: int = 1, rows: int = 1, **settings) -> Iterator[Any]:
-    """Give axes (rows, columns) to draw on; at the end the figure is in the folder. Its line for a page: ``image``.
+    """Yield axes (rows, columns) to draw on; write the figure to the folder at the end. ``image`` shows it on a page.
 
     settings: of matplotlib's subplots.
     """
@@ -199,7 +199,7 @@ def plot(folder: Path, name: str, title: str, columns: int = 1, rows: int = 1, *
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    # Text stays text, of one font: small files, and ones that a reader can search.
+    # Text as text in one font: files are small and searchable.
     style = {
         "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "axes.spines.top": False,
         "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e4e4", "grid.linewidth": 0.6,
@@ -223,7 +223,7 @@ def plot(folder: Path, name: str, title: str, columns: int = 1, rows: int = 1, *
 
 
 def _few_ticks(axis: Any) -> None:
-    """Give a logarithmic axis ticks at whole decades, or at 1, 2 and 5 where it has few of those."""
+    """Set a logarithmic axis's ticks at decades, or at 1, 2 and 5 if it has few decades."""
     from matplotlib.ticker import FixedLocator, FormatStrFormatter, LogLocator, NullLocator
 
     axis.set_minor_locator(NullLocator())
@@ -237,13 +237,13 @@ def _few_ticks(axis: Any) -> None:
 
 def _without_bare_groups(svg: str) -> str:
     """Return a picture without groups that have no attributes."""
-    kept: list[bool] = []  # of each open group
+    has_attributes: list[bool] = []  # of each open group
 
-    def tag(found: re.Match[str]) -> str:
-        if found[0] != "</g>":
-            kept.append(found[0] != "<g>")
-            return found[0] if kept[-1] else ""
-        return found[0] if kept.pop() else ""
+    def tag(match: re.Match[str]) -> str:
+        if match[0] != "</g>":
+            has_attributes.append(match[0] != "<g>")
+            return match[0] if has_attributes[-1] else ""
+        return match[0] if has_attributes.pop() else ""
 
     return re.sub(r"<g>|<g [^>]*[^/>]>|</g>", tag, svg)
 
@@ -252,18 +252,15 @@ _FONT = "font-family: 'DejaVu Sans'"  # of all text
 
 
 def _minified(svg: str) -> str:
-    """Return the text of an SVG without what no one sees: comments, unused names, blanks, digits below a tenth.
-
-    What it says of each text it says once.
-    """
+    """Return an SVG without comments, unused names, blanks, and digits below a tenth; with one font for all text."""
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"(\d+\.\d)\d+", r"\1", svg)
     svg = _without_bare_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
     svg = re.sub(rf";? *{_FONT}(, sans-serif)?", "", svg).replace("</style>", f"text{{{_FONT}, sans-serif}}</style>")
-    svg = re.sub(r'(?<= )style="[^"]*"', lambda found: re.sub(r"([:;]) ", r"\1", found[0]), svg)
-    svg = re.sub(r'(?<= )d="[^"]*"', lambda found: re.sub(r" ?([A-Zz\"]) ?", r"\1", found[0]), svg)
-    svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda found: re.sub(r"(\d)\.0\b", r"\1", found[0]), svg)
+    svg = re.sub(r'(?<= )style="[^"]*"', lambda match: re.sub(r"([:;]) ", r"\1", match[0]), svg)
+    svg = re.sub(r'(?<= )d="[^"]*"', lambda match: re.sub(r" ?([A-Zz\"]) ?", r"\1", match[0]), svg)
+    svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda match: re.sub(r"(\d)\.0\b", r"\1", match[0]), svg)
     svg = re.sub(r"\s*\n\s*", " ", svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 

@@ -1,4 +1,4 @@
-"""The whole road in a real Blender window, from photographs to a kept material: seconds and clicks of each step.
+"""Seconds and clicks of each step in a real Blender window, from photographs to a kept material.
 
 Usage: python -m benchmarks.road [--quick] [--again] [--output FOLDER]
 
@@ -61,7 +61,7 @@ sample._rendering = partial(sample._rendering, options=["--size", "300x225", "--
 
 
 class Walk:
-    """A user's steps in a window; ``rows`` has what each took."""
+    """A user's steps in a window; ``rows``: clicks, seconds and reports of each."""
 
     def __init__(self, window: Any, name: str):
         self.window, self.name, self.rows = window, name, list[dict[str, Any]]()
@@ -75,8 +75,8 @@ class Walk:
         self.window.screenshot(f"{self.name} {len(self.rows)} {step}")
 
     def step(self, name: str, clicks: int, act: Callable[[], object]) -> None:
-        """Take a step, wait until nothing is at work, and note it."""
-        said = len(self.window.reports())
+        """Take a step, wait until the program is idle, and add a row."""
+        reported = len(self.window.reports())
         self.window.run("turn.update(last=time.perf_counter(), longest=0.0)", area="")
         begun = time.perf_counter()
         act()
@@ -84,13 +84,13 @@ class Walk:
         self.window.wait("not busy()", SLOW, area="")
         seconds = time.perf_counter() - begun
         longest = self.window.run("turn['longest']", area="")
-        told = self.window.reports()[said:]
-        self.rows.append({"step": name, "clicks": clicks, "seconds": seconds, "turn": longest, "said": told})
-        report.say(f"{self.name}: {name}: {seconds:.1f} s, longest turn {longest:.2f} s, {told}")
+        reports = self.window.reports()[reported:]
+        self.rows.append({"step": name, "clicks": clicks, "seconds": seconds, "turn": longest, "said": reports})
+        report.say(f"{self.name}: {name}: {seconds:.1f} s, longest turn {longest:.2f} s, {reports}")
         self.picture(name)
 
     def press(self, name: str, operator: str, then: Callable[[], object] = lambda: None, clicks: int = 1) -> None:
-        """Click a button of the sidebar, and do what follows."""
+        """Click a button of the sidebar, and call ``then``."""
         place = self.window.find_button(operator)
 
         def act() -> None:

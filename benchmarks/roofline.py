@@ -1,4 +1,4 @@
-"""What every pass reads, writes and computes at a texel, what bounds it on some devices, and what is reached here.
+"""Roofline of every pass: reads, writes and operations per texel, bounds of some devices, and rates on this machine.
 
 Usage: python -m benchmarks.roofline [--quick] [--again] [--output FOLDER]; needs glslang-tools and spirv-tools.
 
@@ -34,17 +34,17 @@ from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
 _SMALL, _REPEATS = 16, 5
 _SIDE = {True: 192, False: 1024}  # texels of the card, on a software renderer or not
-_WIDTH, _LAYERS = {True: 512, False: 2048}, 24  # of the stack that is read for a ceiling
-_CHAINS, _TURNS = 32, {True: 256, False: 8192}  # operations of a turn of the loop for the other ceiling, and its turns
-_RUNS = {True: 1, False: 20}  # of such a pass that are timed together
+_WIDTH, _LAYERS = {True: 512, False: 2048}, 24  # of the stack that the bandwidth kernel reads
+_CHAINS, _TURNS = 32, {True: 256, False: 8192}  # of the arithmetic kernel: operations a turn of its loop, and turns
+_RUNS = {True: 1, False: 20}  # of these kernels that are timed together
 _TEXELS = 12 * 10**6
 _STACK = "u_stack"
-_SHOWN = 0.01  # of all operations or of all bytes: passes of less are one row
+_SHOWN = 0.01  # least share of all operations or bytes of a pass in the table
 
 
 @dataclass(frozen=True)
 class Device:
-    """Published peaks: operations a second in float32, a product with its sum as two; bytes a second of its memory."""
+    """Published peaks: float32 operations a second, a multiply-add counting two, and bytes a second of memory."""
 
     title: str
     operations: float
@@ -62,8 +62,8 @@ _DEVICES = (
 class Recorded:
     """All runs of one pass in one phase, over the whole card. runs: of all rows.
 
-    targets: texels that it writes. read: sampler → texels of what it reads, tables left out, which caches hold. each:
-    sampler → bytes of a texel. written: bytes. known: what its loops may end at.
+    targets: texels that it writes. read: sampler → texels of its texture, without tables, which caches hold. each:
+    sampler → bytes of a texel. written: bytes. known: possible bounds of its loops.
     """
 
     phase: int
@@ -77,7 +77,7 @@ class Recorded:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Record a recovery, count its passes, and find the ceilings of this machine."""
+    """Record a recovery, count the work of its passes, and measure the ceilings of this machine."""
     if missing := [name for name in ("glslangValidator", "spirv-opt", "spirv-dis") if shutil.which(name) is None]:
         raise SystemExit(f"{', '.join(missing)} not found; install glslang-tools and spirv-tools")
     context.ensure()
@@ -88,10 +88,10 @@ def measure(quick: bool) -> dict[str, Any]:
         recorded(make_card(model, _SMALL), model, schedule, entry)  # compiles
         domain = make_card(model, side)
         phases, passes = recorded(domain, model, schedule, entry)
-    found = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
+    rows = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
     here = ceilings(software, entry)
     return {
-        "side": side, "observations": domain.observations, "phases": phases, "passes": found, "here": here,
+        "side": side, "observations": domain.observations, "phases": phases, "passes": rows, "here": here,
         "entry": entry,
     }  # fmt: skip
 
@@ -99,8 +99,8 @@ def measure(quick: bool) -> dict[str, Any]:
 def recorded(
     domain: Domain, model: ReflectanceModel, schedule: Schedule, entry: Entry
 ) -> tuple[list[dict[str, Any]], list[Recorded]]:
-    """Recover a card, waiting for every pass; return its phases, and all passes of them."""
-    found: dict[tuple, Recorded] = {}
+    """Recover a card, waiting for every pass; return its phases and their passes."""
+    passes: dict[tuple, Recorded] = {}
     stage, run = 0, Pass.run
 
     def recording(
@@ -113,10 +113,10 @@ def recorded(
         run(self, targets, read, constants, rows)
         self.fence(targets)  # so that a phase's seconds are its own
         key = stage, str(self.kernel.source), repr(sorted(self.kernel.defines.items()))
-        if key not in found:
+        if key not in passes:
             names = self.compile().samplers
             large = [name for name in names if _area(read[name]) >= domain.solvable.sum()]
-            found[key] = Recorded(
+            passes[key] = Recorded(
                 stage, self.kernel, _area(targets[0]),
                 {name: _area(read[name]) * (domain.observations if name == _STACK else 1) for name in large},
                 {name: _bytes(read[name]) for name in large},
@@ -124,7 +124,7 @@ def recorded(
                 {**constants, **{name: read[name].width for name in names}},
             )  # fmt: skip
         first, last = rows or (0, targets[0].height)
-        found[key].runs += (last - first) / targets[0].height
+        passes[key].runs += (last - first) / targets[0].height
 
     phases = []
     with patch.object(Pass, "run", recording), Recovery(domain, model, schedule, entry=entry) as recovery:
@@ -134,17 +134,17 @@ def recorded(
             while progress.stage == stage and not progress.done:
                 progress = recovery.step(1)
             phases.append({"title": title, "seconds": time.perf_counter() - started})
-    return phases, list(found.values())
+    return phases, list(passes.values())
 
 
 def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
-    """Return what JSON holds of a pass, at a texel of the card and a run; ``fixed``: what no photograph changes."""
+    """Return the data of a pass, per texel of the card and run; ``fixed``: the part without photographs."""
     known = {"u_observations": observations, **recorded.known}
     whole, fixed = counts(recorded.kernel, known, {**known, "u_observations": 0})
     scale = recorded.targets / texels
     fetched, fixed_fetched = (
-        {name: scale * times * recorded.each[name] for name, times in found.fetches.items() if name in recorded.each}
-        for found in (whole, fixed)
+        {name: scale * times * recorded.each[name] for name, times in counted.fetches.items() if name in recorded.each}
+        for counted in (whole, fixed)
     )
     return {
         "phase": recorded.phase, "source": str(recorded.kernel.source), "runs": recorded.runs,
@@ -156,7 +156,7 @@ def row(recorded: Recorded, texels: int, observations: int) -> dict[str, Any]:
 
 
 def ceilings(software: bool, entry: Entry) -> dict[str, float]:
-    """Return the operations, and the bytes from memory, that this machine makes in a second at best."""
+    """Return the machine's peak operations, and bytes from memory, a second."""
     folder, width, turns, runs = Path(__file__).parent / "ceilings", _WIDTH[software], _TURNS[software], _RUNS[software]
     target = textures.empty(width, width)
     stack = textures.upload_layers(np.ones((_LAYERS, width, width, 4)))
@@ -187,7 +187,7 @@ def _area(texture: Any) -> int:
 
 
 def _bytes(texture: Any) -> int:
-    """Return the bytes of a texel, whose channels are 32 bits wide wherever the solver reads or writes."""
+    """Return the bytes of a texel; the solver's channels have 32 bits."""
     return 4 * textures.CHANNELS[texture.format]
 
 
@@ -242,7 +242,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _of_passes(data: dict[str, Any], whole: Mapping[str, float]) -> Iterator[list[str]]:
-    """Yield the rows of the passes that count."""
+    """Yield the rows of the passes above ``_SHOWN``."""
     for p in data["passes"]:
         if any(p["runs"] * p[name] > _SHOWN * whole[name] for name in ("operations", "fetched")):
             each = (p["operations"] - p["fixed_operations"]) / data["observations"]
@@ -259,7 +259,7 @@ def _runs(passes: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _sums(passes: Sequence[Mapping[str, Any]], phase: int) -> dict[str, float]:
-    """Return what a phase costs a texel, all runs of its passes together."""
+    """Return a phase's cost per texel, summed over all runs of its passes."""
     names = ("operations", "fetched", "once", "written")
     return {name: sum(p["runs"] * p[name] for p in passes if p["phase"] == phase) for name in names}
 
@@ -292,11 +292,11 @@ def _reached(data: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _by_hand(data: dict[str, Any]) -> list[str]:
-    """Return three of the numbers, counted by hand."""
-    found = {(data["phases"][p["phase"]]["title"], p["source"]): p for p in data["passes"]}
-    step = found["refinement", "refine/step.glsl"]
-    commit = found["prefit of the normals", "swarm/synchronous/commit.glsl"]
-    keep = found["refinement", "refine/keep.glsl"]
+    """Return the lines that compare three of the counts with counts by hand."""
+    by_pass = {(data["phases"][p["phase"]]["title"], p["source"]): p for p in data["passes"]}
+    step = by_pass["refinement", "refine/step.glsl"]
+    commit = by_pass["prefit of the normals", "swarm/synchronous/commit.glsl"]
+    keep = by_pass["refinement", "refine/keep.glsl"]
     each = (step["fetched"] - step["fixed_fetched"]) / data["observations"]
     return [
         "## Counted by hand",
@@ -313,7 +313,7 @@ def _by_hand(data: dict[str, Any]) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     operations, fetched = (sum(p["runs"] * p[name] for p in data["passes"]) for name in ("operations", "fetched"))
     return f"{operations / 1e6:.1f} M operations a texel, {operations / fetched:.0f} a byte fetched"
 

@@ -53,20 +53,22 @@ OTHERS = {
     "neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4",
     "surface": "What the phase Surface does to normals",
 }
-_NICE = 10  # whoever works at the machine meanwhile goes first
+_NICE = 10  # other work on the machine goes first
 
 
 def index(output: Path, quick: bool) -> list[str]:
-    """Return the lines of the index of the pages that are there."""
+    """Return the lines of the index of the existing pages."""
     rows, machines = [], set()
     for name, module in PROGRAMS.items():
         path = report.result_path(module.PROGRAM, quick)
         if not path.is_file() or not (output / f"{name}.md").is_file():
             continue
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        machines.add("; ".join(kept["machine"].values()))
-        headline = module.PROGRAM.headline(kept["data"])
-        rows.append([f"[{kept['title']}]({name}.md)", headline, kept["date"], kept["commit"], f"{kept['seconds']:.0f}"])
+        result = json.loads(path.read_text(encoding="utf-8"))
+        machines.add("; ".join(result["machine"].values()))
+        headline = module.PROGRAM.headline(result["data"])
+        rows.append(
+            [f"[{result['title']}]({name}.md)", headline, result["date"], result["commit"], f"{result['seconds']:.0f}"]
+        )
     rows += [[f"[{title}]({name}.md)", "", "", "", ""] for name, title in OTHERS.items()
              if (output / f"{name}.md").is_file()]  # fmt: skip
     return [
@@ -101,7 +103,7 @@ def main() -> int:
     for name in () if options.index else options.names or PROGRAMS:
         began = time.perf_counter()
         module = f"benchmarks.{Path(PROGRAMS[name].PROGRAM.source).stem}"
-        # A process each: what one leaves behind, in memory or in the driver, is no business of the next.
+        # A process each: no state in memory or in the driver carries over.
         code = subprocess.run(
             [sys.executable, "-m", module, *flags, "--output", str(output)], cwd=report.ROOT,
             preexec_fn=(lambda: os.nice(_NICE)) if hasattr(os, "nice") else None,

@@ -1,4 +1,4 @@
-"""The table of Cycles scenes (benchmarks/cycles_scenes.py) as one of the pages that ``make bench`` writes.
+"""The page of Cycles scenes (benchmarks/cycles_scenes.py) for ``make bench``.
 
 Usage: python -m benchmarks.scenes_table [--quick] [--again] [--output FOLDER]; the scan and the materials are looked
 for in the folder IRPSO_DATA, or in ../shared/data.
@@ -20,7 +20,7 @@ QUICK = ("--size", "48", "--resolution", "32", "--detail", "16", "--samples", "2
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run cycles_scenes in a process of its own, one scene where it is quick."""
+    """Run cycles_scenes in a process of its own, on one scene if quick."""
     if not (DATA / "materials").is_dir():
         raise SystemExit(f"{DATA} has no materials; set IRPSO_DATA to the folder that has")
     out = SCENES / ("recovered-quick" if quick else "recovered")
@@ -53,7 +53,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     return "; ".join(f"{r['scene']} {r['normal']['median']:.1f}°, {min(r['psnr']):.0f} dB" for r in data["results"])
 
 

@@ -1,14 +1,14 @@
-"""How well ``irpso tile`` hides its seams, against a mirror and a cross-fade, on six textures.
+"""Visibility of the seams of ``irpso tile``, against a mirror and a cross-fade, on six textures.
 
 Usage: python -m benchmarks.seams [--quick] [--again] [--output FOLDER]
 
 Two textures are maps of ambientCG (../shared/data/materials), four are made here; all are pieces that do not repeat.
-What is measured looks at the shaded result alone, never at the path that was cut:
+The measures use the shaded result alone, not the path of the cut:
 
-- foreign: the part of the patches that are less like any of the texture than nine in ten patches of one half of it are
-  like one of the other (Simakov et al. 2008, one way of their similarity): what is broken, faded or doubled;
-- contrast: that of fine detail in the dullest windows, over that of the texture: what is blurred;
-- mirrored: the largest correlation of the detail beside a line with what a mirror would show there, over all lines.
+- foreign: share of patches farther from their nearest patch of the texture than nine in ten patches of one half of the
+  texture are from the other half (Simakov et al. 2008, one term of their similarity): broken, faded or doubled detail;
+- contrast: that of fine detail in the dullest windows, over that of the texture: blur;
+- mirrored: the largest correlation of the detail on one side of a line with the mirrored other side, over all lines.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.seamless import seamless
 
 _SIDE = 400  # texels of a piece: no multiple of a period
-_FOREIGN = 0.9  # of the texture's own patches are nearer to one in its other half
-_PATCH = 9  # texels of a side of a patch
-_COMPONENTS = 24  # of patches that are compared
-_SAMPLED = 6000  # patches of a picture that are looked up
+_FOREIGN = 0.9  # quantile of the distances between the texture's halves
+_PATCH = 9  # texels along a side of a patch
+_COMPONENTS = 24  # principal components of a patch
+_SAMPLED = 6000  # compared patches of a picture
 _LIGHT = np.array([0.5, 0.4, 0.77])
 _DATA = report.ROOT.parent / "shared" / "data" / "materials"
 
@@ -40,7 +40,7 @@ Values = dict[str, np.ndarray]
 
 
 def cloth(side: int) -> Values:
-    """A plain weave of yarns that vary in width and colour, of a pitch of 17.3 texels."""
+    """Return a plain weave, pitch 17.3 texels, of yarns that vary in width and colour."""
     pitch, rng = 17.3, np.random.default_rng(1)
     y, x = np.mgrid[:side, :side] + 1.2 * _noise(rng, (2, side, side), 40)
     across, along = np.pi * x / pitch, np.pi * y / pitch
@@ -52,7 +52,7 @@ def cloth(side: int) -> Values:
 
 
 def bricks(side: int) -> Values:
-    """A running bond of bricks of 61 × 26 texels, each of its own colour and a little askew."""
+    """Return a running bond of bricks of 61 × 26 texels, of varying colour, slightly distorted."""
     length, rise, rng = 61.0, 26.0, np.random.default_rng(2)
     y, x = np.mgrid[:side, :side] + 0.8 * _noise(rng, (2, side, side), 12)
     row = np.floor(y / rise)
@@ -71,7 +71,7 @@ def bricks(side: int) -> Values:
 
 
 def wood(side: int) -> Values:
-    """The grain of a board, along its height."""
+    """Return the grain of a board, along its height."""
     rng = np.random.default_rng(3)
     x = np.mgrid[:side, :side][1] + 9 * gaussian_filter(rng.normal(size=(side, side)), (60, 14)) * 40
     rings = 0.5 + 0.5 * np.sin(2 * np.pi * x / 23)
@@ -82,25 +82,25 @@ def wood(side: int) -> Values:
 
 
 def hammered(side: int) -> Values:
-    """Copper with the dents of a hammer, at random places."""
+    """Return copper with a hammer's dents at random positions."""
     rng = np.random.default_rng(4)
     places = rng.uniform(-20, side + 20, (int((side + 40) ** 2 / 420), 2))
     y, x = np.mgrid[:side, :side]
-    away = cKDTree(places).query(np.stack([y, x], axis=-1))[0]
-    height = gaussian_filter(0.012 * away**2, 1.2) + 0.05 * _noise(rng, (side, side), 1)
+    distance = cKDTree(places).query(np.stack([y, x], axis=-1))[0]
+    height = gaussian_filter(0.012 * distance**2, 1.2) + 0.05 * _noise(rng, (side, side), 1)
     stain = 1 + 0.1 * _noise(rng, (side, side), 25)
     maps = _maps(height, stain[..., None] * np.array([0.8, 0.4, 0.25]), 0.32 + 0.04 * _noise(rng, (side, side), 8))
     return {**maps, "metallic": np.ones((side, side, 1))}
 
 
 def scanned(name: str, side: int) -> Values:
-    """A piece of a scanned material, at half its size."""
+    """Return a piece of a scanned material, at half its size."""
     from benchmarks.scenes.textured import cc0_maps
 
-    found = cc0_maps(_DATA / name, 512, 512)
+    material = cc0_maps(_DATA / name, 512, 512)
     part = np.s_[40 : 40 + side, 40 : 40 + side]
-    maps = _maps(np.zeros((side, side)), found.base_color[part], found.roughness[part])
-    return {**maps, "normal": found.normal[part].astype(np.float64)}
+    maps = _maps(np.zeros((side, side)), material.base_color[part], material.roughness[part])
+    return {**maps, "normal": material.normal[part].astype(np.float64)}
 
 
 TEXTURES: dict[str, Callable[[int], Values]] = {
@@ -110,37 +110,37 @@ TEXTURES: dict[str, Callable[[int], Values]] = {
 
 
 def tiled(values: Values) -> Values:
-    """The program's own, a texel of the tile for one of the texture."""
+    """Return the program's tile, at the texture's resolution."""
     model = load_model("metallic_roughness")
     covered = np.ones(values["normal"].shape[:2], bool)
-    found = seamless(model, values, covered, size=0)
-    return {name: value.astype(np.float64) for name, value in found.values.items()}
+    tile = seamless(model, values, covered, size=0)
+    return {name: value.astype(np.float64) for name, value in tile.values.items()}
 
 
 def cross_faded(values: Values) -> Values:
-    """Both ends of a quarter of the side faded into each other along straight lines."""
-    found = {}
+    """Return the texture with a linear cross-fade of its ends over a quarter of the side."""
+    result = {}
     for name, value in values.items():
         over = len(value) // 4
         share = ((np.arange(over) + 0.5) / over)[:, None, None]
         for _ in range(2):
             faded = share * value[:over] + (1 - share) * value[-over:]
             value = np.concatenate([faded, value[over:-over]]).swapaxes(0, 1)
-        found[name] = value
-    return {**found, "normal": _unit(found["normal"])}
+        result[name] = value
+    return {**result, "normal": _unit(result["normal"])}
 
 
 def mirrored(values: Values) -> Values:
-    """The texture beside its mirror pictures, whose normals are mirrored too."""
-    found = {}
+    """Return the texture beside its mirror images, with mirrored normals."""
+    result = {}
     for name, value in values.items():
         for axis in (0, 1):
             other = np.flip(value, axis)
             if name == "normal":
                 other = other * np.where(np.arange(3) == 1 - axis, -1, 1)
             value = np.concatenate([value, other], axis)
-        found[name] = value
-    return found
+        result[name] = value
+    return result
 
 
 METHODS: dict[str, Callable[[Values], Values]] = {
@@ -149,8 +149,8 @@ METHODS: dict[str, Callable[[Values], Values]] = {
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Tile all textures by all methods; keep numbers, and the pictures as PNGs in the cache."""
-    found: dict[str, dict[str, Any]] = {}
+    """Tile all textures by all methods; return the figures, and write the pictures into the cache."""
+    figures: dict[str, dict[str, Any]] = {}
     for name, make in TEXTURES.items():
         if make is not cloth and quick:
             continue
@@ -160,40 +160,40 @@ def measure(quick: bool) -> dict[str, Any]:
         values = make(_SIDE)
         own = shaded(values)
         judge = Judge(own)
-        found[name] = {"itself": judge.figures(own, repeats=False)}
+        figures[name] = {"itself": judge.figures(own, repeats=False)}
         for method, tile in METHODS.items():
             picture = shaded(tile(values))
-            found[name][method] = {**judge.figures(picture), "period": list(picture.shape[1::-1])}
+            figures[name][method] = {**judge.figures(picture), "period": list(picture.shape[1::-1])}
             (report.CACHE / "seams").mkdir(parents=True, exist_ok=True)
             shown = srgb_from_linear(np.clip(np.tile(picture, (3, 3, 1)), 0, 1))
             encode_png(report.CACHE / "seams" / f"{name} {method}.png", shown, bits=8)
-        report.say(f"{name}: {found[name]}")
-    return {"side": _SIDE, "textures": found}
+        report.say(f"{name}: {figures[name]}")
+    return {"side": _SIDE, "textures": figures}
 
 
 class Judge:
-    """What is measured of pictures (H, W, 3), against the texture's own."""
+    """Measures pictures (H, W, 3) against the texture's."""
 
     def __init__(self, own: np.ndarray) -> None:
-        """own: the texture, (H, W, 3)."""
+        """own: the texture's picture, (H, W, 3)."""
         half = len(own) // 2
         first, second = patches(own[:half]), patches(own[half:])
         self._mean = first.mean(axis=0)
         _, _, rows = np.linalg.svd(first[::7] - self._mean, full_matrices=False)
         self._axes = rows[:_COMPONENTS].T
-        self._limit = np.quantile(nearest(self._seen(first), self._seen(chosen(second))), _FOREIGN)
-        self._all = self._seen(patches(own))
+        self._limit = np.quantile(nearest(self._projected(first), self._projected(chosen(second))), _FOREIGN)
+        self._all = self._projected(patches(own))
         self._contrast = contrast(own)
 
-    def _seen(self, found: np.ndarray) -> np.ndarray:
-        return (found - self._mean) @ self._axes
+    def _projected(self, rows: np.ndarray) -> np.ndarray:
+        return (rows - self._mean) @ self._axes
 
     def figures(self, picture: np.ndarray, repeats: bool = True) -> dict[str, float]:
-        """Return the figures of the module's text."""
+        """Return the measures of the module's docstring."""
         wide = np.pad(picture, ((0, _PATCH), (0, _PATCH), (0, 0)), mode="wrap") if repeats else picture
-        far = nearest(self._all, self._seen(chosen(patches(wide))))
+        distance = nearest(self._all, self._projected(chosen(patches(wide))))
         return {
-            "foreign": float((far > self._limit).mean()),
+            "foreign": float((distance > self._limit).mean()),
             "contrast": float(np.quantile(contrast(picture), 0.02) / np.quantile(self._contrast, 0.02)),
             "mirrored": mirror_line(np.tile(picture, (2, 2, 1)) if repeats else picture),
         }
@@ -206,22 +206,22 @@ def patches(picture: np.ndarray) -> np.ndarray:
 
 
 def chosen(found: np.ndarray) -> np.ndarray:
-    """Return some patches, the same of each picture of a size."""
+    """Return a random sample of patches (M, C), at the same positions for equal numbers of patches."""
     return found[np.random.default_rng(0).permutation(len(found))[:_SAMPLED]]
 
 
 def nearest(among: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return (N,) how far each of ``wanted`` (N, C) is from the nearest of ``among`` (M, C)."""
+    """Return (N,), the distance of each of ``wanted`` (N, C) from the nearest of ``among`` (M, C)."""
     lengths = (among**2).sum(axis=-1)
     parts = [
-        (lengths - 2 * part @ among.T).min(axis=1) + (part**2).sum(axis=-1)
-        for part in np.array_split(wanted, len(wanted) // 200)
+        (lengths - 2 * rows @ among.T).min(axis=1) + (rows**2).sum(axis=-1)
+        for rows in np.array_split(wanted, len(wanted) // 200)
     ]
     return np.sqrt(np.maximum(np.concatenate(parts), 0))
 
 
 def contrast(picture: np.ndarray) -> np.ndarray:
-    """Return (H, W) the root mean square of fine detail in windows of a fifteenth of _SIDE."""
+    """Return (H, W), the root mean square of fine detail in windows of a fifteenth of _SIDE."""
     grey = picture.mean(axis=-1)
     detail = grey - gaussian_filter(grey, 3, mode="wrap")
     window = _SIDE // 15
@@ -241,7 +241,7 @@ def mirror_line(picture: np.ndarray, reach: int = 24) -> float:
 
 
 def shaded(values: Values) -> np.ndarray:
-    """Return (H, W, 3) the maps under one light: a matt part, and a highlight as wide as the roughness."""
+    """Return (H, W, 3), the maps under one light: a diffuse part, and a GGX highlight."""
     light = _LIGHT / np.linalg.norm(_LIGHT)
     half = _unit(light + np.array([0, 0, 1.0]))
     normal = values["normal"]
@@ -275,15 +275,15 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     worst = {m: max(of[m]["foreign"] for of in data["textures"].values()) for m in METHODS}
     return "foreign patches at most: " + ", ".join(f"{m} {100 * share:.1f} %" for m, share in worst.items())
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], grain: float) -> np.ndarray:
-    """Return noise of deviation 1 whose last two axes are smooth over ``grain`` texels."""
-    found = gaussian_filter(rng.normal(size=shape), (0,) * (len(shape) - 2) + (grain, grain))
-    return found / found.std()
+    """Return noise of standard deviation 1, smooth over ``grain`` texels in the last two axes."""
+    noise = gaussian_filter(rng.normal(size=shape), (0,) * (len(shape) - 2) + (grain, grain))
+    return noise / noise.std()
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -291,7 +291,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _maps(height: np.ndarray, colour: np.ndarray, roughness: np.ndarray) -> Values:
-    """Return the maps of a dielectric of a height in texels."""
+    """Return the maps of a dielectric with a height field in texels."""
     down, right = np.gradient(height)
     normal = _unit(np.stack([-right, -down, np.ones_like(height)], axis=-1))
     one = np.ones((*height.shape, 1))

@@ -1,10 +1,10 @@
-"""Hollows, recovered with and without separating their indirect light, by its colour or by what shadows show.
+"""Recovery of hollow subjects with and without separation of indirect light, by colour or by shadows.
 
 Usage: python -m benchmarks.separation [--quick] [--again] [--output FOLDER]
 
-Cycles photographs each subject (benchmarks/scenes/catalogue.py) under 96 lights with four bounces, and with none, from
-which the oracle is recovered. The mesh is not given. The limits of the separation were set with all subjects in view
-but four, which are marked; its chromas were chosen on the goblet of brass.
+Cycles renders each subject (benchmarks/scenes/catalogue.py) under 96 lights with four bounces, and with none for the
+oracle. The mesh is not given. The limits of the separation were tuned on all subjects but the four that are marked; its
+chromas on the goblet of brass.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _CACHE = report.CACHE.parent / "separation"
 _UNSEEN = "goblet, rose, matt", "goblet, two glazes", "fruits, bronze", "fruits, marble"
 _ORACLE = "oracle"
 _RUNS = {"off": ("--set", "prefit_indirect_share=0"), "standard": (), _ORACLE: ()}  # name → arguments
-_WIDEST = 0.999 * np.pi / 2  # deviations of normals that no photograph tells
+_WIDEST = 0.999 * np.pi / 2  # radians: a larger deviation marks an undetermined normal
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Photograph and recover all subjects, one of them where it is quick."""
+    """Photograph and recover all subjects, or one if quick."""
     size, scenes = (_QUICK if quick else _SIZE), list(hollow_scenes().items())
     return {"rows": [_row(name, scene, size) for name, scene in scenes[: 1 if quick else None]], "size": size}
 
@@ -54,12 +54,12 @@ def _row(name: str, scene: Scene, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def _errors(folder: Path, out: Path) -> dict[str, Any]:
-    found = read_maps(out, load_model("metallic_roughness"))
+    maps = read_maps(out, load_model("metallic_roughness"))
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     (deviation,) = read_exr(out / "maps.exr")["confidence_normal"].values()
     seen, unknown = coverage > 0, deviation > _WIDEST
-    error = angles(found["normal"], capture.read_truth(folder, "normal"))
-    colour = np.abs(_chroma(found["base_color"]) - _chroma(capture.read_truth(folder, "base_color"))).sum(axis=-1)
+    error = angles(maps["normal"], capture.read_truth(folder, "normal"))
+    colour = np.abs(_chroma(maps["base_color"]) - _chroma(capture.read_truth(folder, "base_color"))).sum(axis=-1)
     return {
         "normal": asdict(Errors.of(error[seen])),
         "known": float(error[seen & ~unknown].mean()),
@@ -107,7 +107,7 @@ def _cell(values: list[float], digits: int, unit: str = "") -> str:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     first = data["rows"][0]
     tilts = [f"{first['runs'][run]['normal']['mean']:.1f}°" for run in _RUNS]
     return f"{first['subject']}: {', '.join(tilts)} (without, with, oracle)"

@@ -1,7 +1,7 @@
-"""What a kernel does at one texel, counted in its optimised SPIR-V: arithmetic, and texels that it fetches.
+"""Counts a kernel's arithmetic operations and fetches per texel in its optimised SPIR-V.
 
-Needs glslangValidator and spirv-opt (Debian: glslang-tools, spirv-tools). All branches count, as in a group of threads
-that disagree; a loop counts as often as its bounds say, one whose bound is another's counter half as often as that.
+Needs glslangValidator and spirv-opt (Debian: glslang-tools, spirv-tools). All branches count, as in a divergent group
+of threads; a loop counts as often as its bounds say, one whose bound is another's counter half as often as that.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _PLAIN = re.compile(
     r"Op([FSIU](Add|Sub|Mul|Negate|Mod|Rem|LessThan|GreaterThan|LessThanEqual|GreaterThanEqual|Equal|NotEqual)"
     r"|FOrd\w+|FUnord\w+|Select|VectorTimesScalar|Convert\w+|Not|IsNan|IsInf|(Bitwise|Logical|Shift)\w+)"
 )
-_SPECIAL = 4  # operations that a root or an exponential counts as: GPUs have a quarter as many units for them
+_SPECIAL = 4  # operations of a root or an exponential: GPUs have a quarter as many units for them
 _DIVISION = _SPECIAL + 1  # a reciprocal and a product
-# Operations a component of what is not one; what is not here is one (min, max, abs, floor, …).
+# Operations a component of a function; one (min, max, abs, floor, …) if it is not listed.
 _FUNCTIONS = {
     "Sqrt": _SPECIAL, "InverseSqrt": _SPECIAL, "Exp2": _SPECIAL, "Log2": _SPECIAL, "Sin": _SPECIAL, "Cos": _SPECIAL,
     "Exp": _SPECIAL + 1, "Log": _SPECIAL + 1, "Pow": 2 * _SPECIAL + 1, "Tan": 2 * _SPECIAL + _DIVISION, "Atan": 12,
@@ -39,24 +39,24 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Counts:
-    """At one texel. operations: of scalars. fetches: sampler → texels that are read from it."""
+    """Work at one texel. operations: of scalars. fetches: sampler → texels read from it."""
 
     operations: float = 0.0
     fetches: Mapping[str, float] = field(default_factory=dict)
 
 
 def counts(kernel: Kernel, *known: Mapping[str, int | float]) -> list[Counts]:
-    """Return what a kernel does at one texel of its targets, once for each set of what its loops may end at.
+    """Return a kernel's work at one texel of its targets, for each set of values that bound its loops.
 
     known: constants by name, and the widths of textures by the names of their samplers. Raises CalledProcessError,
-    FileNotFoundError without the tools, ValueError where a loop has other bounds.
+    FileNotFoundError without the tools, ValueError for loops with other bounds.
     """
     text = _disassembled(_fragment(kernel))
     return [_Module(text, each).counts() for each in known]
 
 
 def _fragment(kernel: Kernel) -> str:
-    """Return a kernel as plain GLSL, with the declarations that Blender would make."""
+    """Return a kernel as plain GLSL, with the declarations that Blender adds."""
     source = source_of(kernel)
     samplers, constants = kernel.declared(source), kernel.needed(source)
     lines = ["#version 450", *(f"#define {name} {value}" for name, value in kernel.defines.items())]
@@ -94,7 +94,7 @@ class _Instruction:
 
 
 class _Module:
-    """A module of one function. known: values of push constants, and widths of textures."""
+    """A SPIR-V module of one function. known: values of push constants, and widths of textures."""
 
     def __init__(self, text: str, known: Mapping[str, int | float]):
         self.known = known
@@ -105,17 +105,17 @@ class _Module:
         for line in text.splitlines():
             if not (match := _LINE.match(line)):
                 continue
-            found = _Instruction(match[1] or "", match[2], tuple(match[3].split()))
-            self.defined[found.result] = found
-            if found.name in ("OpName", "OpMemberName"):
-                self.names[found.operands[:-1]] = found.operands[-1].strip('"')
-            elif found.name == "OpLabel":
-                block = self.blocks[found.result] = []
+            instruction = _Instruction(match[1] or "", match[2], tuple(match[3].split()))
+            self.defined[instruction.result] = instruction
+            if instruction.name in ("OpName", "OpMemberName"):
+                self.names[instruction.operands[:-1]] = instruction.operands[-1].strip('"')
+            elif instruction.name == "OpLabel":
+                block = self.blocks[instruction.result] = []
             elif block is not None:
-                block.append(found)
+                block.append(instruction)
 
     def counts(self) -> Counts:
-        """Return the sums over all blocks, each as often as the loops around it say."""
+        """Return the sums over all blocks, each times the trips of the loops around it."""
         operations, fetches = 0.0, Counter[str]()
         for label, block in self.blocks.items():
             times = 1.0
@@ -136,7 +136,7 @@ class _Module:
             for target in block[-1].operands:
                 if target in before:
                     before[target].add(label)
-        found = {}
+        bodies = {}
         for header, block in self.blocks.items():
             if merge := next((each for each in block if each.name == "OpLoopMerge"), None):
                 body, ahead = {header}, [merge.operands[1]]
@@ -144,11 +144,11 @@ class _Module:
                     if (label := ahead.pop()) not in body:
                         body.add(label)
                         ahead += before[label]
-                found[header] = body
-        return found
+                bodies[header] = body
+        return bodies
 
     def trips(self, header: str) -> float:
-        """Return how often the body of a loop runs. Raises ValueError where its bounds are not known."""
+        """Return how often the body of a loop runs. Raises ValueError if its bounds are not known."""
         block = self.blocks[header]
         if block[-1].name == "OpBranch":
             block = self.blocks[block[-1].operands[0]]
@@ -163,40 +163,43 @@ class _Module:
         return (abs(self._value(test.operands[2]) - start) + closed) / abs(self._value(step.operands[2]))
 
     def _value(self, name: str) -> float:
-        """Return a constant's value; of another loop's counter, or what is near it, the mean."""
-        found = self.defined[name]
-        if found.name == "OpConstant":
-            return float(found.operands[1])
-        if found.name == "OpLoad" and (name := self._push_constant(self.defined[found.operands[1]])):
+        """Return a constant's value; the mean of another loop's counter; of other phis the largest input."""
+        instruction = self.defined[name]
+        if instruction.name == "OpConstant":
+            return float(instruction.operands[1])
+        if instruction.name == "OpLoad" and (name := self._push_constant(self.defined[instruction.operands[1]])):
             return float(self.known[name])
-        if found.name == "OpCompositeExtract" and self.defined[found.operands[1]].name == "OpImageQuerySizeLod":
-            return float(self.known[self._sampler(self.defined[found.operands[1]].operands[1])])
-        if found.name in ("OpIAdd", "OpISub"):
-            left, right = (self._value(operand) for operand in found.operands[1:])
-            return left + right if found.name == "OpIAdd" else left - right
-        if found.name == "OpPhi":
-            header = next((h for h, block in self.blocks.items() if found in block and h in self.loops), None)
+        if (
+            instruction.name == "OpCompositeExtract"
+            and self.defined[instruction.operands[1]].name == "OpImageQuerySizeLod"
+        ):
+            return float(self.known[self._sampler(self.defined[instruction.operands[1]].operands[1])])
+        if instruction.name in ("OpIAdd", "OpISub"):
+            left, right = (self._value(operand) for operand in instruction.operands[1:])
+            return left + right if instruction.name == "OpIAdd" else left - right
+        if instruction.name == "OpPhi":
+            header = next((h for h, block in self.blocks.items() if instruction in block and h in self.loops), None)
             if header is not None:
                 return (self.trips(header) - 1) / 2
-            return max(self._value(value) for value in found.operands[1::2])
-        raise ValueError(f"a loop's bound by {found.name} is not known")
+            return max(self._value(value) for value in instruction.operands[1::2])
+        raise ValueError(f"a loop's bound by {instruction.name} is not known")
 
     def _push_constant(self, pointer: _Instruction) -> str | None:
-        """Return the name of the push constant at which a pointer points, or None."""
+        """Return the name of a pointer's push constant, or None."""
         block = self.defined[self.defined[pointer.operands[1]].operands[0]]
         if pointer.name != "OpAccessChain" or block.operands[0] != "PushConstant":
             return None
         return self.names[block.operands[1], str(int(self._value(pointer.operands[2])))]
 
     def _sampler(self, name: str) -> str:
-        """Return the name of the sampler whose image is fetched from."""
-        while (found := self.defined[name]).name != "OpVariable":
-            name = found.operands[1]
+        """Return the name of the sampler of a fetched image."""
+        while (instruction := self.defined[name]).name != "OpVariable":
+            name = instruction.operands[1]
         return self.names[(name,)]
 
     def _components(self, name: str) -> int:
-        found = self.defined[name]
-        return int(found.operands[1]) if found.name == "OpTypeVector" else 1
+        instruction = self.defined[name]
+        return int(instruction.operands[1]) if instruction.name == "OpTypeVector" else 1
 
     def _operations(self, each: _Instruction) -> float:
         if not each.operands:

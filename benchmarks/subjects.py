@@ -1,15 +1,15 @@
-"""Synthetic captures with known materials, what is wrong with them stated as formulas, and how far a recovery is off.
+"""Synthetic captures with known materials, their disturbances as formulas, and the errors of a recovery.
 
-A card of W×H texels lies before an orthographic camera under K distant lights. All maps are smooth: sums of a few waves
-whose directions and phases come from the seed. The sample of texel x under light k is
+A card of W×H texels before an orthographic camera under K distant lights. All maps are smooth: sums of a few waves with
+directions and phases by the seed. The sample of texel x under light k is
 
     I_k(x) = max(0, V_k(x) R_k(x) + a U_k(x) B[V_k R_k](x) + N(0, σ²))
 
 with R the reflectance model in float64 (benchmarks/peers/models.py) under a light of intensity 1. V is the cast shadow:
-at each texel the ``shadow`` part of the lights that is nearest to a direction drawn for that texel alone has V = 0, so
-that what is missing is a connected patch of lights. B is a Gaussian blur over the card, BLUR of its side wide: the
-interreflection of a texel's surroundings, which adds the part a of their radiance, smooth over texels. U is 1 under all
-lights, or under a connected patch of them, drawn for each texel as its shadow is.
+at each texel V = 0 for the fraction ``shadow`` of the lights nearest to a random direction of that texel, a connected
+patch of lights. B is a Gaussian blur over the card, BLUR of its side wide: the interreflection of a texel's
+surroundings, which adds the fraction a of their radiance, smooth over texels. U is 1 under all lights, or under a
+connected patch of them, drawn for each texel like its shadow.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _LOWEST = 0.3  # z of the lowest light: 73° from the axis
 _WAVES = 6  # to a map
 _LENGTHS = (0.45, 1.1)  # of the waves, over the card's side
 _SLOPE = 0.3  # root mean square of each component of the surface's slope
-# What the maps run through: lobes of skin (see the model's table), so far apart that 100 lights tell them apart in nine
-# texels of ten (see joint.md).
+# Ranges of the maps: lobes of skin (see the model's table), so different that 100 lights separate them in 90 % of the
+# texels (see joint.md).
 _RANGES = {"r1": (0.09, 0.16), "r2": (0.28, 0.4), "w": (0.3, 0.5), "roughness": (0.2, 0.6), "specular": (0.3, 0.7)}
 
 
 @dataclass(frozen=True)
 class Dirt:
-    """noise: σ. shadow: part of a texel's lights. interreflection: a; reach: part of the lights under which U is 1."""
+    """noise: σ. shadow: share of a texel's lights. interreflection: a. reach: share of the lights with U = 1."""
 
     title: str
     noise: float = 0.0
@@ -56,7 +56,7 @@ DIRTS = {"clean": CLEAN, "noisy": NOISY, "dirty": DIRTY, "shadowed": SHADOWED, "
 
 @dataclass(frozen=True)
 class Card:
-    """domain: what is observed. truth: parameter → (H, W, components) float64. shadowed: (K, H, W) bool, V = 0."""
+    """A synthetic capture. truth: parameter → (H, W, components) float64. shadowed: (K, H, W) bool, V = 0."""
 
     domain: Domain
     model: str
@@ -65,18 +65,18 @@ class Card:
     dirt: Dirt
 
     def problem(self, count: int | None = None, seed: int = 0) -> Problem:
-        """Return it as the peers want it: all texels, or ``count`` of them; fewer are a part of more."""
+        """Return all texels, or a random ``count``, as the peers' problem; a smaller sample is part of a larger one."""
         whole = problem_of(self.domain, self.model, self.truth)
         return whole if count is None or count >= whole.count else whole.subset(sample(whole.count, count, seed))
 
 
 def sample(count: int, wanted: int, seed: int = 0) -> np.ndarray:
-    """Return some of ``count`` texels by index; fewer are the first of more."""
+    """Return ``wanted`` random indices below ``count``; a smaller sample is the start of a larger one."""
     return np.random.default_rng(seed).permutation(count)[:wanted]
 
 
 def spiral_lights(count: int, lowest: float = _LOWEST) -> np.ndarray:
-    """Return (K, 3) unit directions, even over the part of the sphere above z = ``lowest``, on a Fibonacci spiral."""
+    """Return (K, 3) unit directions on a Fibonacci spiral, even over the sphere above z = ``lowest``."""
     z = 1 - (1 - lowest) * (np.arange(count) + 0.5) / count
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     flat = np.sqrt(1 - z**2)
@@ -90,7 +90,7 @@ def make_card(
     seed: int = 0,
     model: str = TWO_LOBES,
 ) -> Card:
-    """Return a card of ``size``² or (H, W) texels under so many spiral lights, or under these directions (K, 3)."""
+    """Return a card of ``size``² or (H, W) texels under a number of spiral lights, or under directions (K, 3)."""
     shape = (size, size) if isinstance(size, int) else size
     directions = spiral_lights(lights) if isinstance(lights, int) else lights
     rng = np.random.default_rng(seed)
@@ -108,18 +108,18 @@ def make_card(
 
 
 def errors_of(model: str, values: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return parameter → (T,) how far values (…, components) are off: the normal in degrees, others in % of range.
+    """Return parameter → (T,) errors of values (…, components): the normal's in degrees, others in % of the range.
 
-    Of several components the worst counts. Only what both have is compared.
+    Of several components the worst counts. Parameters: those in values and truth.
     """
-    found = {}
+    errors = {}
     for p in load_model(model).parameters:
         if p.name not in values or p.name not in truth:
             continue
         a, b = (np.asarray(v[p.name], np.float64).reshape(-1, p.components) for v in (values, truth))
         width = p.range[1] - p.range[0] if not p.is_normal else 1.0
-        found[p.name] = angles(a, b) if p.is_normal else 100 * np.abs(a - b).max(axis=-1) / width
-    return found
+        errors[p.name] = angles(a, b) if p.is_normal else 100 * np.abs(a - b).max(axis=-1) / width
+    return errors
 
 
 def unit_of(parameter: str) -> str:
@@ -141,7 +141,7 @@ def _domain(shape: tuple[int, int], directions: np.ndarray) -> Domain:
 
 
 def _render(domain: Domain, model: str, truth: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(K, H, W, 3) float64 under lights of intensity 1, from the directions as they are stored."""
+    """Return (K, H, W, 3) float64 radiance under lights of intensity 1, with the domain's float32 directions."""
     problem = problem_of(domain, model)
     flat = {name: value.reshape(-1, value.shape[-1]) for name, value in truth.items()}
     diffuse, specular = radiance(np, model, flat, geometry_of(problem))
@@ -163,7 +163,7 @@ def _truth(shape: tuple[int, int], model: str, rng: np.random.Generator) -> dict
 
 
 def _waves(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """(H, W) of about unit variance."""
+    """Return (H, W), a sum of waves of about unit variance."""
     y, x = np.mgrid[: shape[0], : shape[1]] / max(shape)
     total = np.zeros(shape)
     for _ in range(_WAVES):
@@ -174,7 +174,7 @@ def _waves(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 
 def _patch(shape: tuple[int, int], directions: np.ndarray, part: float, rng: np.random.Generator) -> np.ndarray:
-    """(K, H, W) bool: at each texel the ``part`` of the lights that is nearest to one drawn from among them."""
+    """Return (K, H, W) bool: at each texel the fraction ``part`` of the lights nearest to a random one of them."""
     count = round(part * len(directions))
     if not count:
         return np.zeros((len(directions), *shape), bool)
@@ -187,7 +187,7 @@ def _patch(shape: tuple[int, int], directions: np.ndarray, part: float, rng: np.
 
 
 def _blur(images: np.ndarray, deviation: float) -> np.ndarray:
-    """Images (K, H, W, 3) blurred by a Gaussian over H and W, mirrored at the borders."""
+    """Return images (K, H, W, 3) blurred by a Gaussian over H and W, mirrored at the borders."""
     from scipy.ndimage import gaussian_filter1d
 
     across = gaussian_filter1d(images, deviation, axis=1, mode="reflect")

@@ -57,7 +57,7 @@ def slopes_of(relief: str, size: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def make_card(relief: str, material: str, lights: int, noise: float, size: int, seed: int) -> tuple[Domain, np.ndarray]:
-    """Return what is photographed, and the true normals (size, size, 3)."""
+    """Return the observed domain and the true normals (size, size, 3)."""
     rng, shape = np.random.default_rng(seed), (size, size)
     normal = np.concatenate([-slopes_of(relief, size, rng), np.ones((*shape, 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -80,20 +80,20 @@ def make_card(relief: str, material: str, lights: int, noise: float, size: int, 
 
 
 def errors(domain: Domain, normal: np.ndarray, schedule: Schedule) -> tuple[np.ndarray, np.ndarray]:
-    """Return degrees of every texel's normal before the phase and after it."""
-    found = []
+    """Return the errors, in degrees, of every texel's normal before the phase and after it."""
+    errors_by_state = []
     with Recovery(domain, load_model(MODEL), schedule, 1) as recovery:
         while recovery.progress.title != "surface":
             recovery.step(iterations=1)
         for _ in range(2):
             values = recovery.maps(confidence=False).values["normal"].astype(np.float64)
-            found.append(angles(values.reshape(-1, 3), normal.reshape(-1, 3)))
+            errors_by_state.append(angles(values.reshape(-1, 3), normal.reshape(-1, 3)))
             recovery.step()
-    return found[0], found[1]
+    return errors_by_state[0], errors_by_state[1]
 
 
 def _patches(size: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(size, size) int numbers of ``count`` Voronoi cells."""
+    """Return (size, size) int, each texel's number of ``count`` Voronoi cells."""
     y, x = np.mgrid[:size, :size]
     centres = rng.uniform(0, size, (count, 2))
     return ((x[..., None] - centres[:, 0]) ** 2 + (y[..., None] - centres[:, 1]) ** 2).argmin(axis=-1)

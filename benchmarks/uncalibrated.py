@@ -1,10 +1,10 @@
-"""Lights found in the subject's own shading, and the normals under them, beside those under the given lights.
+"""Lights from the subject's own shading, and normals under them, against those under the capture's lights.
 
 Usage: python -m benchmarks.uncalibrated [--quick] [--again] [--output FOLDER]; an hour without a GPU.
 
-The light files of captures are taken away; ``calibrate --ball none`` finds lights, and ``recover`` runs with these and
-with the given ones. Cycles photographs subjects with four bounces under 96 lamps whose strengths differ by 36 %
-(benchmarks/scenes/catalogue.py); the bunnies and the head's scan are those of IRPSO_DATA, or of ../shared/data.
+``calibrate --ball none`` estimates the lights of captures without light files; ``recover`` runs with these and with the
+given ones. Cycles renders subjects (benchmarks/scenes/catalogue.py) with four bounces under 96 lamps whose strengths
+differ by 36 %; the bunnies and the head's scan are those of IRPSO_DATA, or of ../shared/data.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _BUNNIES = "bunny_lambert_noshadow", "bunny_lambert", "bunny_specular"
 _SCAN = "head_leeperrysmith/LeePerrySmith.obj"
 _HOLLOWS = "goblet, rose, matt", "goblet, green enamel", "fruits, terracotta", "goblet, patina"
 _LIGHT_FILES = "light_directions.txt", "light_intensities.txt"
-_UNSEEN = "cat_clay", "skin_sss", "goblet, patina", "bunny_lambert_noshadow"  # the method was made without them
+_UNSEEN = "cat_clay", "skin_sss", "goblet, patina", "bunny_lambert_noshadow"  # not used in developing the method
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Photograph all subjects, find their lights, and recover them twice; the first one where it is quick."""
+    """Photograph all subjects (the first if quick), estimate their lights, and recover them with both."""
     size = _QUICK if quick else _SIZE
     scenes = catalogue(_present(_SCAN)) | {name: hollow_scenes()[name] for name in _HOLLOWS}
     rows = []
@@ -64,24 +64,24 @@ def _present(name: str) -> Path | None:
 
 
 def _row(name: str, given: Path, *lens: object) -> dict[str, Any]:
-    """Return what JSON holds of a capture. lens: of its camera, for the calibration, which writes it down."""
-    bare, found = (_CACHE / f"{given.name}-{what}" for what in ("bare", "found"))
+    """Return the data of a capture. lens: options of the calibration for its camera."""
+    bare, estimated = (_CACHE / f"{given.name}-{what}" for what in ("bare", "found"))
     shutil.rmtree(bare, ignore_errors=True)
     shutil.copytree(given, bare, ignore=shutil.ignore_patterns(*_LIGHT_FILES))
-    row: dict[str, Any] = {"subject": name, **_calibrated(bare, found, *lens)}
-    runs = {"given": given} if "refused" in row else {"given": given, "found": found}
+    row: dict[str, Any] = {"subject": name, **_calibrated(bare, estimated, *lens)}
+    runs = {"given": given} if "refused" in row else {"given": given, "found": estimated}
     for run, folder in runs.items():
         out = _CACHE / f"{given.name}-recovered-{run}"
         row[f"{run}_seconds"] = recover(folder, out)
         row[run] = _normal_error(given, out)
     if "found" in runs:
-        row |= light_errors(_lights(given), _lights(found))
+        row |= light_errors(_lights(given), _lights(estimated))
     report.say(json.dumps(row))
     return row
 
 
 def _calibrated(folder: Path, out: Path, *lens: object) -> dict[str, Any]:
-    """Run ``calibrate --ball none``; return how far parts of the subject agree, or why it refuses."""
+    """Run ``calibrate --ball none``; return the agreement between parts of the subject, or why it refuses."""
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "irpso_addon", "calibrate", folder, "--ball", "none", *lens, "-o", out]
     started = time.perf_counter()
@@ -93,9 +93,9 @@ def _calibrated(folder: Path, out: Path, *lens: object) -> dict[str, Any]:
         raise RuntimeError(f"{folder}: calibrate ended with {ended.returncode}, without an answer")
     if ended.returncode:
         return {"refused": json.loads(ended.stdout)["error"].rpartition(": ")[2], "seconds": seconds}
-    found = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    errors = [light["error_degrees"] for light in found["lights"]]
-    return {"agree": float(np.mean(errors)), "warnings": len(found["warnings"]), "seconds": seconds}
+    summary = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    errors = [light["error_degrees"] for light in summary["lights"]]
+    return {"agree": float(np.mean(errors)), "warnings": len(summary["warnings"]), "seconds": seconds}
 
 
 def _lights(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -107,10 +107,10 @@ def _lights(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def light_errors(given: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray]) -> dict[str, float]:
-    """Return how far directions are off, degrees, with and without a common rotation, and strengths, relative.
+    """Return mean errors of directions, degrees, without and with a common rotation, and of strengths, relative.
 
-    given, found: (K, 3) unit vectors and (K,) strengths, which have one free factor. The rotation is the best in the
-    sense of least squares (Kabsch 1976).
+    given, found: (K, 3) unit vectors and (K,) strengths, up to a common factor. The rotation is that of least squares
+    (Kabsch 1976).
     """
     (true, strong), (other, strong_other) = given, found
     u, _, vt = np.linalg.svd(other.T @ true)
@@ -160,7 +160,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def headline(data: dict[str, Any]) -> str:
-    """Return what the index says."""
+    """Return the text of the index."""
     both = [row for row in data["rows"] if "found" in row]
     found, given = (np.mean([row[run] for row in both]) for run in ("found", "given"))
     return (

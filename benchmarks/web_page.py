@@ -36,7 +36,7 @@ def by_program(maps: Maps, lights: np.ndarray) -> np.ndarray:
 
 
 def by_page(folder: Path, size: tuple[int, int], lights: np.ndarray) -> np.ndarray:
-    """Return (K, H, W, 3) sRGB values of the page in Chromium."""
+    """Return (K, H, W, 3) sRGB values that the page shows in Chromium."""
     browser, pictures = Browser(*size), []
     browser.open(folder / "index.html", "controls=0&zoom=1")
     for u, v, _ in lights:
@@ -47,7 +47,7 @@ def by_page(folder: Path, size: tuple[int, int], lights: np.ndarray) -> np.ndarr
 
 
 def main() -> None:
-    """Print mean and least PSNR, in dB of sRGB values over the covered texels."""
+    """Print mean and least PSNR, in dB, of sRGB values over the covered texels."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("result", type=Path)
     result = read_result(parser.parse_args().result)
@@ -65,8 +65,8 @@ def main() -> None:
         ("page against the program", page, shown[1]),
         ("program against Cycles", shown[1], shown[0]),
     ):
-        found = [psnr(a, b, covered) for a, b in zip(one, other, strict=True)]
-        print(f"{name}: mean {np.mean(found):.1f} dB, least {np.min(found):.1f} dB")
+        psnrs = [psnr(a, b, covered) for a, b in zip(one, other, strict=True)]
+        print(f"{name}: mean {np.mean(psnrs):.1f} dB, least {np.min(psnrs):.1f} dB")
 
 
 if __name__ == "__main__":

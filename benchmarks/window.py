@@ -1,10 +1,10 @@
-"""How a recovery feels in a real Blender window: the first picture, the longest stall, what the pictures cost.
+"""Responsiveness of a recovery in a real Blender window: first picture, longest stall, cost of the pictures.
 
 Usage: python -m benchmarks.window [--quick] [--again] [--output FOLDER]
 
 Needs what `make test-gui` needs. The window is that of Debian's Blender under Xvfb (BLENDER_SUITE, BLENDER_BACKEND), or
-of the one that BLENDER names. A stall is the time between two turns of Blender's main loop, counted by a timer that is
-called at each: all that a user could feel, Blender's own drawing included.
+of the one that BLENDER names. A stall is the time between two turns of Blender's main loop, by a timer that every turn
+calls; it includes Blender's own drawing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from irpso_addon.capture.write import write_capture
 
 sys.path.insert(0, str(report.ROOT / "scripts"))
 
-LARGE, LIGHTS = 512, 32  # the size at which a window must not stall
+LARGE, LIGHTS = 512, 32  # size at which a window must not stall
 SMALL, ITERATIONS, REPEATS = 96, 1000, 3  # of the preset swarm, with pictures and without
 MODULE = "bl_ext.user_default.irpso.irpso_addon.ui"
 WATCH = f"""
@@ -69,7 +69,7 @@ ENDED = "session.current().state == 'done'"
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return what was seen of a large card, with shaders new to the driver and not, and of many iterations."""
+    """Return the measurements of a large card, with new and with cached shaders, and of many iterations."""
     from blender_window import build_package, find_blender, install, open_window
 
     blender, backend = find_blender(), os.environ.get("BLENDER_BACKEND") or "opengl"
@@ -87,15 +87,15 @@ def measure(quick: bool) -> dict[str, Any]:
                 opened.run(WATCH)
                 yield opened
 
-        found: dict[str, Any] = {"blender": blender.name, "backend": backend, "runs": []}
+        result: dict[str, Any] = {"blender": blender.name, "backend": backend, "runs": []}
         for shaders in ("shaders new to the driver", "shaders known to it"):
             report.say(shaders)
             with window("large") as opened:
-                found["runs"].append({"title": shaders, **watched(opened, large)})
+                result["runs"].append({"title": shaders, **watched(opened, large)})
         with window("small") as opened:
-            found["iterations"] = 30 if quick else ITERATIONS
-            found["seconds"] = displayed(opened, small, found["iterations"], 1 if quick else REPEATS)
-    return found
+            result["iterations"] = 30 if quick else ITERATIONS
+            result["seconds"] = displayed(opened, small, result["iterations"], 1 if quick else REPEATS)
+    return result
 
 
 def write_card(folder: Path, size: int, lights: int) -> Path:
@@ -111,7 +111,7 @@ def write_card(folder: Path, size: int, lights: int) -> Path:
 
 
 def watched(window: Any, capture: Path) -> dict[str, Any]:
-    """Recover a capture whose images are read already, and return what was seen of it."""
+    """Recover a capture whose images are already read; return the measurements."""
     redraw = float(np.median(window.run(REDRAW, area="", timeout=300)))
     begin(window, capture)
     window.wait("session.current().recovery is not None", 300)
@@ -121,9 +121,9 @@ def watched(window: Any, capture: Path) -> dict[str, Any]:
     window.run("bpy.ops.irpso.cancel()")
     window.run(PRESS, timeout=300)
     window.wait(ENDED, 3600)
-    told = window.run("[seen['first'], time.perf_counter() - seen['pressed'], seen['draws'], seen['stalls'],"
+    measured = window.run("[seen['first'], time.perf_counter() - seen['pressed'], seen['draws'], seen['stalls'],"
                       " session.current().longest_stall_s]")  # fmt: skip
-    first, seconds, draws, stalls, tick = told
+    first, seconds, draws, stalls, tick = measured
     lengths = np.array([length for length, _ in stalls])
     worst = sorted(stalls, reverse=True)[:8]
     return {
@@ -135,7 +135,7 @@ def watched(window: Any, capture: Path) -> dict[str, Any]:
 
 
 def displayed(window: Any, capture: Path, iterations: int, repeats: int) -> dict[str, list[float]]:
-    """Return the seconds of so many iterations of the preset swarm with the maps shown and not, in turns."""
+    """Return the seconds of ``iterations`` iterations of the preset swarm with and without shown maps, in turns."""
     begin(window, capture)  # and compile everything
     window.wait(ENDED, 1200)
     window.run(

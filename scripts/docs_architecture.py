@@ -1,4 +1,4 @@
-"""Draws the rooms of the program from its own imports: docs/architecture.svg, and the table in docs/architecture.md.
+"""Draws the program's packages from its imports, docs/architecture.svg, and writes the table in docs/architecture.md.
 
 Usage: python scripts/docs_architecture.py
 """
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "irpso_addon"
 PAGE, PICTURE = ROOT / "docs" / "architecture.md", ROOT / "docs" / "architecture.svg"
 BEGIN, END = "<!-- rooms: scripts/docs_architecture.py writes what follows -->", "<!-- end of rooms -->"
-# From the ground up: a room may import the rooms on the floors below it.
+# Layers from the bottom up: a package ("room") may import those of the layers ("floors") below it.
 FLOORS = (
     ("core",),
     ("capture", "reflectance", "gpu"),
@@ -33,7 +33,7 @@ _WIDTH, _BOX, _GAP = 860, 46, 34  # pixels
 class Import:
     """An imported module: absolute ("numpy.linalg") or of the program (".capture.read"). top: at module level.
 
-    names: what is imported from it, which may be modules too.
+    names: imported from it, maybe modules.
     """
 
     module: str
@@ -47,26 +47,26 @@ def imports_of(source: str, package: tuple[str, ...]) -> list[Import]:
 
     Imports for type checkers count, but not as imports at module level.
     """
-    found = []
+    imports = []
 
     def visit(node: ast.AST, top: bool) -> None:
         if isinstance(node, ast.Import):
-            found.extend(Import(alias.name, top, node.lineno) for alias in node.names)
+            imports.extend(Import(alias.name, top, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) + 1 - node.level] if node.level else ()
             prefix = "." if node.level else ""
             names = tuple(alias.name for alias in node.names)
             if node.module:
-                found.append(Import(prefix + ".".join((*base, node.module)), top, node.lineno, names))
+                imports.append(Import(prefix + ".".join((*base, node.module)), top, node.lineno, names))
             else:
-                found.extend(Import(prefix + ".".join((*base, name)), top, node.lineno) for name in names)
+                imports.extend(Import(prefix + ".".join((*base, name)), top, node.lineno) for name in names)
         inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
         typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for child in ast.iter_child_nodes(node):
             visit(child, top and not inside and not typing_only)
 
     visit(ast.parse(source), True)
-    return found
+    return imports
 
 
 def modules() -> list[Path]:
@@ -75,26 +75,26 @@ def modules() -> list[Path]:
 
 
 def room_of(path: Path) -> str:
-    """Return the top room of a file below irpso_addon, or its own name where it lies in none."""
+    """Return the top package of a file below irpso_addon, or its own name if it is in none."""
     relative = path.relative_to(PACKAGE)
     return relative.parts[0] if len(relative.parts) > 1 else path.stem
 
 
 def room_imports() -> dict[str, set[str]]:
-    """Return for each room the rooms that it imports."""
+    """Return package → packages that it imports."""
     rooms = {room for floor in FLOORS for room in floor}
-    found: dict[str, set[str]] = {room: set() for room in rooms}
+    imports: dict[str, set[str]] = {room: set() for room in rooms}
     for path in modules():
         package = path.relative_to(PACKAGE).parent.parts
         for item in imports_of(path.read_text(encoding="utf-8"), package):
             target = item.module[1:].split(".")[0] if item.module.startswith(".") else ""
             if room_of(path) in rooms and target in rooms - {room_of(path)}:
-                found[room_of(path)].add(target)
-    return found
+                imports[room_of(path)].add(target)
+    return imports
 
 
 def drawn(imports: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Return the arrows without those that others imply (the transitive reduction)."""
+    """Return the imports without those that others imply (the transitive reduction)."""
 
     def below(room: str) -> set[str]:
         return imports[room].union(*(below(other) for other in imports[room]))
@@ -106,13 +106,13 @@ def drawn(imports: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def headline(folder: Path) -> str:
-    """Return the first line of a room's docstring."""
+    """Return the first line of a package's docstring."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
     return text.split("\n")[0]
 
 
 def picture() -> str:
-    """Return the SVG: a floor a row, the ground at the bottom, an arrow from each room to what it imports."""
+    """Return the SVG: a row a layer, the lowest at the bottom, an arrow from each package to those that it imports."""
     places, height = {}, len(FLOORS) * (_BOX + _GAP) + _GAP
     for floor, rooms in enumerate(FLOORS):
         width = min(190, (_WIDTH - _GAP) / len(rooms) - _GAP)
@@ -153,7 +153,7 @@ def _rows() -> Iterator[str]:
 
 
 def page_with_table(page: str) -> str:
-    """Return the page with its table of rooms as it ought to be."""
+    """Return the page with a current table of packages."""
     before, rest = page.split(BEGIN)
     table = "\n".join(["| room | files | what is in it |", "|---|---|---|", *_rows()])
     return f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.split(END)[1]}"

@@ -25,19 +25,19 @@ LIGHT = 4  # the observation whose light is shown, from 1
 QUICK = 0.25  # scale of the card for pictures of panels
 EARLY, LATE = 14, 45  # iterations at which pictures are taken, of the panels and of the maps
 SWARM_AT = 120  # iteration of the preset `paper` at which the swarm is pictured
-FACTS, REPORT = 222, 502  # pixels: of what Blender itself says of an extension, of the preferences below that
+FACTS, REPORT = 222, 502  # heights in pixels: of Blender's facts about an extension, and of the preferences below
 SLOW = 900  # seconds: software renderers on busy machines take their time
 GROUPS = ("stills", "panels", "views")
 
 
 class Studio:
-    """A window with the sample in it, and the folder that pictures go to."""
+    """A window with the sample. folder: of its files."""
 
     def __init__(self, window: Window, folder: Path):
         self.window, self.folder = window, folder
 
     def prepare(self) -> None:
-        """Open a copy of the sample, whose folder gets a table of its lights."""
+        """Open a copy of the sample."""
         run, copy = self.window.run, self.folder / "sample"
         shutil.copytree(WORK / "sample", copy)
         run(SCENE.read_text(encoding="utf-8"))
@@ -48,7 +48,7 @@ class Studio:
         self.window.wait("settings.card_distance > 0 and settings.checked_path == settings.capture_path", SLOW)
 
     def recover(self, **schedule: object) -> None:
-        """Press Recover, with settings of the schedule, and rest at the first picture."""
+        """Press Recover, with settings of the schedule, and pause at the first picture."""
         for name, value in schedule.items():
             self.window.run(f"settings.schedule.{name} = {value!r}")
         self.window.run("bpy.ops.irpso.recover('INVOKE_DEFAULT')")
@@ -56,43 +56,43 @@ class Studio:
         self.window.run("bpy.ops.irpso.pause()")
 
     def go_on(self, until: str) -> None:
-        """Let the recovery run until an expression of ``session.current()``, as ``s``, is true; rest then."""
+        """Run the recovery until an expression of ``s``, the current session, is true; then pause."""
         self.window.run("bpy.ops.irpso.resume()")
         self.window.wait(f"(lambda s: s.state == 'done' or ({until}))(session.current())", SLOW)
         self.window.run("bpy.ops.irpso.pause.poll() and bpy.ops.irpso.pause()")
 
     def probe(self) -> None:
-        """Watch the error at four places."""
+        """Probe the error at four texels."""
         self.window.run("[session.current().probes.add(*texel(place)) for place in PROBED]")
 
     def show(self, **view: object) -> None:
-        """Set what is drawn, and let it be drawn to the end."""
+        """Set properties of the view, and wait until it is drawn."""
         for name, value in view.items():
             self.window.run(f"settings.view.{name} = {value!r}", area="")
         self.window.run("redrawn(50)", area="")
 
     def take(self, box: Box) -> Image.Image:
-        """Take a part of the screen."""
+        """Return a picture of a part of the screen."""
         return Image.open(self.window.screenshot("part", box)).convert("RGB")
 
     def card(self) -> Box:
-        """Return where the card is on the screen."""
+        """Return the card's rectangle on the screen."""
         return Box(*self.window.run("card_box()"))
 
     def view(self) -> Box:
-        """Return where the 3D viewport is on the screen, below its headers."""
+        """Return the rectangle of the 3D viewport below its headers."""
         view, headers = self.window.region(), self.window.region("VIEW_3D", "TOOL_HEADER")
         top = headers.y + headers.height
         return Box(view.x, top, view.width, view.y + view.height - top)
 
     def sidebar(self) -> Image.Image:
-        """Take the sidebar."""
+        """Return a picture of the sidebar."""
         self.window.run("redrawn(20)", area="")
         return self.take(self.window.region("VIEW_3D", "UI"))
 
 
 def publish(name: str, picture: Image.Image, width: int, colours: int = 0) -> None:
-    """Put a picture into docs/images: as PNG of so many colours, or as JPEG. A clone stays small."""
+    """Write a picture into docs/images, at most ``width`` wide: as PNG of ``colours`` colours, or as JPEG if 0."""
     picture = narrowed(picture, width) if picture.width > width else picture
     if colours:
         picture.quantize(colours, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
@@ -101,7 +101,7 @@ def publish(name: str, picture: Image.Image, width: int, colours: int = 0) -> No
 
 
 def panels(studio: Studio) -> None:
-    """The sidebar before Recover, while a recovery rests, and after it."""
+    """Publish the sidebar before Recover, during a paused recovery, and after it; then the preferences."""
     parts = [studio.sidebar()]
     studio.window.run(f"settings.picture_scale = {QUICK}")
     studio.recover()
@@ -116,26 +116,26 @@ def panels(studio: Studio) -> None:
 
 
 def preferences(studio: Studio) -> None:
-    """The add-on's preferences with the report on this machine."""
+    """Publish the add-on's preferences with the report on this machine."""
     run = studio.window.run
     run("bpy.ops.irpso.doctor()", timeout=SLOW)
     run("area = largest('VIEW_3D')\narea.type = 'PREFERENCES'\nshow_preferences()", area="")
     studio.window.run("redrawn(20)", area="")
-    # Above are the extension's facts with the folder of this very Blender, below is nothing.
+    # Crop Blender's facts above, with this machine's folder, and the empty space below.
     view = studio.window.region("PREFERENCES")
     publish("preferences", studio.take(Box(view.x, view.y + FACTS, view.width, REPORT)), 780, 24)
     run("area.type = 'VIEW_3D'", area="")
 
 
 def views(studio: Studio) -> None:
-    """All pictures of the viewport without its bars, one going on from where the one before has ended."""
+    """Publish the pictures of the viewport without its bars; each stage continues from the previous one."""
     studio.window.run("bare()")
     for stage in (converging, error, image_editor, rendered, swarm):
         stage(studio)
 
 
 def converging(studio: Studio) -> None:
-    """Three moments of a recovery, which is done afterwards, and four probed texels before its end."""
+    """Publish three moments of a recovery, run to its end, and four probed texels."""
     studio.show(show_lights=False, show_cameras=False, show_curves=False, parameter="base_color")
     studio.recover()
     studio.window.run("closer()")
@@ -152,20 +152,20 @@ def converging(studio: Studio) -> None:
 
 
 def moment(studio: Studio) -> Image.Image:
-    """Take the card alone."""
+    """Return a picture of the card alone."""
     studio.show(show_curves=False)
     return studio.take(studio.card())
 
 
 def error(studio: Studio) -> None:
-    """The error on the card, with its legend."""
+    """Publish the error on the card, with its legend."""
     studio.show(shown="ERROR")
     view, card = studio.view(), studio.card()
     publish("error", studio.take(Box(card.x, view.y, view.x + view.width - card.x, view.height)), 520)
 
 
 def image_editor(studio: Studio) -> None:
-    """A map, flat, in the Image editor in the place of the 3D viewport."""
+    """Publish a map in the Image editor, in place of the 3D viewport."""
     run = studio.window.run
     run("area = largest('VIEW_3D')\narea.type = 'IMAGE_EDITOR'", area="")
     studio.show(shown="PARAMETER", parameter="normal", show_curves=False)
@@ -175,7 +175,7 @@ def image_editor(studio: Studio) -> None:
 
 
 def rendered(studio: Studio) -> None:
-    """The kept material as Cycles shows it in the viewport, under one light of the capture."""
+    """Publish the kept material, rendered by Cycles in the viewport under one light of the capture."""
     run = studio.window.run
     run(f"bpy.ops.irpso.keep()\nbpy.ops.irpso.standard_view()\nbpy.ops.irpso.create_scene()\nlit_by({LIGHT})")
     run("aslant(next(o for o in bpy.context.scene.objects if o.type == 'MESH'))")
@@ -188,7 +188,7 @@ def rendered(studio: Studio) -> None:
 
 
 def swarm(studio: Studio) -> None:
-    """The particles of a probed texel in a running search."""
+    """Publish the particles of a probed texel during the search."""
     run = studio.window.run
     run(f"settings.picture_scale = {QUICK}\nsettings.schedule.preset = 'paper'")
     studio.show(show=True, show_curves=True, show_swarm=True, parameter="base_color", show_lights=False)
@@ -202,13 +202,13 @@ def swarm(studio: Studio) -> None:
 
 
 def _edge(box: Box, wider: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return from where to where to drag a sidebar's left edge."""
+    """Return start and end of a drag that makes a sidebar ``wider`` pixels wider."""
     x, y = box.x, box.y + box.height // 2
     return (x, y), (x - wider, y)
 
 
 def main() -> None:
-    """Make the pictures that the command line names."""
+    """Make the pictures of the command line's groups."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; default all")
     groups = parser.parse_args().groups or GROUPS
@@ -226,7 +226,7 @@ def main() -> None:
         folder = Path(scratch)
         install(blender, build_package(folder / "dist"), folder / "user")
         with open_window(blender, folder / "user", folder / "pictures") as window:
-            # Of Blender 4.3 itself: in a window, every evaluated mesh with all of its layers leaves five blocks behind.
+            # A leak of Blender 4.3: in a window, every evaluated mesh with all of its layers leaks five blocks.
             window.expect("Not freed memory blocks")
             studio = Studio(window, folder)
             studio.prepare()

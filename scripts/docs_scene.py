@@ -1,4 +1,4 @@
-"""Runs inside Blender, for the pictures of the guide: the view of the sample's card, its lights, the preferences."""
+"""Functions inside Blender for the guide's pictures: view of the sample's card, lights, preferences."""
 
 import importlib
 
@@ -7,7 +7,7 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from mathutils import Euler, Vector
 
 PROGRAM = "bl_ext.user_default.irpso.irpso_addon"
-# Of the card's texels, in parts of its height and width from its lower left corner: petal, gold, glaze, leaf.
+# Probed texels (row, column) as fractions of the card, from its lower left corner: petal, gold, glaze, leaf.
 PROBED = ((0.66, 0.5), (0.5, 0.575), (0.3, 0.3), (0.71, 0.36))
 
 
@@ -17,7 +17,7 @@ def part(name):
 
 
 def empty():
-    """Take out of the file and the viewport what is not spoken of."""
+    """Remove all objects, and the viewport's overlays."""
     for obj in list(bpy.data.objects):
         bpy.data.objects.remove(obj)
     space = largest("VIEW_3D").spaces.active  # noqa: F821  of inside.py
@@ -27,19 +27,19 @@ def empty():
 
 
 def bare():
-    """Hide the viewport's bars, so that the card stands in its middle."""
+    """Hide the viewport's bars, so that the card is in its middle."""
     space = largest("VIEW_3D").spaces.active  # noqa: F821
     space.show_region_ui = space.show_region_toolbar = False
 
 
 def closer():
-    """Come nearer to the card, which Recover has turned the viewport to, and leave room for curves at the left."""
+    """Zoom in to the card, which Recover has framed, with room for curves at the left."""
     view = largest("VIEW_3D").spaces.active.region_3d  # noqa: F821
     view.view_location, view.view_distance = (-0.3, 0, 0), 1.45
 
 
 def card_box():
-    """Return where the card, 1 wide around the origin, is on the screen: x, y from the top, width and height."""
+    """Return x, y from the top, width and height on the screen of the card, 1 wide around the origin."""
     area = largest("VIEW_3D")  # noqa: F821
     region, view = region_of(area, "WINDOW"), area.spaces.active.region_3d  # noqa: F821
     low, high = (location_3d_to_region_2d(region, view, Vector((end, end, 0))) for end in (-0.5, 0.5))
@@ -48,13 +48,13 @@ def card_box():
 
 
 def texel(place):
-    """Return row and column of a texel at parts of the card's height and width."""
+    """Return row and column of a texel at fractions of the card's height and width."""
     rows, columns = part("ui.session.session").current().domain.solvable.shape
     return [int(place[0] * rows), int(place[1] * columns)]
 
 
 def aslant(card):
-    """Look at the card from the front left, so that its gloss is seen."""
+    """View the card from the front left, to show its gloss."""
     space = largest("VIEW_3D").spaces.active  # noqa: F821
     view = space.region_3d
     view.view_perspective = "PERSP"
@@ -65,14 +65,14 @@ def aslant(card):
 
 
 def lit_by(observation):
-    """Light the scene by one light of the capture, and a little from everywhere."""
+    """Light the scene by one light of the capture and a faint ambient light."""
     bpy.context.scene.irpso.view.observation = observation
     bpy.context.scene.world.color = (0.03, 0.03, 0.03)
     bpy.context.scene.world.use_nodes = False
 
 
 def rendered_view():
-    """Have Cycles draw the viewport, without anything around the card."""
+    """Render the viewport by Cycles, without overlays."""
     scene, space = bpy.context.scene, largest("VIEW_3D").spaces.active  # noqa: F821
     scene.render.engine = "CYCLES"
     scene.cycles.preview_samples = 64
@@ -82,14 +82,14 @@ def rendered_view():
 
 
 def solid_view():
-    """Have the viewport as it was."""
+    """Restore the viewport's overlays and solid shading."""
     space = largest("VIEW_3D").spaces.active  # noqa: F821
     space.overlay.show_overlays = True
     space.shading.type = "SOLID"
 
 
 def show_preferences():
-    """Have the preferences show the add-on's own, opened."""
+    """Show the add-on's preferences, expanded."""
     bpy.context.preferences.active_section = "ADDONS"
     bpy.context.window_manager.addon_search = "IRPSO"
     bpy.context.window_manager.addon_filter = "All"
@@ -97,7 +97,7 @@ def show_preferences():
 
 
 def waiting(seconds):
-    """Let Blender work for some time."""
+    """Let Blender work for some seconds."""
     import time
 
     end = time.monotonic() + seconds

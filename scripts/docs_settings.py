@@ -30,7 +30,7 @@ def tables() -> str:
 
 
 def page_with_tables(page: str) -> str:
-    """Return the page with its tables as they ought to be."""
+    """Return the page with current tables."""
     before, rest = page.split(BEGIN)
     return f"{before}{BEGIN}\n\n{tables()}\n{END}{rest.split(END)[1]}"
 

@@ -1,6 +1,6 @@
-"""The guide's pictures that need no window: of the sample capture, its lights, its recovery and its asset.
+"""Makes the guide's pictures that need no window: the sample capture, its lights, its recovery and its asset.
 
-make_stills() runs the program's own commands and keeps their results in a folder; `make docs-images` calls it.
+make_stills() runs the program's commands and caches their results in a folder; `make docs-images` calls it.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ IMAGES = ROOT / "docs" / "images"
 CROP, DISTANCE = (
     (25, 51, 378, 378),
     508,
-)  # of the tile in the photographs, and from the camera: README.txt of the sample
+)  # the tile's rectangle in the photographs, and its distance from the camera: README.txt of the sample
 SHOWN = "IMG_0003.jpg"
 QUALITY = 76  # of JPEG
-ENLARGED = 1.5  # the chart
-INK, PAPER, ACCENT, LIGHT = "#d8d8d8", "#1d1d1d", "#e8a33d", "#ffe9a8"  # of drawings: as the program's own pictures
+ENLARGED = 1.5  # scale of the chart
+INK, PAPER, ACCENT, LIGHT = "#d8d8d8", "#1d1d1d", "#e8a33d", "#ffe9a8"  # colours of drawings, as in the program
 ASSET = """
 import sys, bpy
 with bpy.data.libraries.load(sys.argv[-2]) as (there, here):
@@ -36,7 +36,7 @@ PIL.Image.fromarray((pixels * 255).clip(0, 255).astype("uint8")).save(sys.argv[-
 
 
 def run(*words: object) -> None:
-    """Run a command of the program. Raises SystemExit with what it said."""
+    """Run a command of the program. Raises SystemExit with its output if it fails."""
     done = subprocess.run(
         [sys.executable, "-m", "irpso_addon", *map(str, words)], cwd=ROOT, capture_output=True, text=True
     )
@@ -45,7 +45,7 @@ def run(*words: object) -> None:
 
 
 def prepare(work: Path) -> None:
-    """Render the sample, find its lights, recover it and save it as an asset, unless that has been done in ``work``."""
+    """Render the sample, find its lights, recover it and save it as an asset; skip steps with a result in ``work``."""
     sample, capture, result = work / "sample", work / "capture", work / "result"
     if not (sample / "README.txt").is_file():
         run("sample", "-o", sample)
@@ -61,20 +61,20 @@ def prepare(work: Path) -> None:
 
 
 def runs(line: np.ndarray, paper: np.ndarray, least: int) -> list[tuple[int, int]]:
-    """Return where pictures lie in a row of pixels (N, 3): stretches of at least ``least`` that are not paper."""
+    """Return [(start, end)] of pictures in a row of pixels (N, 3): at least ``least`` pixels that are not paper."""
     inked = np.abs(line.astype(int) - paper).max(axis=1) > 2
-    found, start, gap = [], None, 0
+    stretches, start, gap = [], None, 0
     for index, full in enumerate([*inked, *[False] * 5]):
         gap = 0 if full else gap + 1
         start = index if full and start is None else start
         if start is not None and gap == 5:  # dark lines inside a picture are thinner
-            found += [(start, index - gap + 1)] if index - gap + 1 - start >= least else []
+            stretches += [(start, index - gap + 1)] if index - gap + 1 - start >= least else []
             start = None
-    return found
+    return stretches
 
 
 def cells(sheet: Image.Image, size: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Return the columns and rows of pictures of ``size`` pixels in a sheet that the program has written."""
+    """Return the columns and rows of pictures of ``size`` pixels in a sheet of the program."""
     pixels = np.asarray(sheet)
     top = next(y for y in range(sheet.height) if runs(pixels[y], pixels[0, 0], size - 4))
     columns = runs(pixels[top + size // 4], pixels[0, 0], size - 4)
@@ -83,7 +83,7 @@ def cells(sheet: Image.Image, size: int) -> tuple[list[tuple[int, int]], list[tu
 
 
 def relit(work: Path) -> Image.Image:
-    """A photograph that the recovery has not seen, beside the maps under its light, as the program wrote them."""
+    """Return a held-out photograph beside the maps under its light, from the program's sheet."""
     sheet = Image.open(work / "result" / "relit.png").convert("RGB")
     columns, rows = cells(sheet, CROP[2])
     parts = [sheet.crop((left, rows[0][0], right, rows[0][1])) for left, right in columns[:2]]
@@ -91,7 +91,7 @@ def relit(work: Path) -> Image.Image:
 
 
 def preview(work: Path) -> Image.Image:
-    """The first row of preview.png, headings and scale included."""
+    """Return the first row of preview.png, with headings and scale."""
     sheet = Image.open(work / "result" / "preview.png").convert("RGB")
     _, rows = cells(sheet, CROP[2])
     part = sheet.crop((0, 0, sheet.width, (rows[0][1] + rows[1][0]) // 2 + 8))
@@ -99,17 +99,17 @@ def preview(work: Path) -> Image.Image:
 
 
 def photograph(work: Path) -> Image.Image:
-    """One of the sample's photographs."""
+    """Return one of the sample's photographs."""
     return Image.open(work / "sample" / "photographs" / SHOWN).convert("RGB")
 
 
 def places(work: Path) -> dict:
-    """Where ball, tile and chart are in the photographs."""
+    """Return the table of ball, tile and chart in the photographs."""
     return tomllib.loads((work / "sample" / "truth" / "places.toml").read_text(encoding="utf-8"))
 
 
 def sample(work: Path) -> Image.Image:
-    """A photograph; base colour, normal, roughness and metallic as recovered."""
+    """Return a photograph beside the recovered base colour, normal, roughness and metallic."""
     left = narrowed(photograph(work), 296)
     names = ("base_color", "normal", "roughness", "metallic")
     maps = [narrowed(picture_of(work / "result" / f"{name}.png"), 109) for name in names]
@@ -123,12 +123,12 @@ def picture_of(path: Path) -> Image.Image:
 
 
 def balls(work: Path) -> Image.Image:
-    """The found ball with its highlights, and the lights on the hemisphere."""
+    """Return the detected ball with its highlights, and the lights on the hemisphere."""
     return narrowed(Image.open(work / "capture" / "balls.png").convert("RGB"), 680)
 
 
 def mask(work: Path) -> Image.Image:
-    """A photograph beside the mask of its ball."""
+    """Return a photograph beside the mask of its ball."""
     shown = photograph(work)
     x, y, radius = places(work)["ball"]
     painted = Image.new("RGB", shown.size, "black")
@@ -137,7 +137,7 @@ def mask(work: Path) -> Image.Image:
 
 
 def chart(work: Path) -> Image.Image:
-    """The chart in a photograph, its corners numbered in the order of --colour-chart."""
+    """Return the chart in a photograph, with its corners numbered in the order of --colour-chart."""
     corners = np.array(places(work)["chart"])
     low, high = corners.min(axis=0) - 34, corners.max(axis=0) + 34
     part = photograph(work).crop((*low.astype(int), *high.astype(int))).rotate(-90, expand=True)
@@ -146,7 +146,7 @@ def chart(work: Path) -> Image.Image:
     for number, (x, y) in enumerate(corners - low.astype(int), 1):
         place = np.array(
             (part.width - ENLARGED * y, ENLARGED * x)
-        )  # turned clockwise, so that patch 1 is the upper left one
+        )  # rotated clockwise, so that patch 1 is the upper left one
         draw.ellipse((*(place - 6), *(place + 6)), outline=ACCENT, width=3)
         outward = np.sign(place - np.array(part.size) / 2) * 18
         draw.text(tuple(place + outward), str(number), fill=ACCENT, font=font, anchor="mm")
@@ -176,7 +176,7 @@ def stacked(parts: list[Image.Image], gap: int) -> Image.Image:
 
 
 def asset(work: Path) -> Image.Image:
-    """The asset's preview, on the grey of Blender's asset browser."""
+    """Return the asset's preview on the grey of Blender's asset browser."""
     shown = Image.open(work / "asset.png")
     sheet = Image.new("RGBA", shown.size, "#2b2b2b")
     sheet.alpha_composite(shown)
@@ -193,7 +193,7 @@ class Drawing:
         self.shapes: list[str] = []
 
     def place(self, view: str, x: float, y: float, z: float) -> tuple[float, float]:
-        """Return where a point is in a view. z looks up from the table."""
+        """Return the pixel of a point in a view. z: up from the table."""
         right, up = self.MIDDLES[view]
         return round(right + self.SCALE * x, 1), round(up - self.SCALE * (z if view == "side" else y), 1)
 
@@ -210,21 +210,21 @@ class Drawing:
         self.shapes.append(f'<text x="{at[0]:g}" y="{at[1]:g}" text-anchor="{anchor}">{text}</text>')
 
     def svg(self) -> str:
-        """Return the file."""
+        """Return the SVG file's text."""
         box = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 860 370" font-family="sans-serif" font-size="13"'
         paper = f'<rect width="860" height="370" rx="6" fill="{PAPER}"/>'
         return "\n".join([f'{box} fill="{INK}">', paper, *self.shapes, "</svg>", ""])
 
 
 def rig(work: Path) -> str:
-    """A drawing to scale, as SVG: camera, tile, ball and every place of the lamp, from the side and from above."""
+    """Return an SVG to scale: camera, tile, ball and the lamp's positions, from the side and from above."""
     table = tomllib.loads((work / "sample" / "truth" / "capture.toml").read_text(encoding="utf-8"))
-    found, high = places(work), table["card_distance"]
-    # Positions are seen from the camera, which looks down; the drawing's heights are those above the tile.
+    scene, high = places(work), table["card_distance"]
+    # Positions are in camera axes, and the camera looks down; the drawing's heights are above the tile.
     lamps = [shot["light_position"] for shot in table["observation"]]
-    ball = (*found["ball_centre"][:2], high + found["ball_centre"][2])
-    millimetres = found["ball_radius"] / found["ball"][2] * -found["ball_centre"][2] / high  # a pixel on the card
-    corners = (np.array(found["tile"]) - np.array(photograph(work).size) / 2) * (millimetres, -millimetres)
+    ball = (*scene["ball_centre"][:2], high + scene["ball_centre"][2])
+    millimetres = scene["ball_radius"] / scene["ball"][2] * -scene["ball_centre"][2] / high  # a pixel on the card
+    corners = (np.array(scene["tile"]) - np.array(photograph(work).size) / 2) * (millimetres, -millimetres)
     (left, low), (right, up) = corners.min(axis=0), corners.max(axis=0)
     drawing = Drawing()
     for view in drawing.MIDDLES:
@@ -233,7 +233,7 @@ def rig(work: Path) -> str:
         box = f'x="{x}" y="{y}" width="{drawing.SCALE * (right - left):.1f}" height="{height:.1f}"'
         drawing.shapes.append(f'<rect {box} fill="#3f8f86"/>')
         style = f'fill="none" stroke="{INK}" stroke-width="1.5"'
-        drawing.dot(drawing.place(view, *ball), drawing.SCALE * found["ball_radius"], style)
+        drawing.dot(drawing.place(view, *ball), drawing.SCALE * scene["ball_radius"], style)
         for lamp in lamps:
             drawing.dot(drawing.place(view, lamp[0], lamp[1], lamp[2] + high), 4, f'fill="{LIGHT}"')
     string = drawing.place("side", *ball), drawing.place("side", lamps[3][0], lamps[3][1], lamps[3][2] + high)
@@ -264,7 +264,7 @@ PICTURES = {
 
 
 def make_stills(work: Path, images: Path = IMAGES, only: tuple[str, ...] = ()) -> list[Path]:
-    """Make the pictures, or those that are named, into ``images``; return their paths. work: what they show."""
+    """Write the pictures, or those named in ``only``, into ``images``; return their paths. work: folder of results."""
     prepare(work)
     images.mkdir(parents=True, exist_ok=True)
     made = []

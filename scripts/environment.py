@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def requirements(groups: list[str], bpy: str | None) -> list[str]:
-    """Return the requirements of the groups; ``bpy`` replaces what they ask of Blender's wheel."""
+    """Return the requirements of the groups; ``bpy`` replaces that on Blender's wheel."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
     chosen = [line for group in groups for line in table[group]]
     if bpy is None:
@@ -21,12 +21,12 @@ def requirements(groups: list[str], bpy: str | None) -> list[str]:
 
 
 def stamp_text(wanted: list[str]) -> str:
-    """Return what identifies an environment: its interpreter and its requirements."""
+    """Return a digest of an environment's interpreter and requirements."""
     return hashlib.sha256("\n".join([sys.executable, sys.version, *sorted(wanted)]).encode()).hexdigest()
 
 
 def serves(python: Path) -> bool:
-    """Return whether an environment's interpreter is there, has pip, and is the version that runs this script."""
+    """Return whether an environment's interpreter exists, has pip, and is of the running version."""
     if not python.exists():
         return False
     probe = subprocess.run([python, "-c", "import sys, pip; print(sys.version)"], capture_output=True, text=True)
@@ -34,7 +34,7 @@ def serves(python: Path) -> bool:
 
 
 def link(environment: Path) -> None:
-    """Let an environment's Python find the program from any folder."""
+    """Add the program to the import path of an environment."""
     for packages in [*environment.glob("lib/python3*/site-packages"), *environment.glob("Lib/site-packages")]:
         (packages / "irpso.pth").write_text(f"{ROOT}\n", encoding="utf-8")
 
@@ -48,7 +48,7 @@ def main() -> int:
     options = parser.parse_args()
 
     wanted = requirements(options.groups, options.bpy)
-    # A stamp a set of groups: `make demo` after `make test` finds its own or adds nothing.
+    # One stamp per set of groups, so that `make demo` after `make test` installs nothing twice.
     stamp = options.environment / f"installed-{'-'.join(sorted(options.groups))}"
     if stamp.is_file() and stamp.read_text(encoding="utf-8") == stamp_text(wanted):
         link(options.environment)

@@ -1,8 +1,8 @@
 #!/bin/sh
-# Finds a Python that Blender has a wheel for and hands over to environment.py, which makes the virtual environment.
+# Finds a Python that Blender has a wheel for, and runs environment.py, which makes the virtual environment.
 # Usage: scripts/environment.sh VENV GROUP… [--bpy REQUIREMENT]
-# PYTHON=… takes that interpreter; WANTED="3.13" asks for one version; on Debian and Ubuntu what is missing is installed
-# where that needs no password.
+# PYTHON=… uses that interpreter; WANTED="3.13" requires a version; on Debian and Ubuntu missing packages are installed
+# if that needs no password.
 set -eu
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 wanted=${WANTED:-3.11 3.13}
@@ -33,7 +33,7 @@ apt_install() {
         exit 2
     fi
     echo "installing $*" >&2
-    # One failed source must not keep the others from serving; apt-get install then says what it could not find.
+    # One failed source must not block the others; apt-get install then reports what it could not find.
     $root apt-get -qq update >/dev/null || echo "apt-get update had errors; going on" >&2
     $root env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends "$@" >/dev/null
 }

@@ -23,12 +23,12 @@ CACHE = ROOT / ".cache" / "wheels"
 # Blender's names of this system and its processor, where Python's differ from them.
 SYSTEMS = {"darwin": "macos"}
 MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
-# The date of every file in a zip: the earliest that the format can say.
+# The date of every file in a zip: the format's earliest.
 DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def this_platform() -> str:
-    """Return Blender's name of the system that this runs on, such as ``linux-x64``."""
+    """Return Blender's name of this system, such as ``linux-x64``."""
     system, machine = platform.system().lower(), platform.machine().lower()
     return f"{SYSTEMS.get(system, system)}-{MACHINES.get(machine, machine)}"
 
@@ -39,16 +39,16 @@ def manifest() -> dict:
 
 
 def zip_path(folder: Path, system: str = "") -> Path:
-    """Return where Blender's tool puts the zip for a system, or the one for all."""
-    told = manifest()
-    parts = [told["id"], told["version"], system.replace("-", "_")]
+    """Return the path at which Blender's tool writes the zip for a system, or the one for all."""
+    table = manifest()
+    parts = [table["id"], table["version"], system.replace("-", "_")]
     return folder / f"{'-'.join(filter(None, parts))}.zip"
 
 
 def builder() -> Path:
-    """Return the path of Blender's command line tool for extensions, which lies inside the bpy wheel."""
-    found = importlib.util.find_spec("bpy")
-    folders = found.submodule_search_locations if found else None
+    """Return the path of Blender's command line tool for extensions, which is in the bpy wheel."""
+    spec = importlib.util.find_spec("bpy")
+    folders = spec.submodule_search_locations if spec else None
     tools = [
         tool for folder in folders or [] for tool in Path(folder).glob("*/scripts/addons_core/bl_pkg/cli/*_ext.py")
     ]
@@ -58,14 +58,14 @@ def builder() -> Path:
 
 
 def blender_extension(*arguments: str | Path) -> None:
-    """Run Blender's tool; leave with what it said when it refuses."""
+    """Run Blender's tool. Raises SystemExit with its output if it fails."""
     result = subprocess.run([sys.executable, builder(), *arguments], capture_output=True, text=True)
     if result.returncode:
         raise SystemExit(f"{result.stdout}{result.stderr}".strip())
 
 
 def same_bytes(package: Path) -> None:
-    """Rewrite a zip in place with its files in the order of their names and all of one date."""
+    """Rewrite a zip in place with its files ordered by name and with the date ``DATE``."""
     with zipfile.ZipFile(package) as archive:
         files = {item.filename: (item, archive.read(item)) for item in archive.infolist() if not item.is_dir()}
     with zipfile.ZipFile(package, "w") as archive:
@@ -76,7 +76,7 @@ def same_bytes(package: Path) -> None:
 
 
 def finish(packages: list[Path]) -> None:
-    """Make zips the same for the same sources, then have Blender's tool validate them."""
+    """Make zips reproducible, then validate them with Blender's tool."""
     for package in packages:
         same_bytes(package)
         blender_extension("validate", package)
@@ -95,7 +95,7 @@ def build_all(folder: Path, systems: Iterable[str] = wheels.PLATFORMS) -> dict[s
     """Build and validate a zip for each system; return, for each, the zip and the Pythons it has wheels for."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        # What belongs in the zip is said once, in the manifest: so pack, unpack, add the wheels, pack again.
+        # Only the manifest lists the zip's files: so pack, unpack, add the wheels, pack again.
         source = Path(scratch) / "package"
         with zipfile.ZipFile(build_plain(Path(scratch))) as archive:
             archive.extractall(source)
@@ -103,7 +103,7 @@ def build_all(folder: Path, systems: Iterable[str] = wheels.PLATFORMS) -> dict[s
         systems = [system for system, pythons in served.items() if pythons]
         names = [f"./wheels/{wheel.name}" for wheel in sorted((source / "wheels").iterdir())]
         text = (source / "blender_manifest.toml").read_text(encoding="utf-8")
-        # A list of strings is written alike in Python and in TOML.
+        # A list of strings has the same syntax in Python and in TOML.
         added = f"platforms = {systems}\nwheels = {names}\n"
         (source / "blender_manifest.toml").write_text(added + text, encoding="utf-8")
         blender_extension("build", "--split-platforms", "--source-dir", source, "--output-dir", folder)
@@ -113,19 +113,19 @@ def build_all(folder: Path, systems: Iterable[str] = wheels.PLATFORMS) -> dict[s
 
 
 def optional_lines(package: Path, system: str, pythons: list[str]) -> list[str]:
-    """Return one line for each optional library of a zip: for which of these Pythons it is in it."""
+    """Return a line for each optional library: those of ``pythons`` for which the zip has it."""
     with zipfile.ZipFile(package) as archive:
-        held = {tuple(Path(name).name.split("-")[:4]) for name in archive.namelist() if name.endswith(".whl")}
+        packed = {tuple(Path(name).name.split("-")[:4]) for name in archive.namelist() if name.endswith(".whl")}
     lines = []
     for library in wheels.OPTIONAL:
-        found = [tags for tags in held if tags[0] == library.replace("-", "_")]
+        found = [tags for tags in packed if tags[0] == library.replace("-", "_")]
         served = [p for p in pythons if any(t[3] == wheels.STABLE or t[2] == f"cp{p.replace('.', '')}" for t in found)]
         lines.append(f"{wheels.requirement(library, system)}, Python {', '.join(served) or 'none'}")
     return lines
 
 
 def main() -> None:
-    """Build into the folder named on the command line; say where the zips are, and what no wheel was found for."""
+    """Build into the folder of the command line; print the zips, and the systems and Pythons without wheels."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--without-wheels", action="store_true", help="leave the wheels out: small, needs no network")
@@ -136,15 +136,15 @@ def main() -> None:
         return
     systems = [this_platform()] if options.this_system else list(wheels.PLATFORMS)
     built = build_all(options.folder, systems)
-    held = ", ".join(map(wheels.requirement, wheels.LIBRARIES))
+    libraries = ", ".join(map(wheels.requirement, wheels.LIBRARIES))
     for system, (package, pythons) in built.items():
-        print(f"{package}  {package.stat().st_size / 1e6:.1f} MB, {held}, Python {', '.join(pythons)}")
+        print(f"{package}  {package.stat().st_size / 1e6:.1f} MB, {libraries}, Python {', '.join(pythons)}")
         for line in optional_lines(package, system, pythons):
             print(f"  {line}")
     for system in systems:
         for python in wheels.PYTHONS:
             if python not in built.get(system, (None, []))[1]:
-                print(f"no wheels of {held} exist for {system} with Python {python}")
+                print(f"no wheels of {libraries} exist for {system} with Python {python}")
 
 
 if __name__ == "__main__":

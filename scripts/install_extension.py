@@ -23,18 +23,18 @@ from pathlib import Path
 import extension
 
 HERE = Path(__file__).resolve().parent
-# What the bpy wheel needs beside Python's own modules: itself and numpy, which every Blender brings.
+# Packages that the bpy wheel needs: itself and numpy, which every Blender has.
 BARE = ("bpy", "numpy", "numpy.libs")
 # The modules of the optional libraries. All have wheels for the Pythons and systems that the tests run on.
 OPTIONAL = ("rawpy", "pillow_heif", "cv2")
-TIMEOUT = 300  # seconds; it takes ten
+TIMEOUT = 300  # seconds; an installation takes ten
 
 
 @dataclass(frozen=True)
 class Place:
-    """A Blender to install into. name: for people. run: starts it with arguments and returns what came of it.
+    """A Blender to install into. name: for messages. run: runs it with arguments and returns the finished process.
 
-    commands: whether it has a command line of its own, which the wheel has not.
+    commands: whether it has a command line, unlike the wheel.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Place:
 
 
 def find_place(variables: dict[str, str], scratch: Path, wheel_only: bool) -> Place:
-    """Return the Blender to install into, which will run with these variables added to its environment."""
+    """Return the Blender to install into. variables: added to its environment."""
     named = os.environ.get("BLENDER")
     if wheel_only:
         return wheel(variables, scratch / "bare")
@@ -62,7 +62,7 @@ def debians(variables: dict[str, str]) -> Place | None:
         return None
     from blender_window import blenders, debian
 
-    if not (folder / debian.STAMP).is_file():  # it is being built, or was not to its end
+    if not (folder / debian.STAMP).is_file():  # the build is running, or has failed
         return None
     blender = blenders.Blender(suite, "blender", folder, (Path(tempfile.gettempdir()).resolve(), extension.ROOT))
     name = f"Debian's, in {folder.relative_to(extension.ROOT)}"
@@ -70,11 +70,11 @@ def debians(variables: dict[str, str]) -> Place | None:
 
 
 def wheel(variables: dict[str, str], folder: Path) -> Place:
-    """Return the bpy wheel as a Blender that has nothing else: its modules are linked into a folder."""
-    found = importlib.util.find_spec("bpy")
-    if found is None:
+    """Return the bpy wheel as a Blender without other packages: its modules are linked into a folder."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is None:
         raise SystemExit("No Blender to install into: name one with BLENDER=/path/to/blender")
-    packages = Path(found.submodule_search_locations[0]).parent
+    packages = Path(spec.submodule_search_locations[0]).parent
     folder.mkdir()
     for name in BARE:
         if (packages / name).exists():
@@ -90,9 +90,9 @@ def _start(command: list[str], variables: dict[str, str], *words: str | Path) ->
 
 
 def install(package: Path, wheel_only: bool = False) -> dict:
-    """Install a zip; return what scripts/installed.py tells of it, and "place": the Blender, "profile": the folder.
+    """Install a zip; return the report of scripts/installed.py, with "place": the Blender, "profile": its folder.
 
-    The folder is gone by then. "usage" is what `blender --command irpso --help` printed, None in the wheel.
+    The folder is deleted on return. "usage": the output of `blender --command irpso --help`, None in the wheel.
     """
     package = package.resolve()
     with tempfile.TemporaryDirectory() as scratch:
@@ -103,15 +103,15 @@ def install(package: Path, wheel_only: bool = False) -> dict:
         def run(*words: str | Path) -> str:
             result = place.run(*words)
             if result.returncode:
-                said = f"{result.stdout}{result.stderr}"
-                raise SystemExit(f"{place.name}: {shlex.join(map(str, words))} ended with {result.returncode}\n{said}")
+                text = f"{result.stdout}{result.stderr}"
+                raise SystemExit(f"{place.name}: {shlex.join(map(str, words))} ended with {result.returncode}\n{text}")
             return result.stdout
 
         start = ("--background", "--factory-startup", "--python") if place.commands else ()
-        said = run(*start, HERE / "installed.py", "--", package)
-        lines = [line for line in said.splitlines() if line.startswith("TOLD ")]
+        text = run(*start, HERE / "installed.py", "--", package)
+        lines = [line for line in text.splitlines() if line.startswith("TOLD ")]
         if not lines:
-            raise SystemExit(f"{place.name}: said nothing of the extension\n{said}")
+            raise SystemExit(f"{place.name}: said nothing of the extension\n{text}")
         usage = None
         if place.commands:
             add = ("extension", "install-file", "-r", "user_default", "--enable", package)
@@ -122,35 +122,35 @@ def install(package: Path, wheel_only: bool = False) -> dict:
         }  # fmt: skip
 
 
-def faults(told: dict, with_wheels: bool) -> list[str]:
-    """Return what is not as it should be, one line each."""
+def faults(report: dict, with_wheels: bool) -> list[str]:
+    """Return the faults in a report, one line each."""
     wanted = {
-        "Blender did not finish the installation": told["done"] == ["FINISHED"],
-        "the command irpso was not registered": told["commands"] == ["irpso"],
-        "the command irpso outlived the extension": told["commands after"] == [],
-        "the extension has no panel or operator": told["classes"] != [],
-        f"classes outlived the extension: {told['classes after']}": told["classes after"] == [],
-        f"Blender warns of it: {told['violations']}": told["violations"] == [],
-        f"it wrote into its own folder: {told['written']}": told["written"] == [],
-        "the program was not run from where it was installed": told["root"].startswith(told["profile"]),
+        "Blender did not finish the installation": report["done"] == ["FINISHED"],
+        "the command irpso was not registered": report["commands"] == ["irpso"],
+        "the command irpso outlived the extension": report["commands after"] == [],
+        "the extension has no panel or operator": report["classes"] != [],
+        f"classes outlived the extension: {report['classes after']}": report["classes after"] == [],
+        f"Blender warns of it: {report['violations']}": report["violations"] == [],
+        f"it wrote into its own folder: {report['written']}": report["written"] == [],
+        "the program was not run from where it was installed": report["root"].startswith(report["profile"]),
     }
     if with_wheels:
         for name, key in (("OpenEXR", "exr"), ("Pillow", "pillow")):
-            inside = (told[key] or "").startswith(told["profile"])
-            wanted[f"{name} is not that of the zip but {told[key]}"] = inside
-        wanted["OpenEXR gave back other numbers than it got"] = told.get("exr same", False)
-        wanted["Pillow drew no text"] = told.get("drawn", False)
+            inside = (report[key] or "").startswith(report["profile"])
+            wanted[f"{name} is not that of the zip but {report[key]}"] = inside
+        wanted["OpenEXR gave back other numbers than it got"] = report.get("exr same", False)
+        wanted["Pillow drew no text"] = report.get("drawn", False)
         for name in OPTIONAL:
-            place, _, works = told["optional"].get(name, ("nowhere", "", False))
-            wanted[f"{name} is not that of the zip but {place}"] = place.startswith(told["profile"])
+            place, _, works = report["optional"].get(name, ("nowhere", "", False))
+            wanted[f"{name} is not that of the zip but {place}"] = place.startswith(report["profile"])
             wanted[f"{name} does not work"] = works
-    if told["usage"] is not None:
-        wanted["blender --command irpso --help said nothing of recover"] = "recover" in told["usage"]
+    if report["usage"] is not None:
+        wanted["blender --command irpso --help said nothing of recover"] = "recover" in report["usage"]
     return [line for line, good in wanted.items() if not good]
 
 
 def main() -> int:
-    """Install the zip named on the command line; return 1 where something is not as it should be."""
+    """Install the zip of the command line; return 1 if there are faults."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("zip", type=Path, help="a zip, or the folder that extension.py built into")
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON line")
@@ -161,19 +161,21 @@ def main() -> int:
         package = extension.zip_path(package, extension.this_platform())
     if not package.is_file():
         raise SystemExit(f"{package}: no such file; build it with scripts/extension.py")
-    told = install(package, options.wheel)
+    report = install(package, options.wheel)
     if options.json:
-        print(json.dumps(told))
+        print(json.dumps(report))
         return 0
-    wrong = faults(told, with_wheels=package.name != extension.zip_path(package.parent).name)
-    print(f"installed {package.name} in Blender {told['blender']} (Python {told['python']}: {told['place']})")
+    wrong = faults(report, with_wheels=package.name != extension.zip_path(package.parent).name)
+    print(f"installed {package.name} in Blender {report['blender']} (Python {report['python']}: {report['place']})")
     if wrong:
         print(*(f"WRONG: {line}" for line in wrong), sep="\n")
         return 1
-    held = [f"{name} {told[f'{key} version']}" for name, key in (("OpenEXR", "exr"), ("Pillow", "pillow")) if told[key]]
-    held += [f"{name} {version}" for name, (_, version, _) in told["optional"].items()]
-    parts = f"{told['modules']} modules, {len(told['classes'])} classes, command {', '.join(told['commands'])}"
-    print(f"  {parts}, {', '.join(held) or 'no wheels'}; disabled without a trace")
+    versions = [
+        f"{name} {report[f'{key} version']}" for name, key in (("OpenEXR", "exr"), ("Pillow", "pillow")) if report[key]
+    ]
+    versions += [f"{name} {version}" for name, (_, version, _) in report["optional"].items()]
+    parts = f"{report['modules']} modules, {len(report['classes'])} classes, command {', '.join(report['commands'])}"
+    print(f"  {parts}, {', '.join(versions) or 'no wheels'}; disabled without a trace")
     print(f"In your own Blender:  blender --command extension install-file -r user_default --enable {package}")
     return 0
 

@@ -1,7 +1,7 @@
-"""Run inside Blender, after ``--``: installs and enables a zip, tries what came with it, disables it, tells in JSON.
+"""Runs inside Blender: installs and enables a zip, tests its program and libraries, disables it, prints JSON.
 
 Usage: blender --background --python scripts/installed.py -- ZIP, or with Blender as a module: python … -- ZIP
-The line begins with TOLD. The program never sees this repository: what works here works for whoever has the zip only.
+The line begins with TOLD. The installed program does not see this repository, only the zip's files.
 """
 
 import importlib
@@ -15,38 +15,38 @@ from pathlib import Path
 
 import bpy
 
-# What an extension may register a class of.
+# Base classes of an extension's registered classes.
 BASES = ("AddonPreferences", "FileHandler", "Header", "Menu", "Operator", "Panel", "PropertyGroup", "UIList")
 
 
 def watch_commands() -> list[str]:
-    """Return a list that will hold the names of the command line commands that are registered, as they come and go."""
+    """Return a list of the registered command line commands' names, which stays up to date."""
     names, handles = [], {}
     register, unregister = bpy.utils.register_cli_command, bpy.utils.unregister_cli_command
 
-    def come(name, function):
+    def register_and_note(name, function):
         handle = register(name, function)
         handles[id(handle)] = name
         names.append(name)
         return handle
 
-    def go(handle):
+    def unregister_and_note(handle):
         unregister(handle)
         names.remove(handles.pop(id(handle)))
 
-    bpy.utils.register_cli_command, bpy.utils.unregister_cli_command = come, go
+    bpy.utils.register_cli_command, bpy.utils.unregister_cli_command = register_and_note, unregister_and_note
     return names
 
 
 def classes() -> list[str]:
-    """Return the names of the program's classes that Blender knows now, in order."""
+    """Return the sorted names of the program's registered classes."""
     bases = [getattr(bpy.types, name) for name in BASES]
     kinds = [kind for base in bases for kind in base.__subclasses__() if ".irpso." in kind.__module__]
     return sorted(kind.__name__ for kind in kinds if kind.is_registered)
 
 
 def import_all(package: str) -> int:
-    """Import every module of the program but the one that starts it from a shell; return how many there are."""
+    """Import every module of the program except __main__; return their number."""
     folders = sys.modules[package].__path__
     names = [module.name for module in pkgutil.walk_packages(folders, f"{package}.")]
     names = [name for name in names if not name.endswith(".__main__")]
@@ -56,22 +56,22 @@ def import_all(package: str) -> int:
 
 
 def violations(extension: str) -> list[str]:
-    """Return what Blender would warn of in its list of extensions: modules outside its own package, and paths."""
-    look = importlib.import_module("addon_utils")._extensions_warnings_get
-    look._is_first = True  # it looks once, then answers the same
-    return look().get(extension, [])
+    """Return Blender's warnings in its list of extensions: modules outside the package, and paths."""
+    warnings_of = importlib.import_module("addon_utils")._extensions_warnings_get
+    warnings_of._is_first = True  # else it returns its cached answer
+    return warnings_of().get(extension, [])
 
 
 def files(folder: Path) -> list[str]:
-    """Return the files in a folder, but those of Python's own cache."""
+    """Return the files in a folder, without Python's caches."""
     paths = [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
     return sorted(path.relative_to(folder).as_posix() for path in paths)
 
 
 def exr_round_trip(package: str) -> dict:
-    """Write a small file through the program, read it with OpenEXR; return where OpenEXR lies and what came back.
+    """Write a small file by the program, read it by OpenEXR; return OpenEXR's path, version, and whether it is equal.
 
-    "exr" is None where the zip brought no OpenEXR and Blender has none.
+    "exr" is None if neither the zip nor Blender has OpenEXR.
     """
     try:
         import OpenEXR
@@ -84,12 +84,12 @@ def exr_round_trip(package: str) -> dict:
         path = os.path.join(folder, "a.exr")
         importlib.import_module(f"{package}.capture.images.exr").write_exr(path, {"image": {"Y": sent}})
         with OpenEXR.File(path, separate_channels=True) as file:
-            came = file.channels()["Y"].pixels[::-1]  # files have the top row first
-    return {"exr": OpenEXR.__file__, "exr version": OpenEXR.__version__, "exr same": bool((came == sent).all())}
+            received = file.channels()["Y"].pixels[::-1]  # files have the top row first
+    return {"exr": OpenEXR.__file__, "exr version": OpenEXR.__version__, "exr same": bool((received == sent).all())}
 
 
 def picture(package: str) -> dict:
-    """Draw through the program; return where Pillow lies and whether there is text. "pillow" is None without it."""
+    """Draw text by the program; return Pillow's path, version, and whether it is visible. "pillow": None without it."""
     try:
         import PIL
     except ModuleNotFoundError:
@@ -100,7 +100,7 @@ def picture(package: str) -> dict:
 
 
 def optional(package: str) -> dict[str, list]:
-    """Use the optional libraries; return module → [where it lies, its version, whether it works] of those there are."""
+    """Use the available optional libraries; return module → [path, version, whether it works]."""
     import io
 
     import numpy as np
@@ -123,21 +123,21 @@ def optional(package: str) -> dict[str, list]:
         sheet = cv2.copyMakeBorder(
             cv2.aruco.generateImageMarker(markers, 3, 60), *[30] * 4, cv2.BORDER_CONSTANT, None, 255
         )
-        found = cv2.aruco.ArucoDetector(markers).detectMarkers(sheet)[1]
-        return np.ravel(found).tolist() == [3]
+        numbers = cv2.aruco.ArucoDetector(markers).detectMarkers(sheet)[1]
+        return np.ravel(numbers).tolist() == [3]
 
-    told = {}
+    results = {}
     for name, works in (("rawpy", developed), ("pillow_heif", photographed), ("cv2", drawn)):
         try:
             module = importlib.import_module(name)
         except ModuleNotFoundError:
             continue
-        told[name] = [module.__file__, module.__version__, works(module)]
-    return told
+        results[name] = [module.__file__, module.__version__, works(module)]
+    return results
 
 
 def try_zip(path: str) -> dict:
-    """Install, enable, try and disable a zip; return what was found at each."""
+    """Install, enable, test and disable a zip; return the report."""
     commands = watch_commands()
     done = bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=True)
     enabled = [addon.module for addon in bpy.context.preferences.addons if addon.module.endswith(".irpso")]
@@ -145,8 +145,8 @@ def try_zip(path: str) -> dict:
         raise RuntimeError("Blender did not enable the extension; see its output")
     name = f"{enabled[0]}.irpso_addon"
     package, paths = importlib.import_module(name), importlib.import_module(f"{name}.core.paths")
-    brought = files(paths.ROOT)
-    told = {
+    packed = files(paths.ROOT)
+    report = {
         "blender": bpy.app.version_string,
         "python": "{}.{}".format(*sys.version_info),
         "done": list(done),
@@ -159,20 +159,20 @@ def try_zip(path: str) -> dict:
         "model": package.load_model("lambert").name,
         "schedule": package.load_schedule("standard").name,
     }
-    told |= exr_round_trip(name) | picture(name) | {"optional": optional(name)}
-    told |= {"violations": violations(enabled[0]), "written": sorted({*files(paths.ROOT)} ^ {*brought})}
+    report |= exr_round_trip(name) | picture(name) | {"optional": optional(name)}
+    report |= {"violations": violations(enabled[0]), "written": sorted({*files(paths.ROOT)} ^ {*packed})}
     bpy.ops.preferences.addon_disable(module=enabled[0])
-    return told | {"commands after": list(commands), "classes after": classes()}
+    return report | {"commands after": list(commands), "classes after": classes()}
 
 
 def main() -> int:
-    """Try the zip named on the command line; return 1 where it failed, with the traceback on stderr."""
+    """Test the zip of the command line; return 1 if it fails, with the traceback on stderr."""
     try:
-        told = try_zip(os.path.abspath(sys.argv[sys.argv.index("--") + 1]))
+        report = try_zip(os.path.abspath(sys.argv[sys.argv.index("--") + 1]))
     except Exception:  # noqa: BLE001 Blender goes on after a script's error and ends with 0
         traceback.print_exc()
         return 1
-    print("TOLD", json.dumps(told), flush=True)
+    print("TOLD", json.dumps(report), flush=True)
     return 0
 
 

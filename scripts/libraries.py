@@ -4,7 +4,7 @@ import ctypes
 import glob
 import sys
 
-# Debian package -> a library that it brings. Without the X libraries `import bpy` fails; without EGL it has no GPU.
+# Debian package -> a library in it. Without the X libraries `import bpy` fails; without EGL it has no GPU.
 LIBRARIES = {
     "libegl1": "libEGL.so.1",
     "libgl1": "libGL.so.1",

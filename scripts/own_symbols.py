@@ -1,4 +1,4 @@
-"""Makes the libraries in a Linux wheel find their own functions before those of the process that loads them.
+"""Makes the libraries in a Linux wheel bind to their own functions before those of the loading process.
 
 Blender has its own OpenEXR, of another version, among the libraries of its process. The wheel of OpenEXR exports the
 functions of its C core under the same names and calls them by name, so inside Blender it would reach Blender's and
@@ -29,7 +29,7 @@ PREFIXES = {"OpenEXR": (), "pillow-heif": (b"heif_", b"de265_"), "rawpy": (b"Lib
 
 
 def symbolic(library: bytes) -> bytes:
-    """Return a little-endian ELF-64 library with DF_SYMBOLIC set; raise ValueError where there is no room for it."""
+    """Return a little-endian ELF-64 library with DF_SYMBOLIC set. Raises ValueError if there is no room for it."""
     if library[:6] != b"\x7fELF\x02\x01":
         raise ValueError("no little-endian ELF-64 library")
     (table,) = struct.unpack_from("<Q", library, HEADER_OFFSETS[0])
@@ -53,7 +53,7 @@ def symbolic(library: bytes) -> bytes:
 
 
 def renamed(library: bytes, prefixes: tuple[bytes, ...]) -> bytes:
-    """Return an ELF-64 library whose dynamic symbols have other names where these contain one of ``prefixes``."""
+    """Return an ELF-64 library with other names for the dynamic symbols that contain one of ``prefixes``."""
     (table,) = struct.unpack_from("<Q", library, SECTIONS_OFFSETS[0])
     size, count = struct.unpack_from("<HH", library, SECTIONS_OFFSETS[1])
     sections = [SECTION.unpack_from(library, table + i * size) for i in range(count)]
@@ -70,7 +70,7 @@ def renamed(library: bytes, prefixes: tuple[bytes, ...]) -> bytes:
 
 
 def isolate(wheel: Path, library: str) -> None:
-    """Rewrite a wheel of ``library`` in place: its shared libraries keep to themselves; RECORD has their new hashes."""
+    """Rewrite a wheel of ``library`` in place: isolate its shared libraries, and update their hashes in RECORD."""
     with zipfile.ZipFile(wheel) as archive:
         files = {item: archive.read(item) for item in archive.infolist()}
     libraries = {item.filename: data for item, data in files.items() if data.startswith(b"\x7fELF")}
@@ -85,7 +85,7 @@ def isolate(wheel: Path, library: str) -> None:
 
 
 def _record(record: bytes, changed: dict[str, bytes]) -> bytes:
-    """Return a wheel's list of files with the hashes of those that have changed (PyPA, binary distribution format)."""
+    """Return a wheel's RECORD with the hashes of the changed files (PyPA, binary distribution format)."""
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     for name, digest, size in csv.reader(io.StringIO(record.decode())):

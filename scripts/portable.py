@@ -21,7 +21,7 @@ from pathlib import Path
 import extension
 import libraries
 
-# Of Blender's data nothing that the program uses: Cycles' kernels for GPUs, essentials assets, fonts of 15 MB.
+# Blender's data that the program does not use: Cycles' kernels for GPUs, essentials assets, fonts of 15 MB.
 LEFT_OUT = (
     "scripts/addons_core/cycles/lib",
     "datafiles/assets",
@@ -29,7 +29,7 @@ LEFT_OUT = (
     "datafiles/studiolights/world",
 )
 UNUSED = ("site-packages", "dist-packages", "test", "idlelib", "*tkinter*", "ensurepip", "config-*", "__pycache__")
-# The node's own: they belong to its kernel and its compiler.
+# Libraries of the node's kernel and compiler, which are not packed.
 NODES_OWN = re.compile(r"/(ld-linux[^/]*|lib(c|m|dl|pthread|rt|util|gcc_s|stdc\+\+|resolv|anl))\.so")
 # Loaders in front of the driver. A node with a driver has them.
 LOADERS = re.compile(r"/lib(EGL|GL|GLX|GLdispatch|OpenGL)\.so")
@@ -51,24 +51,24 @@ exec "$root/python/bin/python3" -m irpso_addon "$@"
 
 
 def packages(names: list[str]) -> list[importlib.metadata.Distribution]:
-    """Return installed packages and all that they need, each once. Raises SystemExit where one is not installed."""
-    found: dict[str, importlib.metadata.Distribution] = {}
+    """Return installed packages and their requirements, each once. Raises SystemExit if one is not installed."""
+    distributions: dict[str, importlib.metadata.Distribution] = {}
     while names:
         name = names.pop()
         key = name.lower().replace("_", "-")
-        if key in found:
+        if key in distributions:
             continue
         try:
-            found[key] = importlib.metadata.distribution(name)
+            distributions[key] = importlib.metadata.distribution(name)
         except importlib.metadata.PackageNotFoundError:
             raise SystemExit(f"{name} is not installed here; run this through `make portable`") from None
-        wanted = [text for text in found[key].requires or [] if "extra ==" not in text]
+        wanted = [text for text in distributions[key].requires or [] if "extra ==" not in text]
         names += [re.split(r"[\s<>=!~;\[(]", text, maxsplit=1)[0] for text in wanted if _applies(text)]
-    return list(found.values())
+    return list(distributions.values())
 
 
 def _applies(requirement: str) -> bool:
-    """Return whether a requirement is for this Python: installed, if it has a marker."""
+    """Return whether a requirement applies to this Python; one with a marker does if it is installed."""
     name = re.split(r"[\s<>=!~;\[(]", requirement, maxsplit=1)[0]
     return ";" not in requirement or any(importlib.metadata.distributions(name=name))
 
@@ -80,29 +80,29 @@ def runtime() -> list[str]:
 
 
 def program() -> list[str]:
-    """Return what of the repository is the program: what the manifest puts into the zips, and the manifest."""
+    """Return the program's paths in the repository: those that the manifest puts into the zips, and the manifest."""
     patterns = extension.manifest()["build"]["paths_exclude_pattern"]
     return [pattern[2:] for pattern in patterns if pattern.startswith("!/")] + ["blender_manifest.toml"]
 
 
 def linked(files: list[Path], path: str) -> Iterator[Path]:
-    """Yield the shared libraries outside the tree that files link to, but the node's own."""
+    """Yield the shared libraries that files link to, except the node's own."""
     environment = {**os.environ, "LD_LIBRARY_PATH": path}
-    # Blender opens some by name.
+    # Blender loads some by name.
     cached = subprocess.run(["ldconfig", "-p"], env=_WITH_SBIN, capture_output=True, text=True, check=True).stdout
     named = [
         re.findall(rf"^\s{re.escape(name)} \(.*(?:x86-64|AArch64).*=> (/\S+)", cached, re.MULTILINE)[:1]
         for name in libraries.LIBRARIES.values()
     ]
-    found = {path for paths in named for path in paths}
-    for file in [*files, *sorted(found)]:
+    linked_paths = {path for paths in named for path in paths}
+    for file in [*files, *sorted(linked_paths)]:
         shown = subprocess.run(["ldd", file], env=environment, capture_output=True, text=True).stdout
-        found |= set(re.findall(r"=> (/\S+)", shown))
-    yield from (Path(line) for line in sorted(found) if not NODES_OWN.search(line))
+        linked_paths |= set(re.findall(r"=> (/\S+)", shown))
+    yield from (Path(line) for line in sorted(linked_paths) if not NODES_OWN.search(line))
 
 
 def fill(tree: Path) -> None:
-    """Lay out the archive in an empty folder."""
+    """Write the archive's files into an empty folder."""
     base, version = Path(sys.base_prefix), f"python{sys.version_info.major}.{sys.version_info.minor}"
     (tree / "python" / "bin").mkdir(parents=True)
     shutil.copy(Path(sys.executable).resolve(), tree / "python" / "bin" / "python3")
@@ -145,7 +145,7 @@ def fill(tree: Path) -> None:
 
 
 def main() -> None:
-    """Write the archive into the folder named on the command line, and run it once from another place."""
+    """Write the archive into the folder of the command line, after a test run from another folder."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder.resolve()

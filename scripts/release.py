@@ -18,10 +18,10 @@ CHECKSUMS = "SHA256SUMS"
 
 
 def notes(changelog: str, version: str) -> str:
-    """Return what a changelog says of a version, without its heading. Raises SystemExit where it says nothing."""
+    """Return a version's section of a changelog, without its heading. Raises SystemExit if there is none."""
     heading = rf"^## \[{re.escape(version)}\] - \d{{4}}-\d{{2}}-\d{{2}}$\n(.*?)(?=^## |\Z)"
-    found = re.search(heading, changelog, re.MULTILINE | re.DOTALL)
-    text = found[1].strip() if found else ""
+    section = re.search(heading, changelog, re.MULTILINE | re.DOTALL)
+    text = section[1].strip() if section else ""
     if not text:
         raise SystemExit(
             f"CHANGELOG.md has no notes on {version}; write them under the heading `## [{version}] - YYYY-MM-DD`"
@@ -30,7 +30,7 @@ def notes(changelog: str, version: str) -> str:
 
 
 def check_committed(root: Path) -> None:
-    """Refuse a work tree whose files differ from its last commit. Raises SystemExit, which names them."""
+    """Check that all files are committed. Raises SystemExit, naming those that are not."""
     command = ["git", "status", "--porcelain"]
     changed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout.splitlines()
     if changed:
@@ -39,12 +39,12 @@ def check_committed(root: Path) -> None:
 
 
 def checksums(packages: list[Path]) -> str:
-    """Return the lines that `sha256sum --check` reads, run beside the packages."""
+    """Return the lines for `sha256sum --check`, run beside the packages."""
     return "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in sorted(packages))
 
 
 def main() -> None:
-    """Make the release into the folder named on the command line."""
+    """Make the release in the folder of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder

@@ -1,6 +1,6 @@
-"""Brings irpso_addon/ui/translations/*.po up to date: adds the window's new words, untranslated, and drops old ones.
+"""Updates irpso_addon/ui/translations/*.po: adds the window's new texts, untranslated, and removes old ones.
 
-Usage: python scripts/translations.py, in an environment with bpy. A test fails while words are missing or stale.
+Usage: python scripts/translations.py, in an environment with bpy. A test fails while texts are missing or stale.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ _PLACED = {"fact": (2, 3), "wrapped": (None, 2), "usable": (2, None), "report": 
 
 def words() -> list[str]:
     """Return every text that Blender or the panels translate, each once, in a fixed order."""
-    found: dict[str, None] = {}
+    texts: dict[str, None] = {}
     for name in MODULES:
         for cls in getattr(import_module(f"irpso_addon.ui.{name}"), "CLASSES", ()):
-            found |= dict.fromkeys(_of_class(cls))
+            texts |= dict.fromkeys(_of_class(cls))
     for path in sorted(UI.rglob("*.py")):
-        found |= dict.fromkeys(text for text, fault in in_source(path.read_text(encoding="utf-8")) if not fault)
-    found |= dict.fromkeys(_of_data())
-    return [text for text in found if any(map(str.isalpha, text))]
+        texts |= dict.fromkeys(text for text, fault in in_source(path.read_text(encoding="utf-8")) if not fault)
+    texts |= dict.fromkeys(_of_data())
+    return [text for text in texts if any(map(str.isalpha, text))]
 
 
 def faults() -> list[str]:
-    """Return the places that show a text without asking for its translation."""
+    """Return the places in the source that show a text without translation."""
     return [
         f"{path.relative_to(ROOT)}: {text}: {fault}"
         for path in sorted(UI.rglob("*.py"))
@@ -82,7 +82,7 @@ def _rna(cls: type) -> Any:
 
 
 def _of_data() -> Iterator[str]:
-    """Yield the words of shipped presets and models, and of the phases that the panel names while it recovers."""
+    """Yield the texts of shipped presets and models, and of the phases that the panel shows during a recovery."""
     models = [load_model(name) for name in shipped_models()]
     for parameter in (parameter for model in models for parameter in model.parameters):
         yield bpy.path.display_name(parameter.name)
@@ -96,7 +96,7 @@ def _of_data() -> Iterator[str]:
 
 
 def in_source(source: str) -> Iterator[tuple[str, str]]:
-    """Yield (text, "") of the texts in Python code that are translated, (text, fault) of those that are not but should.
+    """Yield (text, "") for texts in Python code that are translated, (text, fault) for those that should be.
 
     A text is translated if it is the first argument of ``iface``, ``rpt``, ``tip`` or ``n_``, an argument that Blender
     translates, or one that the panels' helpers pass on.
@@ -147,13 +147,13 @@ def _texts(node: ast.expr) -> Iterator[tuple[str, bool]]:
 
 
 def quoted(text: str) -> str:
-    """Return a text as .po has it."""
+    """Return a text quoted for .po."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
 def updated(locale: str, texts: list[str]) -> str:
-    """Return the file of a language with exactly these texts; its head and translations stay."""
+    """Return a language's file with exactly these texts, its header and its existing translations."""
     path = FOLDER / f"{locale}.po"
     head, known = path.read_text(encoding="utf-8").partition("\n\n")[0], read_po(path)
     entries = [f"msgid {quoted(text)}\nmsgstr {quoted(known.get(text, ''))}" for text in texts]

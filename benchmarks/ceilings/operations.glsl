@@ -1,4 +1,4 @@
-// As many products and sums as a device makes: four chains of four numbers, none of which waits for another.
+// Measures the arithmetic rate: four independent chains of vec4 multiply-adds. Reads u_count, u_factor; writes o_sum.
 
 bool texel_kernel(ivec2 texel)
 {

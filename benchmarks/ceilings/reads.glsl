@@ -1,4 +1,4 @@
-// Reads a stack, a layer after another, each texel once.
+// Measures the bandwidth: reads each texel of u_stack once, layer by layer, and writes the sum to o_sum.
 
 bool texel_kernel(ivec2 texel)
 {

@@ -1,1 +1,1 @@
-"""Other people's methods, written from their papers or taken from their libraries, to measure the program against."""
+"""Peer methods, written from their papers or taken from their libraries, that the benchmarks compare with."""

@@ -1,6 +1,6 @@
-"""Gradient descent in PyTorch on all texels at once: Adam, PyTorch's own L-BFGS, and L-BFGS with a line search a texel.
+"""Gradient descent in PyTorch on all texels at once: Adam, PyTorch's L-BFGS, and L-BFGS with a line search a texel.
 
-Gradients come from automatic differentiation of the model in ``models.py``, all parameters are unknown.
+Gradients come from automatic differentiation of the model in ``models.py``; all parameters are unknown.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from .models import Geometry, radiance
 from .objective import Loss, Objective
 from .problem import PeerResult, Problem, Sample, peak_memory_mb
 
-# A forward and a backward pass count as three renders: in arithmetic the least that reverse differentiation needs. In
-# time they take 4.1 (two lobes) to 4.7 (principled) forward passes, so that this favours the peer.
+# A forward and a backward pass count as three renders, the least arithmetic of reverse differentiation. They take the
+# time of 4.1 (two lobes) to 4.7 (principled) forward passes, so this favours the peer.
 GRADIENT_EVALUATIONS = 3
 FIRST_REACH = 0.1  # length of a first step along the gradient, in logits: about 2 % of the box
-_STRAGGLERS = 0.02  # of texels, for which a line search does not go on; they try again in the next iteration
-_EDGE = 1e-3  # how far from the walls of the box a sigmoid begins: at them its slope is 0
+_STRAGGLERS = 0.02  # share of texels for which a line search does not continue; they retry in the next iteration
+_EDGE = 1e-3  # least distance of a start from the walls of the box, where a sigmoid's slope is 0
 
 
 class _Fit:
-    """A problem on the way: torch tensors, the loss per texel, and the best of the starts so far."""
+    """State of a descent: the problem's tensors, and each texel's best numbers and loss over all starts."""
 
     def __init__(self, problem: Problem, loss: Loss, dtype: torch.dtype, sigmoid: bool, device: str):
         self.objective, self.sigmoid, self.device, self.dtype = Objective(problem, loss), sigmoid, device, dtype
@@ -41,7 +41,7 @@ class _Fit:
         return torch.as_tensor(np.ascontiguousarray(array), dtype=self.dtype, device=self.device)
 
     def free(self, start: np.ndarray) -> torch.Tensor:
-        """(T, size) what is descended in, of places in the box."""
+        """Return (T, size) free variables of numbers in the box."""
         x = self.tensor(start)
         return torch.logit(x, _EDGE) if self.sigmoid else x.clamp(_EDGE, 1 - _EDGE)
 
@@ -49,7 +49,7 @@ class _Fit:
         return torch.sigmoid(z) if self.sigmoid else z
 
     def losses(self, z: torch.Tensor) -> torch.Tensor:
-        """(T,) loss of every texel."""
+        """Return (T,), the loss of every texel."""
         self.evaluations += 1
         values = self.objective.box.values(torch, self.box(z))
         diffuse, specular = radiance(torch, self.objective.problem.model, values, self.geometry)
@@ -60,19 +60,19 @@ class _Fit:
         return squared.sum((0, 2))
 
     def gradient(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(T,) losses and (T, size) their gradients."""
+        """Return (T,) losses and (T, size) gradients."""
         z = z.detach().requires_grad_(True)
-        found = self.losses(z)
-        (slope,) = torch.autograd.grad(found.sum(), z)
+        losses = self.losses(z)
+        (slope,) = torch.autograd.grad(losses.sum(), z)
         self.evaluations += GRADIENT_EVALUATIONS - 1
-        return found.detach(), torch.nan_to_num(slope)
+        return losses.detach(), torch.nan_to_num(slope)
 
     def keep(self, z: torch.Tensor) -> None:
-        """Take the texels of z that are better than the best so far."""
+        """Store the texels of z whose loss is below their best so far."""
         with torch.no_grad():
-            found = self.losses(z).double().cpu().numpy()
-        better = found < self.best
-        self.best = np.where(better, found, self.best)
+            losses = self.losses(z).double().cpu().numpy()
+        better = losses < self.best
+        self.best = np.where(better, losses, self.best)
         self.numbers[better] = self.box(z.detach()).double().cpu().numpy()[better]
 
     def values(self) -> dict[str, np.ndarray]:
@@ -82,7 +82,7 @@ class _Fit:
 
 @dataclass
 class _Clock:
-    """Times the descent without what is spent on recording it."""
+    """Records the trace, and times the descent without the recording."""
 
     fit: _Fit
     every: int
@@ -90,7 +90,7 @@ class _Clock:
     iteration: int = 0
 
     def __call__(self, z: torch.Tensor) -> None:
-        """Called by a method after each iteration, with where it is."""
+        """Count an iteration; methods call this after each, with their free variables."""
         self.iteration += 1
         if self.every and self.iteration % self.every == 0:
             pause, evaluations = time.perf_counter(), self.fit.evaluations
@@ -168,13 +168,13 @@ def lbfgs_per_texel(
     history: int = 16,
     **settings,
 ) -> PeerResult:
-    """L-BFGS (Nocedal & Wright 2006, Algorithm 7.4) with a quadratic model and an Armijo search for every texel."""
+    """L-BFGS (Nocedal & Wright 2006, Algorithm 7.4) with a quadratic model and an Armijo search per texel."""
 
     def descend(fit: _Fit, z: torch.Tensor, tick: Step) -> torch.Tensor:
         losses, slope = fit.gradient(z)
         pairs: list[Pair] = []
         done = torch.zeros_like(losses, dtype=torch.bool)
-        scale = torch.zeros_like(losses)  # of the first guess at the Hessian's inverse; 0 where nothing is known of it
+        scale = torch.zeros_like(losses)  # of the initial inverse Hessian; 0 where unknown
         for _ in range(iterations):
             fixed = scale > 0
             direction = _two_loops(slope, pairs, torch.where(fixed, scale, torch.ones_like(scale)))
@@ -186,7 +186,7 @@ def lbfgs_per_texel(
             curvature, steep = (step * change).sum(1), (change * change).sum(1)
             usable = curvature > 1e-8 * step.norm(dim=1) * steep.sqrt()
             inverse = torch.where(usable, 1 / torch.where(usable, curvature, 1.0), 0.0)
-            # Where no step along it was lower, the model is wrong: that texel begins anew, along its gradient.
+            # Where no step lowered the loss, the model is wrong: that texel restarts along its gradient.
             stuck = (step == 0).all(dim=1)
             done = done | (failed & ~fixed)
             scale = torch.where(usable, curvature / torch.where(usable, steep, 1.0), scale * ~stuck)
@@ -216,10 +216,10 @@ def _run(
     trace_every: int = 10,
     **settings,
 ) -> PeerResult:
-    """Descend from the seed and from each start, keep each texel's best. trace_every: iterations; 0 for no trace.
+    """Descend from the seed and from each start; return each texel's best. trace_every: iterations; 0 for no trace.
 
-    threads: of PyTorch; 0 for as many as it likes. On cores that others use too, one is best: two that wait for each
-    other at every operation took twenty times as long.
+    threads: of PyTorch; 0 for its default. On shared cores one is best: two, which synchronise at every operation, took
+    twenty times as long.
     """
     if threads:
         torch.set_num_threads(threads)
@@ -239,7 +239,7 @@ def _run(
 
 
 def _two_loops(slope: torch.Tensor, pairs: list[Pair], scale: torch.Tensor) -> torch.Tensor:
-    """(T, size) −H g. Pairs without curvature have a weight of 0 and change nothing."""
+    """Return (T, size), −H g by the two-loop recursion. Pairs without curvature have a weight of 0."""
     q, shares = slope, []
     for step, change, inverse in reversed(pairs):
         share = inverse * (step * q).sum(1)
@@ -260,21 +260,23 @@ def _search(
     reach: torch.Tensor,
     looking: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return step, losses and slopes, each texel's reach shortened until its loss falls enough; 0 where it never does.
+    """Armijo backtracking per texel: return step (0 where none succeeds), losses, slopes, and which texels failed.
 
-    looking: (T,) which texels search. All are rendered until nearly all have their step: that is what a batch costs.
-    Returns too which texels found none though their search went to its end.
+    looking: (T,) bool, texels that search. The whole batch is rendered until nearly all have a step.
     """
     falls = (direction * slope).sum(1)
-    step, found, slopes = torch.zeros_like(z), losses, slope
+    step, new_losses, slopes = torch.zeros_like(z), losses, slope
     for _ in range(10):
         trial = torch.where(looking[:, None], reach[:, None] * direction, step)
-        new, new_slope = fit.gradient(z + trial)
-        good = looking & (new <= losses + 1e-4 * reach * falls)
+        trial_losses, trial_slopes = fit.gradient(z + trial)
+        good = looking & (trial_losses <= losses + 1e-4 * reach * falls)
         step = torch.where(good[:, None], trial, step)
-        found, slopes = torch.where(good, new, found), torch.where(good[:, None], new_slope, slopes)
+        new_losses, slopes = (
+            torch.where(good, trial_losses, new_losses),
+            torch.where(good[:, None], trial_slopes, slopes),
+        )
         looking = looking & ~good
         if looking.float().mean() < _STRAGGLERS:
-            return step, found, slopes, torch.zeros_like(looking)
+            return step, new_losses, slopes, torch.zeros_like(looking)
         reach = reach * 0.35
-    return step, found, slopes, looking
+    return step, new_losses, slopes, looking

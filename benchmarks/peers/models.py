@@ -1,7 +1,7 @@
-"""The shipped reflectance models once more, for numpy and PyTorch alike, and their parameters as a box of numbers.
+"""Shipped reflectance models for numpy and PyTorch, and their parameters as numbers in a box.
 
-``xp`` is the module ``numpy`` or ``torch``. Written from the papers that the shaders name; held against the float64
-oracles of the tests. T texels may also be T tries at one texel: geometry whose texel axis is 1 broadcasts.
+``xp`` is the module ``numpy`` or ``torch``. Written from the papers that the shaders name; tested against the float64
+oracles. T texels may also be T candidates of one texel: geometry whose texel axis is 1 broadcasts.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from .problem import Problem, Values
 
 Array = Any  # numpy's or torch's
 F0_SKIN, F0_PER_LEVEL = 0.028, 0.08
-_HORIZON = 1e-7  # cosines below it are those of light or view under the horizon
+_HORIZON = 1e-7  # least cosine of light and view above the horizon
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """lights: (K, 3). views: (3, T). half: (3, K, T) unit vectors between light and view. between: (K, T) v·h."""
+    """Directions. lights: (K, 3). views: (3, T). half: (3, K, T) half vectors. between: (K, T) v·h."""
 
     lights: Array
     views: Array
@@ -39,9 +39,9 @@ def geometry_of(problem: Problem) -> Geometry:
 
 
 def radiance(xp: ModuleType, model: str, values: dict[str, Array], g: Geometry) -> tuple[Array, Array]:
-    """Return what a light of intensity 1 makes of parameters (T, components): (K, T) times base color, and (K, T) grey.
+    """Return diffuse and specular factors (K, T) of parameters (T, components) under lights of intensity 1.
 
-    The radiance is base_color · first + second. Raises KeyError for a model that is none of ``MODELS``.
+    The radiance is base_color · diffuse + specular. Raises KeyError for a model that is none of ``MODELS``.
     """
     normal = values["normal"]
     light = g.lights @ normal.T
@@ -49,7 +49,7 @@ def radiance(xp: ModuleType, model: str, values: dict[str, Array], g: Geometry) 
     seen = (light > _HORIZON) & (view > _HORIZON)
     one = xp.ones_like(light)
     light, view = xp.where(seen, light, one), xp.where(seen, view * one, one)
-    # From the chord, since 1 − (n·h)² has no digits left near a highlight's peak in float32.
+    # From the chord: 1 − (n·h)² has no precision near a highlight's peak in float32.
     chord = ((g.half - normal.T[:, None, :]) ** 2).sum(0)
     sin2 = xp.where(seen, chord * (1 - chord / 4), 0 * one)
     cos_h = xp.where(seen, 1 - chord / 2, one)
@@ -62,9 +62,9 @@ def _lambert(xp, s, light, view, cos_h, sin2, between):
 
 
 def _principled(xp, s, light, view, cos_h, sin2, between):
-    """One GGX lobe (Walter et al. 2007 Eq. 33), Smith's G (Heitz 2014 Eq. 99), over a base that loses what it takes."""
+    """One GGX lobe (Walter et al. 2007 Eq. 33), Smith's G (Heitz 2014 Eq. 99), over a base times 1 − its albedo."""
     f0 = F0_PER_LEVEL * s["specular"]
-    root = xp.sqrt(xp.clip(f0, 1e-12, None))  # its slope at 0 has no bound
+    root = xp.sqrt(xp.clip(f0, 1e-12, None))  # the slope at 0 is infinite
     beyond = ((1 + root) / (1 - root)) ** 2 - 1
     a2 = s["roughness"] ** 4
     d = a2 / (np.pi * (sin2 + a2 * cos_h**2) ** 2)
@@ -75,7 +75,7 @@ def _principled(xp, s, light, view, cos_h, sin2, between):
 
 
 def _cook_torrance_two_lobe(xp, s, light, view, cos_h, sin2, between):
-    """Two Beckmann lobes (Cook & Torrance 1982 Eq. 7 and 9), Schlick's F, beside an undiminished base."""
+    """Two Beckmann lobes (Cook & Torrance 1982 Eq. 7 and 9), Schlick's F, plus the full base."""
     d = s["w"] * _beckmann(xp, cos_h, sin2, s["r1"]) + (1 - s["w"]) * _beckmann(xp, cos_h, sin2, s["r2"])
     cavity = xp.minimum(xp.ones_like(light), 2 * cos_h * xp.minimum(light, view) / between)
     fresnel = F0_SKIN + (1 - F0_SKIN) * (1 - between) ** 5
@@ -98,7 +98,7 @@ def _dielectric(xp, cosine, beyond):
 
 
 def _layer_albedo(xp, m, r, f0, beyond):
-    """The shader's fit to what the layer takes of its base: shaders/brdf/e_specular.glsl."""
+    """The shader's fit to the albedo of the specular layer: shaders/brdf/e_specular.glsl."""
     above = m * (-0.4183 + m * (0.8193 - 8.231 * m)) + r * m * (5.514 + 3.45 * m) + r**2 * (1.336 - 4.016 * m)
     above = above - 0.8463 * r**3
     below = r + m * (3.508 + 3.157 * m) + r * (0.3903 * m + 0.7437 * r)
@@ -107,10 +107,10 @@ def _layer_albedo(xp, m, r, f0, beyond):
 
 
 class Box:
-    """A model's parameters as numbers in [0, 1]: what bounded methods search.
+    """A model's parameters as numbers in [0, 1], for bounded methods.
 
-    A normal is two of them, its stereographic coordinates over −1…1 (smooth over the whole hemisphere); every other
-    component is one, its place in its range.
+    A normal is two numbers, its stereographic coordinates over −1…1 (smooth over the whole hemisphere); every other
+    component is one, its position in its range.
     """
 
     def __init__(self, model: str):
@@ -133,7 +133,7 @@ class Box:
         return values
 
     def numbers(self, values: Values) -> np.ndarray:
-        """Return (T, size) of parameter → (T, components), cut to the box."""
+        """Return (T, size) of parameter → (T, components), clipped to the box."""
         columns = []
         for p in self.model.parameters:
             value = np.asarray(values[p.name], np.float64)
@@ -144,7 +144,7 @@ class Box:
         return np.clip(np.concatenate(columns, axis=1), 0, 1)
 
     def ordered(self, values: Values) -> Values:
-        """Return the values with interchangeable lobes in rising order, as the model's table has them."""
+        """Return the values with interchangeable lobes in the model's ascending order."""
         if not self.model.ordered:
             return values
         first, second = self.model.ordered

@@ -1,4 +1,4 @@
-"""Methods that solve one texel after another, on some processes, and their ways put together."""
+"""Runs methods that solve one texel after another, on some processes, and merges their traces."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .problem import PeerResult, Problem, Sample, peak_memory_mb
 
 @dataclass
 class Way:
-    """One texel's search: rows of (seconds, evaluations, x), each better than the last.
+    """Trace of one texel's search: rows of (seconds, evaluations, x), each better than the last.
 
-    ``saw`` is told of evaluations, at most once a generation: it keeps the time that has gone by and the best so far.
+    Methods report their evaluations to ``saw``, at most once a generation.
     """
 
     rows: list[tuple[float, int, np.ndarray]] = field(default_factory=list)
@@ -28,7 +28,7 @@ class Way:
     began: float = field(default_factory=time.perf_counter)
 
     def saw(self, x: np.ndarray, costs: np.ndarray) -> None:
-        """Count S tries x (S, size) and keep the best of them if it is one."""
+        """Count S candidates x (S, size); add a row if one is the best so far."""
         self.evaluations += len(costs)
         at = int(np.argmin(costs))
         if costs[at] < self.best:
@@ -42,7 +42,7 @@ Solve = Callable[..., Way]  # (objective, texel, start (S, size), seed, **settin
 def run(
     name: str, problem: Problem, loss: Loss, solve: Solve, restarts: bool, workers: int, seed: int, **settings
 ) -> PeerResult:
-    """Solve all texels of a problem, which is best a sample of a larger one; ``solve`` is a module's own function.
+    """Solve all texels of a problem. solve: a function at module level, because processes import it.
 
     The time to start the processes is not counted.
     """
@@ -60,7 +60,7 @@ def run(
             seconds = time.perf_counter() - start
     objective = Objective(problem, loss)
     ways = [way for part, _ in parts for way in part]
-    trace = _together(ways, objective, workers)
+    trace = _joint_trace(ways, objective, workers)
     values = objective.box.ordered(objective.box.values(np, np.array([way.rows[-1][2] for way in ways])))
     evaluations = np.array([way.evaluations for way in ways])
     memory = max(memory for _, memory in parts)
@@ -77,14 +77,14 @@ def _solve_some(
     return ways, peak_memory_mb()
 
 
-def _together(ways: list[Way], objective: Objective, workers: int, points: int = 24) -> tuple[Sample, ...]:
-    """Return the state in which all texels are when each has had the same number of evaluations."""
+def _joint_trace(ways: list[Way], objective: Objective, workers: int, points: int = 24) -> tuple[Sample, ...]:
+    """Return the joint trace: the values of all texels after the same number of evaluations each."""
     first = max(way.rows[0][1] for way in ways)
     last = max(way.evaluations for way in ways)
     samples = []
     for budget in np.unique(np.geomspace(first, max(last, first + 1), points).astype(int)):
         rows = [[row for row in way.rows if row[1] <= budget][-1] for way in ways]
-        # A texel that has found no better place since went on searching all the same.
+        # A texel without a better row since then has gone on searching.
         spent = [min(row[0] * budget / row[1], way.rows[-1][0]) for row, way in zip(rows, ways, strict=True)]
         values = objective.box.ordered(objective.box.values(np, np.array([row[2] for row in rows])))
         samples.append(Sample(float(np.sum(spent)) / workers, float(budget), values))
@@ -92,7 +92,7 @@ def _together(ways: list[Way], objective: Objective, workers: int, points: int =
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    # Each process has one core to itself: threads of the linear algebra would fight over it.
+    # One core a process: more threads of the linear algebra would compete for it.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))

@@ -1,4 +1,4 @@
-"""What every peer is given, and what it gives back."""
+"""Input and output of every peer: Problem and PeerResult."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Values = dict[str, np.ndarray]
 class Problem:
     """One capture of T texels under K distant lights, seen by one camera.
 
-    radiance: (K, T, 3) float64. weights: (K, T), 0 for samples that say nothing, else 1. lights: (K, 3) unit
+    radiance: (K, T, 3) float64. weights: (K, T), 0 for invalid samples, else 1. lights: (K, 3) unit
     directions toward the lights, in the frame of the normals. intensities: (K, 3). views: (T, 3) unit directions
     toward the camera. texels: (T, 2) row and column in the card. model: name of a shipped reflectance model. truth:
-    parameter → (T, components), what is known to be right, for measuring alone.
+    parameter → (T, components), for measuring alone.
     """
 
     radiance: np.ndarray
@@ -40,16 +40,16 @@ class Problem:
 
     @property
     def grey(self) -> np.ndarray:
-        """(K, T): mean over RGB of radiance over the light's intensity, 0 where a sample weighs nothing."""
+        """(K, T): mean over RGB of radiance over the light's intensity, 0 where the weight is 0."""
         lit = self.intensities > 0  # a coloured light may have none of a channel
         shades = self.radiance / np.where(lit, self.intensities, np.inf)[:, None]
         return self.weights * shades.sum(axis=-1) / lit.sum(axis=-1)[:, None]
 
     def scale(self, percentile: float = 80.0) -> np.ndarray:
-        """(T,): the percentile of each texel's weighted samples that its own brightness is taken to be; 1 if none."""
+        """Return (T,), each texel's brightness: the percentile of its samples with weight; 1 if it has none."""
         ordered = np.sort(np.where(self.weights > 0, self.grey, np.inf), axis=0)
-        found = percentile_of(ordered, (self.weights > 0).sum(axis=0), percentile)
-        return np.where((found > 0) & np.isfinite(found), found, 1.0)
+        brightness = percentile_of(ordered, (self.weights > 0).sum(axis=0), percentile)
+        return np.where((brightness > 0) & np.isfinite(brightness), brightness, 1.0)
 
     def subset(self, texels: Sequence[int] | np.ndarray) -> Problem:
         """Return the problem with only some texels, by index."""
@@ -63,7 +63,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Sample:
-    """A peer's state on its way: seconds and evaluations a texel since it began, and its best values so far."""
+    """A point of a peer's trace: seconds, evaluations a texel, and the best values so far."""
 
     seconds: float
     evaluations: float
@@ -72,11 +72,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class PeerResult:
-    """What a peer found.
+    """A peer's result.
 
     name: of the method. values: parameter → (T, components). evaluations: (T,) renders of all observations of a texel,
     where a forward and backward pass counts as ``GRADIENT_EVALUATIONS``. seconds: of the whole run. memory_mb: peak of
-    the process's resident memory since it began, in MB. settings: what it was run with. trace: its way, if asked for.
+    the process's resident memory since it began, in MB. settings: of the method. trace: may be empty.
     """
 
     name: str
@@ -91,7 +91,7 @@ class PeerResult:
 def problem_of(domain: Domain, model: str, truth: Mapping[str, np.ndarray] | None = None) -> Problem:
     """Return the solvable texels of a card's domain as a problem; truth: parameter → (H, W, components).
 
-    Raises ValueError for near lights, several cameras, or a mesh: the peers know none of them.
+    Raises ValueError for near lights, several cameras, or a mesh, which the peers do not support.
     """
     one_view = (domain.views == domain.views[0]).all()
     if not domain.card or domain.lights[:, 3].any() or not one_view:
@@ -116,12 +116,12 @@ def problem_of(domain: Domain, model: str, truth: Mapping[str, np.ndarray] | Non
 
 
 def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(T,) degrees between vectors (T, 3) of any length; atan2 keeps the digits of small angles."""
+    """Return (T,) degrees between vectors (T, 3) of any length; atan2 is precise for small angles."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
 
 
 def percentile_of(ordered: np.ndarray, count: np.ndarray, percentile: float) -> np.ndarray:
-    """(T,) percentile of the first ``count`` of each rising column of (K, T), linear between ranks."""
+    """Return (T,) percentiles of the first ``count`` of each ascending column of (K, T), linear between ranks."""
     last = np.maximum(count - 1, 0)
     rank = last * percentile / 100
     low = np.floor(rank).astype(int)
@@ -131,6 +131,6 @@ def percentile_of(ordered: np.ndarray, count: np.ndarray, percentile: float) -> 
 
 
 def peak_memory_mb() -> float:
-    """Return the most resident memory that this process has had, in MB."""
+    """Return the peak resident memory of this process, in MB."""
     unit = 2**20 if sys.platform == "darwin" else 2**10  # ru_maxrss is in bytes on macOS, in KiB on Linux
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit

@@ -1,4 +1,4 @@
-"""Swarms and populations a texel: pyswarms' global-best particle swarm and scipy's differential evolution."""
+"""Population methods per texel: pyswarms' global-best particle swarm and scipy's differential evolution."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def differential_evolution(
     polish: bool = True,
     seed: int = 0,
 ) -> PeerResult:
-    """scipy's differential evolution (Storn & Price 1997), begun at the seed; population: tries for each dimension."""
+    """scipy's differential evolution (Storn & Price 1997), from the seed; population: members per dimension."""
     settings = {"population": population, "generations": generations, "polish": polish}
     return run("differential evolution", problem, loss, evolve_texel, False, workers, seed, **settings)
 
@@ -48,7 +48,7 @@ def swarm_texel(
     objective: Objective, t: int, starts: np.ndarray, seed: int, particles: int, iterations: int, inertia: float,
     pull: float,
 ) -> Way:  # fmt: skip
-    """Return one texel's way. pyswarms draws from numpy's global generator, so that one is seeded."""
+    """Return one texel's trace. pyswarms draws from numpy's global generator, which is seeded here."""
     GlobalBestPSO = _global_best_class()
     np.random.seed(seed % 2**32)
     way, size = Way(), objective.box.size
@@ -58,9 +58,9 @@ def swarm_texel(
     place[0] = starts[0]
 
     def cost(x: np.ndarray) -> np.ndarray:
-        found = objective.cost(x, t)
-        way.saw(x, found)
-        return found
+        costs = objective.cost(x, t)
+        way.saw(x, costs)
+        return costs
 
     swarm = GlobalBestPSO(
         particles, size, {"w": inertia, "c1": pull, "c2": pull}, bounds=(np.zeros(size), np.ones(size)),
@@ -73,16 +73,16 @@ def swarm_texel(
 def evolve_texel(
     objective: Objective, t: int, starts: np.ndarray, seed: int, population: int, generations: int, polish: bool
 ) -> Way:
-    """Return one texel's way."""
+    """Return one texel's trace."""
     from scipy.optimize import differential_evolution as evolve
 
     way, size = Way(), objective.box.size
 
     def cost(x: np.ndarray) -> np.ndarray:
         tries = np.atleast_2d(x.T)
-        found = objective.cost(tries, t)
-        way.saw(tries, found)
-        return found if x.ndim == 2 else found[0]
+        costs = objective.cost(tries, t)
+        way.saw(tries, costs)
+        return costs if x.ndim == 2 else costs[0]
 
     evolve(
         cost, [(0, 1)] * size, x0=starts[0], popsize=population, maxiter=generations, polish=polish, vectorized=True,
@@ -93,7 +93,7 @@ def evolve_texel(
 
 @cache
 def _global_best_class() -> type:
-    """Import pyswarms without the report.log that it would open in the current folder, at every swarm anew."""
+    """Import pyswarms without its report.log, which every swarm would open in the current folder."""
     quiet = {"version": 1, "disable_existing_loggers": False}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "logging.yml"

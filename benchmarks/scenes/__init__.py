@@ -1,1 +1,1 @@
-"""Subjects, materials and lights that Cycles photographs: captures whose truth is known, by an independent renderer."""
+"""Captures with known truth by an independent renderer: subjects, materials and lights rendered by Cycles."""

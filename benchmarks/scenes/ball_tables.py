@@ -1,4 +1,4 @@
-"""Tables with mirror balls, matte balls, or none, among other things, photographed by Cycles under single lamps."""
+"""Tables with mirror balls, matte balls, or none, among other objects, rendered by Cycles under single lamps."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from irpso_addon.capture.images.exr import read_exr
 from . import render
 
 WIDTH, HEIGHT, SAMPLES = 960, 720, 2
-# Of a ball's pixels, at most: with two, chance decides which pixels at a clipped highlight's border are clipped.
+# Most samples of a ball's pixels: with two, noise decides which pixels at a highlight's border are clipped.
 BALL_SAMPLES = 64
 WITH = (("mirror",), ("matte",), (), ("mirror", "mirror"), ("matte", "matte"), (), ("mirror", "matte"), ())
 _DISTANCE = 10.0  # from the camera to the table
-_SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, of the picture's width
-_NEAR, _NEAR_DISTANCES = 0.5, (1.2, 4.0)  # part of the scenes with near lamps; their distance, in picture widths
-_CLOTH, _CLOTH_ALBEDO = 0.2, (0.003, 0.02)  # part of the scenes on black cloth
+_SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, over the picture's width
+_NEAR, _NEAR_DISTANCES = 0.5, (1.2, 4.0)  # share of the scenes with near lamps; their distance, in picture widths
+_CLOTH, _CLOTH_ALBEDO = 0.2, (0.003, 0.02)  # share of the scenes on black cloth
 _TRIES = 200
 _RAYS = 400  # to a ball
 
 
 @dataclass(frozen=True)
 class BallTable:
-    """What was photographed. images: (K, H, W, 3) float32 radiance, row 0 at the bottom.
+    """A rendered table. images: (K, H, W, 3) float32 radiance, row 0 at the bottom.
 
-    lamps: (K, 3) unit directions to suns; or, where they are near, places. balls: (kind, centre (3,), radius) each, in
-    camera axes, which are the world's. visible: the part of each ball's disc that nothing hides. cloth: the table is
-    black cloth. text: the scene in words.
+    lamps: (K, 3) unit directions to suns, or positions if ``near``. balls: (kind, centre (3,), radius) each, in camera
+    axes, which are the world's. visible: unoccluded part of each ball's disc. cloth: the table is black cloth. text:
+    the scene in words.
     """
 
     images: np.ndarray
@@ -50,13 +50,13 @@ class BallTable:
     text: str
 
     def lights(self, centre: np.ndarray) -> np.ndarray:
-        """Return (K, 3) unit directions to the lamps from a place."""
+        """Return (K, 3) unit directions to the lamps from a point (3,)."""
         toward = self.lamps - centre if self.near else self.lamps
         return toward / np.linalg.norm(toward, axis=-1, keepdims=True)
 
 
 def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMPLES) -> BallTable:
-    """Return the scene of a seed; pictures that ``cache`` holds are not rendered again."""
+    """Return the scene of a seed; pictures in ``cache`` are not rendered again."""
     height = width * HEIGHT // WIDTH
     rng = np.random.default_rng(seed)
     fov, tilt = rng.uniform(22, 50), np.radians(rng.choice([0.0, rng.uniform(5, 55)]))
@@ -100,13 +100,13 @@ def _width(fov: float) -> float:
 
 
 def _refine(image: np.ndarray, scene, camera: Camera, centre: np.ndarray, radius: float, path: Path) -> None:
-    """Replace the pixels of a ball by some of more samples: the work of the whole picture, at most 64 samples."""
+    """Render a ball's pixels again with more samples: those of the whole picture, at most ``BALL_SAMPLES`` a pixel."""
     outline = Ball("ball", camera, centre, radius, 1.0, (0.0, 0.0)).outline
     size = np.array([camera.width, camera.height])
     low, high = (np.clip(side, 0, size).astype(int) for side in (outline.min(axis=0) - 3, outline.max(axis=0) + 4))
     made, samples = scene.render, scene.cycles.samples
     made.use_border = made.use_crop_to_border = True
-    # A quarter of a pixel more: neither rounding nor its absence moves the border.
+    # A quarter of a pixel more, so that rounding does not move the border.
     made.border_min_x, made.border_min_y = (low + 0.25) / size
     made.border_max_x, made.border_max_y = (high + 0.25) / size
     scene.cycles.samples = min(BALL_SAMPLES, int(samples * size.prod() / (high - low).prod()))
@@ -124,7 +124,7 @@ def _shot(scene, path: Path) -> np.ndarray:
 
 
 def _lights(rng: np.random.Generator, up: np.ndarray, count: int) -> np.ndarray:
-    """Return (count, 3) directions to lamps all around the table's normal, 15° to 65° from it."""
+    """Return (count, 3) directions to lamps around the table's normal, 15° to 65° off it."""
     across = np.array([1.0, 0.0, 0.0])
     turn = 2 * np.pi * (np.arange(count) + rng.uniform(0, 0.7, count)) / count
     fall = np.radians(rng.uniform(15, 65, count))[:, None]
@@ -133,7 +133,7 @@ def _lights(rng: np.random.Generator, up: np.ndarray, count: int) -> np.ndarray:
 
 
 def _world(scene, rng: np.random.Generator) -> None:
-    """Give the scene a faint room: a mottled sky."""
+    """Give the scene a faint environment: a mottled sky."""
     scene.world = bpy.data.worlds.new("world")
     scene.world.use_nodes = True
     scene.world.cycles.sampling_method = "NONE"  # faint: its map costs more than it saves
@@ -151,7 +151,7 @@ def _material(
     color: Sequence[float], roughness: float = 0.8, metallic: float = 0.0, specular: float = 0.5,
     texture: float = 0.0, scale: float = 1.0,
 ) -> bpy.types.Material:  # fmt: skip
-    """Return a Principled material; texture: how far its colour varies."""
+    """Return a Principled material. texture: relative variation of its colour."""
     made = bpy.data.materials.new("material")
     made.use_nodes = True
     tree = made.node_tree
@@ -188,7 +188,7 @@ def _table(rng: np.random.Generator, up: np.ndarray, cloth: bool) -> str:
 
 
 def _turned(thing: bpy.types.Object, up: np.ndarray, turn: float = 0.0) -> None:
-    """Stand a thing up along ``up``, turned about it."""
+    """Rotate an object: its z axis along ``up``, turned about it."""
     thing.rotation_mode = "QUATERNION"
     thing.rotation_quaternion = Vector(up).to_track_quat("Z", "Y") @ Quaternion((0, 0, 1), turn)
 
@@ -196,7 +196,7 @@ def _turned(thing: bpy.types.Object, up: np.ndarray, turn: float = 0.0) -> None:
 def _things(
     rng: np.random.Generator, up: np.ndarray, fov: float, kinds: Sequence[str]
 ) -> list[tuple[str, np.ndarray, float]]:
-    """Put balls and other things on the table, none on another; return the balls."""
+    """Put balls and other objects on free places of the table; return the balls."""
     width = _width(fov)
     taken: list[tuple[np.ndarray, float]] = []
     balls = []
@@ -219,7 +219,7 @@ def _things(
 def _free_place(
     rng: np.random.Generator, up: np.ndarray, width: float, radius: float, taken: list[tuple[np.ndarray, float]]
 ) -> np.ndarray | None:
-    """Return a place on the table, inside the picture and clear of what stands there, and take it; None if full."""
+    """Return a free place on the table inside the picture, and add it to ``taken``; None if there is none."""
     away = np.cross(up, (1.0, 0.0, 0.0))
     for _ in range(_TRIES):
         x, y = rng.uniform(-0.5, 0.5, 2) * (width, width * HEIGHT / WIDTH)
@@ -245,7 +245,7 @@ def _ball(rng: np.random.Generator, kind: str, centre: np.ndarray, radius: float
 
 
 def _visible(scene, centre: np.ndarray, radius: float) -> float:
-    """Return the part of a ball's disc that the camera, at the origin, sees."""
+    """Return the part of a ball's disc that is visible from the camera, at the origin."""
     distance = float(np.linalg.norm(centre))
     away = np.sqrt((np.arange(_RAYS) + 0.5) / _RAYS) * radius / math.sqrt(distance**2 - radius**2)
     turn = np.arange(_RAYS) * np.pi * (3 - np.sqrt(5))
@@ -259,7 +259,7 @@ def _visible(scene, centre: np.ndarray, radius: float) -> float:
 
 
 def _clutter(rng: np.random.Generator, up: np.ndarray, foot: np.ndarray, half: float) -> None:
-    """Put a thing onto the table that is no ball: round, glossy or printed ones, too."""
+    """Put an object that is no ball onto the table, maybe round, glossy or textured."""
     what = rng.choice(["box", "can", "disc", "cone", "ring", "egg", "head", "bowl"])
     tall = half * rng.uniform(0.3, 1.6)
     if what == "box":

@@ -28,7 +28,7 @@ _INTENSITIES = (1.5, 6.0)
 
 
 def make(title: str, scene: Scene, size: tuple[int, int], cache: Path, out: Path, bounces: int = 4) -> int:
-    """Render what the cache lacks and write the capture into ``out``; return the number of texels of its mask."""
+    """Render what the cache lacks and write the capture into ``out``; return the number of its mask's texels."""
     view = render.View(*size, samples=scene.samples, denoise=scene.denoise, bounces=bounces)
     directions = lights.grid_lights()
     intensities = lights.uneven_intensities(len(directions), *_INTENSITIES)
@@ -60,15 +60,15 @@ def make(title: str, scene: Scene, size: tuple[int, int], cache: Path, out: Path
 
 def _write_truth(maps: dict[str, np.ndarray], mask: np.ndarray, plain: bool, out: Path) -> None:
     for name in ("normal", "base_color"):
-        kept = np.where(mask[..., None], maps[name], 0).astype(np.float32)
-        write_exr(out / f"{name}_gt.exr", {"": {c: kept[..., i] for i, c in enumerate("RGB")}})
+        values = np.where(mask[..., None], maps[name], 0).astype(np.float32)
+        write_exr(out / f"{name}_gt.exr", {"": {c: values[..., i] for i, c in enumerate("RGB")}})
     if plain:
-        kept = np.where(mask, maps["roughness"], 0).astype(np.float32)
-        write_exr(out / "roughness_gt.exr", {"": {"Y": kept}})
+        values = np.where(mask, maps["roughness"], 0).astype(np.float32)
+        write_exr(out / "roughness_gt.exr", {"": {"Y": values}})
 
 
 def read_truth(folder: Path, name: str) -> np.ndarray:
-    """Return (H, W, 3) a capture's true normals or colours, row 0 at the bottom."""
+    """Return (H, W, 3), a capture's true normals or colours, row 0 at the bottom."""
     (channels,) = read_exr(folder / f"{name}_gt.exr").values()
     return np.stack([channels[c] for c in "RGB"], axis=-1)
 
@@ -83,7 +83,7 @@ def _digest(*settings) -> str:
 
 
 def main() -> None:
-    """Make the captures that are named, or all."""
+    """Make the named captures, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help="subjects; all without")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder that keeps the pictures")

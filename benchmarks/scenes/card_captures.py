@@ -1,7 +1,6 @@
-"""Cards and the head photographed by Cycles as captures in the program's format, and under lamps that these lack.
+"""Captures of cards and the head by Cycles, in the program's format, and pictures under other lamps.
 
-A folder of the cache holds ``capture/``, the truth as the camera sees it, and the pictures; what is there is not
-rendered again.
+A folder of the cache holds ``capture/``, the truth as the camera sees it, and the pictures, which are rendered once.
 """
 
 from __future__ import annotations
@@ -43,11 +42,11 @@ _QUALITY = 95
 
 
 class Subject(Protocol):
-    """What is photographed, within cards.WIDTH around the origin and facing +z: a card (cards.py), a head (head.py).
+    """A subject within cards.WIDTH around the origin that faces +z: a card (cards.py) or a head (head.py).
 
-    side: pixels of its pictures. digest: tells it from others. flat: a card, whose texels are the pixels. fine: needs
-    the larger number of samples. build: puts it into the open scene, with its true maps or recovered ones. The others
-    speak of the open scene after build: truth is of the texels, given that of the pixels; arguments are for recover.
+    side: pixels along a side of its pictures. digest: identifies it. flat: a card, whose texels are the pixels. fine:
+    needs the larger number of samples. build: puts it into the open scene, with its true maps or recovered ones; the
+    other methods need that scene. truth: the texels' maps from the pixels'. arguments: of recover.
     """
 
     side: int
@@ -57,7 +56,7 @@ class Subject(Protocol):
     def digest(self) -> bytes: ...
     @property
     def fine(self) -> bool: ...
-    def build(self, found: TrueMaps | None = None) -> None: ...
+    def build(self, maps: TrueMaps | None = None) -> None: ...
     def truth(self, as_seen: TrueMaps) -> TrueMaps: ...
     def points(self, camera: Camera) -> np.ndarray: ...
     def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]: ...
@@ -66,11 +65,11 @@ class Subject(Protocol):
 
 @dataclass(frozen=True)
 class Shooting:
-    """How a subject is photographed. lights: (K, 3) directions or, where ``near``, places. bounces: of light paths.
+    """How a subject is photographed. lights: (K, 3) directions, or positions if ``near``. bounces: of light paths.
 
     near: under lamps, by a perspective camera, as 8-bit sRGB JPEG with noise; else distant lights, an orthographic
-    camera and EXR without noise. shadows: whether they are cast. samples: a pixel and light, of
-    fine subjects and of others. rim: height of a rim around the picture of a card, in world units.
+    camera and EXR without noise. shadows: whether they are cast. samples: a pixel and light, of fine subjects and of
+    others. rim: height of a rim around the picture of a card, in world units.
     """
 
     lights: np.ndarray
@@ -81,8 +80,8 @@ class Shooting:
     rim: float = 0.0
 
 
-# What is left of the renderer's noise, on polished stone below radiance 1: root mean square .0015 with 16 samples,
-# .0003 with 64, of full scale or less; the sensor's is .002 and more.
+# Noise of the renderer on polished stone below radiance 1: root mean square .0015 with 16 samples, .0003 with 64, of
+# full scale or less; the sensor's is .002 and more.
 SHOOTINGS = {
     "lamps": Shooting(lamp_places(16, _OFF_AXIS, _FAR)),
     "distant": Shooting(dome_lights(48, 60.0), near=False, samples=(64, 16)),
@@ -93,10 +92,10 @@ SHOOTINGS = {
 
 @dataclass(frozen=True)
 class Photographed:
-    """capture: its folder. arguments: further ones for ``recover``. truth: of the texels that are recovered.
+    """A photographed subject. capture: folder. arguments: further ones of ``recover``. truth: of the recovered texels.
 
-    as_seen: the truth as the camera sees it, normals in its axes. points: (H, W, 3) places that pixels show. shown:
-    (H, W) bool, pixels of the subject alone. unseen: (8, H, W, 3) radiance under UNSEEN.
+    as_seen: the truth as the camera sees it, normals in its axes. points: (H, W, 3), surface points of the pixels.
+    shown: (H, W) bool, pixels of the subject alone. unseen: (8, H, W, 3) radiance under UNSEEN.
     """
 
     capture: Path
@@ -109,7 +108,7 @@ class Photographed:
 
 
 def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> Photographed:
-    """Return the subject's capture, truth and unseen pictures, rendered where ``cache`` lacks them."""
+    """Return the subject's capture, truth and unseen pictures; render what ``cache`` lacks."""
     samples = shooting.samples[0 if subject.fine else 1]
     lights = shooting.lights.tobytes(), UNSEEN.tobytes()
     how = shooting.near, shooting.shadows, shooting.bounces, samples, _UNSEEN_SAMPLES
@@ -132,21 +131,21 @@ def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> 
     return Photographed(folder / CAPTURE, arguments, subject.truth(as_seen), as_seen, points, shown, unseen)
 
 
-def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
+def relight(subject: Subject, maps: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
     """Return (8, H, W, 3) radiance of a subject with recovered maps under UNSEEN, and the maps as the camera sees them.
 
     The camera is that of ``near``.
     """
     _empty(subject, near, _RELIT_SAMPLES, 0)
-    subject.build(found)
+    subject.build(maps)
     as_seen = _maps(render.truth(folder))
     return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), as_seen
 
 
 def diffuse_part(shot: Photographed) -> np.ndarray:
-    """Return (8, H, W) mean over the channels of what the true diffuse base alone would radiate under UNSEEN.
+    """Return (8, H, W): radiance of the true diffuse base alone under UNSEEN, mean over the channels.
 
-    What the layer above takes from the base, some 4 %, is not taken off.
+    Without the loss in the layer above it, some 4 %.
     """
     toward = UNSEEN[:, None, None] - shot.points
     squared = (toward**2).sum(axis=-1)
@@ -192,7 +191,7 @@ def _write(name: str, subject: Subject, shooting: Shooting, shown: np.ndarray, f
 
 
 def _table(name: str, subject: Subject, places: np.ndarray, gain: float) -> Iterator[str]:
-    """Yield the lines of a capture table: a camera above the subject's middle, and lamps as bright as rendered."""
+    """Yield the lines of a capture table: a camera above the subject's centre, and lamps as bright as rendered."""
     matrix = np.eye(4)
     matrix[2, 3] = cards.DISTANCE
     yield from ("format = 1", f"name = {toml_value(name)}", 'colour_space = "srgb"')
@@ -208,7 +207,7 @@ def _table(name: str, subject: Subject, places: np.ndarray, gain: float) -> Iter
 
 
 def write_jpeg(path: Path, codes: np.ndarray, quality: int = _QUALITY) -> None:
-    """Write (H, W, 3) sRGB values in 0…1, row 0 at the bottom, by Blender, whose loader reads them again."""
+    """Write (H, W, 3) sRGB values in 0…1, row 0 at the bottom, by Blender."""
     image = bpy.data.images.new(path.stem, codes.shape[1], codes.shape[0])
     try:
         image.pixels.foreach_set(opaque(codes.astype(np.float32)).ravel())

@@ -1,8 +1,8 @@
 """Flat cards of glossy and metallic materials: maps from numpy, and the displaced mesh that carries them.
 
 A card fills a picture of SIDE × SIDE pixels: one texel is one pixel. Maps have MARGIN more texels on each side, so that
-the border of the picture is lit and shadowed as its middle is. Heights stay below HIGHEST texels: at the corner of the
-perspective picture that is half a pixel of parallax.
+the picture's border is lit and shadowed like its middle. Heights stay below HIGHEST texels, half a pixel of parallax at
+the corner of the perspective picture.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ DISTANCE = WIDTH / 2 / np.tan(np.radians(FIELD / 2))  # of that camera from the 
 HIGHEST = 0.5 / (np.sqrt(2) * np.tan(np.radians(FIELD / 2)))  # texels
 _FULL = SIDE + 2 * MARGIN
 _QUADS = 512  # along a side of the mesh
-_RIM = 1.03  # of half the picture's width: where a rim's inner wall stands
-_BLUR = 1.0  # texels: what a border between two materials is softened by
-_NARROW = 0.35  # roughness; from there on 16 samples in a pixel are off by less than .2 % of its radiance
+_RIM = 1.03  # distance of a rim's inner wall, over half the picture's width
+_BLUR = 1.0  # texels: standard deviation of the blur of borders between materials
+_NARROW = 0.35  # roughness from which on 16 samples a pixel have an error of less than .2 % of its radiance
 
 
 @dataclass(frozen=True)
@@ -51,34 +51,34 @@ class Card:
 
     @property
     def digest(self) -> bytes:
-        """What tells this card from others."""
+        """Bytes that identify this card."""
         return b"".join(np.round(a, 6).astype(np.float32).tobytes() for a in vars(self).values())
 
     @property
     def fine(self) -> bool:
-        """Whether a pixel shows lobes so narrow that it wants more samples than others."""
+        """Whether the card has lobes so narrow that pixels need more samples."""
         return bool(self.roughness.min() < _NARROW)
 
-    def build(self, found: TrueMaps | None = None) -> None:
-        """Put the card into the open scene; with recovered maps flat, as the picture shows them pixel for pixel."""
-        build_true(self) if found is None else build_flat(found)
+    def build(self, maps: TrueMaps | None = None) -> None:
+        """Put the card into the open scene; with recovered maps flat, one texel a pixel."""
+        build_true(self) if maps is None else build_flat(maps)
 
     def truth(self, as_seen: TrueMaps) -> TrueMaps:
-        """Return the true maps of the texels that are recovered: of the pixels."""
+        """Return the true maps of the recovered texels, which are the pixels."""
         return as_seen
 
     def points(self, camera: Camera) -> np.ndarray:
-        """Return (SIDE, SIDE, 3) the places on the flat card that the pixels show."""
+        """Return (SIDE, SIDE, 3), the pixels' points on the flat card."""
         along = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * WIDTH
         x, y = np.meshgrid(along, along)
         return np.stack([x, y, np.zeros_like(x)], axis=-1)
 
     def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]:
-        """Return what ``recover`` is told besides the capture."""
+        """Return the arguments of ``recover`` besides the capture: none."""
         return ()
 
     def domain(self, capture: Capture, shadows: bool) -> Domain:
-        """Return what is recovered from a capture."""
+        """Return the domain of a capture."""
         return domain_from_card(capture)
 
 
@@ -164,7 +164,7 @@ def glazed_tiles() -> Card:
 
 
 def brass_patina() -> Card:
-    """Return brass, here more polished and there less, with green patina."""
+    """Return brass, polished unevenly, with green patina."""
     noise = _Noise(6)
     green = _soft((noise(9.0) + 0.4 * noise(3.0) > 0.35).astype(float))
     brass = np.array((0.89, 0.72, 0.36)) * (1 + 0.03 * noise(4.0))[..., None]
@@ -187,7 +187,7 @@ def cloth() -> Card:
 
 
 def skin() -> Card:
-    """Return skin with pores, reddish and pale, here oily and there dry."""
+    """Return skin with pores, reddish and pale, oily and dry in places."""
     noise = _Noise(8)
     colour = _mixed((0.66, 0.4, 0.29), (0.5, 0.2, 0.13), _step(noise(10.0), 1.5))
     pores = _step(noise(2.2) - 1.0, 0.6)
@@ -218,10 +218,10 @@ def build_true(card: Card) -> None:
 
 
 def build_rim(height: float) -> None:
-    """Put a matt grey rim of that height around what the picture shows into the open scene: it shadows the card.
+    """Put a matt grey rim of this height, which shadows the card, around the picture's area into the open scene.
 
-    The reliefs are too low for shadows that matter: with slopes five times as steep less than 1 % of the samples under
-    24 lamps would be in one.
+    The reliefs are too low for shadows: with slopes five times as steep less than 1 % of the samples under 24 lamps
+    would be in one.
     """
     inner, outer = WIDTH / 2 * _RIM, WIDTH / 2 * (1 + 2 * MARGIN / SIDE)
     low, high = -WIDTH * HIGHEST / SIDE, height
@@ -239,7 +239,7 @@ def build_rim(height: float) -> None:
 
 
 def build_flat(maps: TrueMaps) -> None:
-    """Put a flat card that the picture shows pixel for pixel into the open scene, with recovered maps on it."""
+    """Put a flat card with recovered maps, one texel a pixel, into the open scene."""
     reach = WIDTH / 2
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * reach
     made = smooth_mesh(bpy.context.scene, "card", corners, np.arange(4)[None], (corners[:, :2] / reach + 1) / 2)
@@ -247,26 +247,26 @@ def build_flat(maps: TrueMaps) -> None:
 
 
 class _Noise:
-    """Smooth noise of mean 0 and standard deviation 1; every call gives another."""
+    """Smooth noise of mean 0 and standard deviation 1; every call returns a new sample."""
 
     def __init__(self, seed: int):
         self._rng = np.random.default_rng(seed)
 
     def __call__(self, texels: float | tuple[float, float]) -> np.ndarray:
-        """Return (_FULL, _FULL) of white noise blurred by so many texels, along y and x where there are two."""
+        """Return (_FULL, _FULL) white noise blurred by a Gaussian of ``texels``, or of two, along y and x."""
         values = gaussian_filter(self._rng.standard_normal((_FULL, _FULL)), texels, mode="wrap")
         return (values - values.mean()) / values.std()
 
 
 def _card(relief: np.ndarray, share: float, colour: np.ndarray, roughness: np.ndarray, metallic) -> Card:
-    """Return a card whose relief is scaled to ``share`` of what parallax allows."""
+    """Return a card with the relief scaled to ``share`` of HIGHEST."""
     relief = relief - (relief.max() + relief.min()) / 2
     height = share * HIGHEST * relief / np.abs(relief).max()
     return Card(height, np.clip(colour, 0, 1), roughness, np.broadcast_to(metallic, height.shape).astype(np.float64))
 
 
 def _places() -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y of the texels' middles, in texels from the lower left corner of the picture."""
+    """Return x and y of the texels' centres, in texels from the lower left corner of the picture."""
     along = np.arange(_FULL) + 0.5 - MARGIN
     return tuple(np.meshgrid(along, along))
 
@@ -287,7 +287,7 @@ def _step(values: np.ndarray, width: float) -> np.ndarray:
 
 
 def _even(noise: np.ndarray) -> np.ndarray:
-    """Return noise brought to −1…1, about evenly."""
+    """Return noise mapped to −1…1, roughly uniform."""
     return np.tanh(noise)
 
 

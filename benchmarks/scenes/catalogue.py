@@ -1,4 +1,4 @@
-"""Which subjects are photographed as captures like DiLiGenT's, and what they are made of."""
+"""Subjects of captures like DiLiGenT's, with their materials."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from .materials import Finish
 
 @dataclass(frozen=True)
 class Scene:
-    """mesh: makes the subject. finish: its material. fill: the share of the picture that it may span.
+    """A subject. mesh: function that makes it. finish: its material. fill: share of the picture that it may span.
 
-    saturated: the share of the subject's samples that one exposure for all pictures burns out. samples, denoise: as in
-    render.View.
+    saturated: share of the subject's samples that the exposure clips. samples, denoise: of render.View.
     """
 
     mesh: Callable
@@ -28,7 +27,7 @@ class Scene:
 
 
 def catalogue(head: Path | None) -> dict[str, Scene]:
-    """Return name → scene; those of the head only where the .obj file of its scan is given."""
+    """Return name → scene. head: the .obj file of the scan, without which its scenes are missing."""
     return _made_scenes() | (_head_scenes(partial(subjects.scan, head)) if head is not None else {})
 
 

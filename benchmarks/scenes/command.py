@@ -1,4 +1,4 @@
-"""The public command, run as a person would run it."""
+"""Runs the public command in a process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of what benchmarks/gloss.py measured: one run, or several beside each other."""
+"""Tables of the results of benchmarks/gloss.py: of one run, or of several side by side."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COLUMNS = {
     "psnr_highlights": ("of highlights", 1),
     "seconds": ("s", 0),
 }
-# What several runs are compared by: a table of all columns would be too wide to read.
+# Columns that compare several runs: with all of them a table is too wide to read.
 COMPARED = {
     "normal_mean": "normal °",
     "base_color": "base colour",
@@ -38,12 +38,12 @@ COMPARED = {
 }
 
 
-# Of each map, per cent of the texels whose error is above three deviations.
+# Column of each map: per cent of the texels whose error exceeds three deviations.
 BEYOND = {f"beyond_{name}": name for name in ("normal", "base_color", "metallic", "roughness")}
 
 
 def coverage(rows: Sequence[Row]) -> str:
-    """Return the markdown table of how many texels are further off than three of their deviations, in per cent."""
+    """Return the markdown table of the texels with errors above three of their deviations, in per cent."""
     lines = [_line(["card", "capture", *(f"{name} > 3 σ, %" for name in BEYOND.values())])]
     lines.append("|---" * (len(BEYOND) + 2) + "|")
     for row in rows:
@@ -64,8 +64,7 @@ def one_run(rows: Sequence[Row]) -> str:
 def side_by_side(files: Sequence[Path]) -> str:
     """Return the markdown table of several results: a cell holds the numbers of all runs, in the order of the files.
 
-    Files of one label are one run. Rows are cards and captures that any run has; a mean over what all have is at the
-    end.
+    Files of one label are one run. Rows: cards and captures of any run, then the mean over those that all runs have.
     """
     by_label: dict[str, dict[tuple[str, str], Row]] = {}
     for row in (row for path in files for row in read_rows(path)):
@@ -88,11 +87,11 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def _mean(rows: Sequence[Row]) -> Row:
-    found: Row = {}
+    means: Row = {}
     for name in COMPARED:
         values = [row[name] for row in rows if row[name] is not None]
-        found[name] = sum(values) / len(values) if values else None
-    return found
+        means[name] = sum(values) / len(values) if values else None
+    return means
 
 
 def _number(row: Row | None, key: str) -> str:

@@ -1,4 +1,4 @@
-"""Cards photographed by hand with a phone's flash, by Cycles: JPEG with EXIF, and the truth beside them.
+"""Handheld photographs of cards with a phone's flash, by Cycles: JPEG with EXIF, and the truth.
 
 Lengths are millimetres. The card lies in the plane z = 0 around the origin, on a printed marker board or on bare
 paper.
@@ -28,7 +28,7 @@ CARD = 120.0  # width and height
 BOARD = board_of("A4", 8)
 SIZE, FOCAL_35MM = (400, 300), 30
 OFFSET = np.array([14.0, 9.0, 0.0])  # of the flash from the lens, in the camera's axes
-BEAM = 2.0  # power of the cosine with which the flash falls
+BEAM = 2.0  # exponent of the cosine in the flash's falloff
 _RADIUS = 2.0  # of the flash
 _TEXELS = 256
 _PAPER, _INK = 0.8, 0.04  # reflectances
@@ -57,23 +57,23 @@ def _tile() -> tuple[TrueMaps, np.ndarray]:
 
 
 def poses(count: int, seed: int) -> list[np.ndarray]:
-    """Return (4, 4) cameras of a hand that goes around the card: tilted by 3° to 50°, 260 to 400 mm away."""
+    """Return (4, 4) matrices of cameras around the card: tilted by 3° to 50°, 260 to 400 mm away."""
     random = np.random.default_rng(seed)
-    found = []
+    matrices = []
     for k in range(count):
         tilt = np.radians(3 + 47 * np.sqrt((k + 0.5) / count))
         around = k * _GOLDEN_ANGLE + random.uniform(-0.2, 0.2)
-        away = np.array([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)])
+        direction = np.array([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)])
         aim = np.array([*random.uniform(-15, 15, 2), 0.0])
-        backward = away
+        backward = direction
         up = np.array([*(np.array([0, 1.0]) + random.uniform(-0.4, 0.4, 2)), 0.0])
         right = np.cross(up, backward)
         right /= np.linalg.norm(right)
         matrix = np.eye(4)
         matrix[:3, :3] = np.stack([right, np.cross(backward, right), backward], axis=-1)
-        matrix[:3, 3] = aim + random.uniform(260, 400) * away
-        found.append(matrix)
-    return found
+        matrix[:3, 3] = aim + random.uniform(260, 400) * direction
+        matrices.append(matrix)
+    return matrices
 
 
 def photograph(name: str, subject: Subject, markers: bool, folder: Path, count: int = 32, seed: int = 0) -> None:
@@ -112,7 +112,7 @@ def photograph(name: str, subject: Subject, markers: bool, folder: Path, count: 
 
 
 def _normals(heights: np.ndarray) -> np.ndarray:
-    """Return (N, N, 3) unit normals at the middles of a grid of heights (N + 1, N + 1)."""
+    """Return (N, N, 3) unit normals at the cell centres of a grid of heights (N + 1, N + 1)."""
     step = CARD / (len(heights) - 1)
     up, across = np.gradient((heights[1:, 1:] + heights[:-1, 1:] + heights[1:, :-1] + heights[:-1, :-1]) / 4, step)
     normal = np.stack([-across, -up, np.ones_like(up)], axis=-1)
@@ -120,7 +120,7 @@ def _normals(heights: np.ndarray) -> np.ndarray:
 
 
 def _beam(camera: Camera, place: np.ndarray) -> np.ndarray:
-    """Return (H, W) the share of the flash's light that goes to what the pixels show of the plane z = 0."""
+    """Return (H, W): the flash's relative intensity toward the pixels' points of the plane z = 0."""
     toward = camera.points(1.0) - camera.position
     points = camera.position - toward * (camera.position[2] / toward[..., 2:])
     away = points - place

@@ -30,8 +30,8 @@ SCAN = "head_leeperrysmith"  # folder of the data
 _TEXELS, _DETAIL = 256, 128  # of the maps, along a side; a texel is some 1.5 pixels, their detail 3
 _SKIN = (0.35, 0.5)  # roughness
 _HEIGHT = 3.9  # of the mesh in world units: the face is then as wide as the cards, 1.5 of the picture's 2
-_FACE = (0.0, 0.8, 0.85)  # of the mesh so enlarged: what stands at the origin, between the eyes and behind the nose
-_BORDER = 1.0  # texels: what a patch's border is softened by
+_FACE = (0.0, 0.8, 0.85)  # of the scaled mesh: its point at the origin, between the eyes and behind the nose
+_BORDER = 1.0  # texels: standard deviation of the blur of a patch's border
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ PATCHES = (
 
 @dataclass(frozen=True)
 class Head:
-    """scan: the .obj file. maps: the true ones."""
+    """The painted head. scan: the .obj file. maps: the true ones."""
 
     scan: Path
     maps: TrueMaps
@@ -65,35 +65,35 @@ class Head:
 
     @property
     def digest(self) -> bytes:
-        """What tells this head from others."""
+        """Bytes that identify this head."""
         maps = (np.round(a, 6).astype(np.float32).tobytes() for a in vars(self.maps).values() if a is not None)
         return b"".join((*maps, repr((_HEIGHT, _FACE, self.side)).encode()))
 
-    def build(self, found: TrueMaps | None = None) -> None:
+    def build(self, maps: TrueMaps | None = None) -> None:
         """Put the head into the open scene, its face at the origin, with its true maps or with recovered ones."""
         made = subjects.scan(self.scan, 1)
         made.name = NAME
         subjects.fit(made, np.inf, _HEIGHT)
         made.data.transform(Matrix.Translation([-v for v in _FACE]))
-        made.data.materials.append(true_material(self.maps if found is None else found))
+        made.data.materials.append(true_material(self.maps if maps is None else maps))
 
     def truth(self, as_seen: TrueMaps) -> TrueMaps:
-        """Return the true maps of the texels that are recovered."""
+        """Return the true maps of the recovered texels."""
         return self.maps
 
     def points(self, camera: Camera) -> np.ndarray:
-        """Return (side, side, 3) the places that the camera sees of the open scene's head."""
+        """Return (side, side, 3), the pixels' points on the open scene's head."""
         return bake_camera(extract_mesh(bpy.data.objects[NAME]), camera).position
 
     def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]:
-        """Return what ``recover`` is told of the open scene's head, which is saved into the folder without material."""
+        """Save the open scene's head without material into the folder; return the arguments of ``recover`` for it."""
         bpy.data.objects[NAME].data.materials.clear()
         save_blend(folder)
         mesh = "--blend", folder / BLEND, "--object", NAME, "--resolution", _TEXELS
         return mesh if shadows else (*mesh, "--no-shadows")
 
     def domain(self, capture: Capture, shadows: bool) -> Domain:
-        """Return what is recovered from a capture of the open scene's head."""
+        """Return the domain of a capture of the open scene's head."""
         return domain_from_mesh(capture, extract_mesh(bpy.data.objects[NAME]), _TEXELS, _TEXELS, shadows=shadows)
 
 

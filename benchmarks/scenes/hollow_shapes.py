@@ -1,4 +1,4 @@
-"""Shapes that throw light on themselves: unwrapped meshes that face +z. All but the scan's parts are made in code."""
+"""Shapes with interreflection: unwrapped meshes that face +z. All but the scan's parts are made in code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mathutils import Matrix, Vector
 from . import subjects
 
 _MARGIN = 0.01  # of the UV square
-_ISLAND = 0.2  # of it: how far a part of a scan reaches
+_ISLAND = 0.2  # of the UV square: radius of a part of a scan
 _Stroke = Sequence[tuple[float, float]]
 _LETTERS: tuple[tuple[_Stroke, ...], ...] = (
     (((0.75, 1), (0, 1), (0, 0.5), (0.75, 0.5), (0.75, 0), (0, 0)),),
@@ -87,9 +87,9 @@ def cubes() -> bpy.types.Object:
 
 
 def part_of_scan(path: Path, middle: Sequence[float], radius: float, turn: float) -> bpy.types.Object:
-    """Return what of an .obj file lies within a ball; its UVs fill the square. turn: around the vertical, degrees.
+    """Return the part of an .obj file within a ball; its UVs fill the square. turn: around the vertical, degrees.
 
-    Without what lies elsewhere in the UVs: the inside of the mouth.
+    Without faces elsewhere in the UVs: the inside of the mouth.
     """
     made = subjects.scan(path, 1)
     edited = bmesh.new()
@@ -98,8 +98,8 @@ def part_of_scan(path: Path, middle: Sequence[float], radius: float, turn: float
     place = {face: np.array(face.loops[0][layer].uv) for face in edited.faces}
     near = [face for face in place if (face.calc_center_median() - Vector(middle)).length <= radius]
     center = np.median([place[face] for face in near], axis=0)
-    kept = {face for face in near if np.linalg.norm(place[face] - center) < _ISLAND}
-    bmesh.ops.delete(edited, geom=[face for face in place if face not in kept], context="FACES")
+    island = {face for face in near if np.linalg.norm(place[face] - center) < _ISLAND}
+    bmesh.ops.delete(edited, geom=[face for face in place if face not in island], context="FACES")
     edited.to_mesh(made.data)
     edited.free()
     made = subjects.finished(made, turn=(0, np.radians(turn), 0))
@@ -131,13 +131,13 @@ def _unwrap_lathed(mesh: bpy.types.Mesh) -> None:
     _set_uv(mesh, np.stack([around, along[ring] / along[-1]], axis=-1))
 
 
-def _sheet(points: np.ndarray, side: float, kept: np.ndarray | None = None) -> bpy.types.Object:
-    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. kept: which points."""
+def _sheet(points: np.ndarray, side: float, included: np.ndarray | None = None) -> bpy.types.Object:
+    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. included: a mask."""
     rows, columns = points.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
     faces = np.stack([number[1:, :-1], number[1:, 1:], number[:-1, 1:], number[:-1, :-1]], axis=-1).reshape(-1, 4)
-    if kept is not None:
-        faces = faces[kept.ravel()[faces].all(axis=-1)]
+    if included is not None:
+        faces = faces[included.ravel()[faces].all(axis=-1)]
         number, faces = np.unique(faces, return_inverse=True)
         faces = faces.reshape(-1, 4)
     row, column = np.divmod(number.ravel(), columns)
@@ -156,16 +156,16 @@ def _unwrapped(points: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> bpy.typ
 
 
 def _set_uv(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
-    """Give a mesh UVs of its corners (…, 2) in 0…1, in place of those that it has."""
+    """Set the UVs (…, 2) in 0…1 of a mesh's corners."""
     layer = mesh.uv_layers[0] if mesh.uv_layers else mesh.uv_layers.new(name="UVMap")
     layer.data.foreach_set("uv", (_MARGIN + (1 - 2 * _MARGIN) * uv).astype(np.float32).ravel())
 
 
 def _distance(x: np.ndarray, y: np.ndarray, stroke: _Stroke) -> np.ndarray:
-    """Return the distance of places to a line through points."""
-    place, found = np.stack([x, y], axis=-1), []
+    """Return the distance of points (x, y) to a polyline."""
+    place, distances = np.stack([x, y], axis=-1), []
     for begin, end in zip(np.array(stroke, float), np.array(stroke[1:], float), strict=False):
         along = end - begin
         part = np.clip((place - begin) @ along / (along @ along), 0, 1)
-        found.append(np.linalg.norm(place - begin - part[..., None] * along, axis=-1))
-    return np.minimum.reduce(found)
+        distances.append(np.linalg.norm(place - begin - part[..., None] * along, axis=-1))
+    return np.minimum.reduce(distances)

@@ -1,4 +1,4 @@
-"""Hollow bodies, photographed by Cycles with the light that they throw on themselves, and with none."""
+"""Hollow bodies, rendered by Cycles with interreflection and without."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FILL = 2.2  # of the picture's 2.4 world units
 
 @dataclass(frozen=True)
 class Hollow:
-    """A body of one material. shape: puts it, unwrapped, into the open scene."""
+    """A body of one material. shape: function that puts it, unwrapped, into the open scene."""
 
     shape: Callable[[], bpy.types.Object]
     color: tuple[float, float, float]
@@ -39,7 +39,7 @@ class Hollow:
 
     @property
     def finish(self) -> materials.Finish:
-        """What it is made of."""
+        """Its material."""
         return materials.Finish((self.color, self.color), (self.roughness, self.roughness), self.metallic)
 
 
@@ -61,14 +61,14 @@ HOLLOWS = {
 
 
 def head_parts(scan: Path) -> dict[str, Hollow]:
-    """Return name → body of the head's parts, from the .obj file of its scan."""
+    """Return name → body: parts of the head. scan: its .obj file."""
     ear = partial(hollow_shapes.part_of_scan, scan, (0.08, -0.03, -0.075), 0.042, -80.0)
     mouth = partial(hollow_shapes.part_of_scan, scan, (0.0, -0.062, 0.03), 0.042, 0.0)
     return {"ear": Hollow(ear, _GREY), "mouth, glazed": Hollow(mouth, (0.9, 0.6, 0.5), _GLAZED)}
 
 
 def photograph(name: str, body: Hollow, bounces: int, side: int, samples: int, cache: Path) -> Path:
-    """Return the folder of a body's capture with so many bounces of light, rendered where ``cache`` lacks it."""
+    """Return the folder of a body's capture with ``bounces`` bounces of light, rendered if ``cache`` lacks it."""
     folder = cache / f"{name.replace(', ', '-').replace(' ', '-')}-{side}-{samples}-{bounces}"
     if not (folder / CAPTURE).exists():
         render.empty_scene(render.View(side, side, samples=samples, bounces=bounces, clamp=0.0, filter_glossy=0.0))

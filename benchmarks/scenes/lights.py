@@ -1,4 +1,4 @@
-"""Where the lights of a capture stand and how bright they are. Plain numpy."""
+"""Directions, positions and intensities of the lights of a capture. Plain numpy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 def grid_lights(
     columns: int = 12, rows: int = 8, widest: tuple[float, float] = (45.0, 35.0), seed: int = 0
 ) -> np.ndarray:
-    """Return (columns·rows, 3) unit directions on a grid around +z, as the light frame of DiLiGenT has them.
+    """Return (columns·rows, 3) unit directions on a grid around +z, as on DiLiGenT's light frame.
 
     widest: degrees to the side and up of the outermost lights. Each light is up to a degree off its place (seed).
     """
@@ -24,7 +24,7 @@ def grid_lights(
 def dome_lights(count: int, widest: float, narrowest: float = 0.0, turn: float = 0.0) -> np.ndarray:
     """Return (count, 3) unit directions spread evenly, on a spiral, over the cap of ``widest`` degrees around +z.
 
-    narrowest: degrees off +z below which there is none. turn: degrees by which the spiral is turned around +z.
+    narrowest: least degrees off +z. turn: degrees by which the spiral is turned around +z.
     """
     top, low = np.cos(np.radians([narrowest, widest]))
     height = top - (top - low) * (np.arange(count) + 0.5) / count
@@ -35,9 +35,9 @@ def dome_lights(count: int, widest: float, narrowest: float = 0.0, turn: float =
 def lamp_places(
     count: int, off_axis: tuple[float, float], distance: tuple[float, float], turn: float = 0.0
 ) -> np.ndarray:
-    """Return (count, 3) places of near lamps, evenly between two angles off +z and two distances from the origin.
+    """Return (count, 3) positions of near lamps, evenly between two angles off +z and two distances from the origin.
 
-    off_axis: degrees. Distances follow the golden ratio, so that lamps beside each other differ in it.
+    off_axis: degrees. Distances follow the golden ratio, so that those of neighbouring lamps differ.
     """
     share = np.arange(1, count + 1) * _GOLDEN_RATIO % 1
     far = distance[0] + (distance[1] - distance[0]) * share
@@ -50,7 +50,7 @@ def seen_and_unseen() -> tuple[np.ndarray, np.ndarray]:
 
 
 def uneven_intensities(count: int, low: float, high: float, seed: int = 0) -> np.ndarray:
-    """Return (count, 3) RGB intensities from ``low`` to ``high``: bulbs that differ, a little in hue too."""
+    """Return (count, 3) RGB intensities from ``low`` to ``high``, with slightly different hues."""
     rng = np.random.default_rng(seed)
     brightness = rng.uniform(low, high, (count, 1))
     return np.clip(brightness * rng.uniform(0.8, 1.25, (count, 3)), low, high)

@@ -1,4 +1,4 @@
-"""Materials: Blender's Principled BSDF with what a subject is made of, and outputs that tell the renderer's truth."""
+"""Materials of the subjects: Blender's Principled BSDF, with outputs for the true maps."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from irpso_addon.blender.scenes.true_surface import blank_material, wire_truths
 
 @dataclass(frozen=True)
 class Finish:
-    """What a subject's surface is like.
+    """The material of a subject.
 
-    colours: two linear colours between which noise mixes. roughness: likewise two values. scale: blotches to a unit.
+    colours: two linear colours that noise mixes. roughness: likewise two values. scale: frequency of the noise.
     attributes: colour, roughness and metallic are those of the mesh (subjects.set_surface), dimmed by the noise.
-    extra: further sockets of the node by name (coat, sheen, subsurface). plain: the four maps tell all there is, so
-    that roughness is a truth to compare with.
+    extra: further sockets of the node by name (coat, sheen, subsurface). plain: the four maps are the whole material,
+    so that roughness can be compared.
     """
 
     colours: tuple[tuple[float, float, float], tuple[float, float, float]]

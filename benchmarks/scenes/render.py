@@ -1,4 +1,4 @@
-"""Photographs by Cycles: one Sun at a time, an orthographic camera along −z, pictures kept between runs."""
+"""Photographs by Cycles under one light at a time, with an orthographic camera along −z, cached in files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DISTANCE = 10.0  # of the camera from the origin
 
 
 def empty_scene(view: View):
-    """Empty Blender and return its scene, set up, with an orthographic camera: no world, no light yet."""
+    """Empty Blender and return its scene, set up, with an orthographic camera; without world and lights."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     set_up(scene, view)
@@ -41,7 +41,7 @@ def photographs(
 ) -> Iterator[np.ndarray]:
     """Yield (H, W, 3) float32 radiance, row 0 at the bottom, under each Sun of intensity 1; directions: (K, 3).
 
-    shadows: whether light is blocked by what stands in its way. Pictures that ``folder`` holds are not rendered again.
+    shadows: whether they are cast. report: called with each number. Pictures in ``folder`` are not rendered again.
     """
     return _photographs(folder, directions, "SUN", report, shadows)
 
@@ -49,7 +49,7 @@ def photographs(
 def photographs_near(folder: Path, places: np.ndarray, shadows: bool = True) -> Iterator[np.ndarray]:
     """Yield as ``photographs`` does under each point light; places: (K, 3).
 
-    Their intensity is the square of their distance from the origin, where they shine as bright as a Sun of 1.
+    Their intensity is the square of their distance from the origin: the irradiance there is that of a Sun of 1.
     """
     return _photographs(folder, places, "POINT", None, shadows)
 
@@ -61,7 +61,7 @@ def _photographs(
         lamp.data.use_shadow = shadows
         path = folder / f"light_{number:03d}.exr"
         if not path.exists():
-            bpy.context.scene.cycles.seed = number  # else a pixel has the same noise under all lights, as its own light
+            bpy.context.scene.cycles.seed = number  # else a pixel has the same noise under all lights
             render_radiance(bpy.context.scene, path)
         yield read_radiance(path)
         if report:
@@ -69,7 +69,7 @@ def _photographs(
 
 
 def truth(folder: Path) -> dict[str, np.ndarray]:
-    """Return the maps as the camera sees them (``read_seen_maps``)."""
+    """Return the true maps as the camera sees them (``read_seen_maps``)."""
     path = folder / "truth.exr"
     if not path.exists():
         render_maps(bpy.context.scene, path)
@@ -77,7 +77,7 @@ def truth(folder: Path) -> dict[str, np.ndarray]:
 
 
 def lamps(vectors: np.ndarray, kind: str = "SUN") -> Iterator[Any]:
-    """Yield the scene's one lamp, a SUN or a POINT, at each of the vectors (K, 3), as bright as ``photographs`` say."""
+    """Yield the scene's only lamp, a SUN or a POINT, at each of the vectors (K, 3), as bright as in ``photographs``."""
     lamp = only_lamp(bpy.context.scene, kind)
     for vector in vectors:
         place_lamp(lamp, vector)

@@ -1,4 +1,4 @@
-"""Maps at other numbers of texels. Plain numpy."""
+"""Resampling of maps. Plain numpy."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 
 def resampled(values: np.ndarray, size: int, detail: int) -> np.ndarray:
-    """Return (size, size, …) of a square map that repeats: means over blocks, ``detail`` along a side, then enlarged.
+    """Return (size, size, …) of a periodic square map: means over blocks, ``detail`` along a side, then enlarged.
 
-    ``detail`` divides the side of the map, and ``size`` is a multiple of it; enlarging is linear between the middles of
-    texels, as a texture is looked up.
+    ``detail`` divides the side of the map, and ``size`` is a multiple of it. Enlarging is linear between texel centres,
+    like a texture lookup.
     """
     step = values.shape[0] // detail
     small = values.reshape(detail, step, detail, step, *values.shape[2:]).mean(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""How far maps and pictures are from the truth. numpy and scipy."""
+"""Errors of maps and pictures against the truth. numpy and scipy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 @dataclass(frozen=True)
 class Errors:
-    """Of the errors at all texels: their mean, median and 95th percentile."""
+    """Mean, median and 95th percentile of the errors at all texels."""
 
     mean: float
     median: float
@@ -22,12 +22,12 @@ class Errors:
 
     @staticmethod
     def of(values: np.ndarray) -> Errors:
-        """Sum up an array of errors."""
+        """Return the summary of an array of errors."""
         return Errors(float(values.mean()), float(np.median(values)), float(np.percentile(values, 95)))
 
 
 def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return (…) degrees between unit vectors (…, 3), from the chord: exact where the angle is small."""
+    """Return (…) degrees between unit vectors (…, 3), from the chord: precise for small angles."""
     chord = np.linalg.norm(np.asarray(a, np.float64) - b, axis=-1)
     return np.degrees(2 * np.arcsin(np.minimum(chord / 2, 1)))
 
@@ -35,13 +35,13 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
     """Return the peak signal-to-noise ratio in dB of pictures (H, W, C) in 0…1 over the mask (H, W)."""
     error = np.mean((np.asarray(a, np.float64) - b)[mask] ** 2)
-    return float(-10 * np.log10(max(error, 1e-12)))  # 120 dB: pictures that are the same to six digits
+    return float(-10 * np.log10(max(error, 1e-12)))  # at most 120 dB: pictures equal to six digits
 
 
 def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
     """Return the structural similarity (Wang et al. 2004) of pictures (H, W, C) in 0…1, mean over the mask (H, W).
 
-    What lies outside the mask counts as black in both.
+    Pixels outside the mask count as black in both.
     """
     return float(np.mean([_ssim_map(a[..., c] * mask, b[..., c] * mask)[mask].mean() for c in range(a.shape[-1])]))
 

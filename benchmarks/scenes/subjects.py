@@ -1,4 +1,4 @@
-"""Meshes: made in code, Blender's own monkey, and scans that are handed in. Each faces +z, upright along +y."""
+"""Meshes of the subjects: made in code, Blender's monkey, and scans. Each faces +z, upright along +y."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def monkey(levels: int = 3):
 
 
 def scan(path: str | Path, levels: int = 2):
-    """Return the mesh of an .obj file whose own axes are x right, y up, z to the viewer."""
+    """Return the mesh of an .obj file with axes x right, y up, z to the viewer."""
     bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")
     made = bpy.context.object
     made.data.materials.clear()
@@ -51,14 +51,14 @@ def pot():
 
 
 def goblet():
-    """Return a goblet that leans toward the viewer: one sees into its bowl."""
+    """Return a goblet that leans toward the viewer, open bowl in view."""
     height = np.array([-1.0, -1.0, -0.96, -0.9, -0.6, -0.3, -0.15, 0.1, 0.5, 1.0, 1.03, 1.0, 0.5, 0.15, 0.0, -0.03])
     radius = np.array([0.0, 0.5, 0.52, 0.25, 0.09, 0.11, 0.3, 0.58, 0.68, 0.74, 0.71, 0.68, 0.62, 0.5, 0.25, 0.0])
     return finished(lathe(radius, height), turn=(np.radians(42), 0, np.radians(-6)))
 
 
 def harvest():
-    """Return a bowl of fruit-like bodies that shade and light one another; see ``set_surface`` for what they carry."""
+    """Return a bowl of fruit-like bodies with shadows and interreflection; their materials are by ``set_surface``."""
     height = np.array([-0.75, -0.75, -0.6, -0.2, 0.05, 0.1, 0.05, -0.2, -0.5, -0.62])
     radius = np.array([0.0, 0.5, 0.75, 1.05, 1.25, 1.22, 1.18, 0.98, 0.6, 0.0])
     bowl = lathe(radius, height)
@@ -70,11 +70,11 @@ def harvest():
     surfaces = [((0.7, 0.08, 0.05), 0.2, 0.0), ((0.8, 0.55, 0.08), 0.5, 0.0), ((0.25, 0.5, 0.1), 0.35, 0.0),
              ((0.9, 0.6, 0.3), 0.35, 1.0), ((0.3, 0.08, 0.3), 0.15, 0.0), ((0.75, 0.75, 0.7), 0.6, 0.0),
              ((0.6, 0.62, 0.65), 0.45, 1.0)]  # fmt: skip
-    for place, look in zip(places, surfaces, strict=True):
+    for place, surface in zip(places, surfaces, strict=True):
         bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=rng.uniform(0.3, 0.42), location=place)
         parts.append(bpy.context.object)
         parts[-1].scale = (1, rng.uniform(0.8, 1.2), 1)
-        set_surface(parts[-1], *look)
+        set_surface(parts[-1], *surface)
     bpy.ops.mesh.primitive_torus_add(
         major_radius=0.32, minor_radius=0.11, major_segments=128, minor_segments=48, location=(-0.25, 0.45, 0.45),
         rotation=(0.9, 0.5, 0),
@@ -86,7 +86,7 @@ def harvest():
 def lathe(radius: Sequence[float], height: Sequence[float], bumps: Callable | None = None):
     """Return a body of revolution around y through points (radius, height), smoothed by Catmull and Rom's spline.
 
-    bumps: returns, for (height, angle), what the radius is multiplied with.
+    bumps: function of (height, angle) that returns factors of the radius.
     """
     r, y = (_spline(np.asarray(values, float), 16) for values in (radius, height))
     around = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
@@ -105,7 +105,7 @@ def lathe(radius: Sequence[float], height: Sequence[float], bumps: Callable | No
 
 
 def set_surface(obj, colour: tuple[float, float, float], roughness: float, metallic: float) -> None:
-    """Store what a part is made of in attributes of its vertices, "tint", "rough" and "metal", that materials read."""
+    """Store a part's material in attributes of its vertices, "tint", "rough" and "metal", which materials read."""
     count = len(obj.data.vertices)
     tint = np.tile(np.float32([*colour, 1]), count)
     obj.data.attributes.new("tint", "FLOAT_COLOR", "POINT").data.foreach_set("color", tint)
@@ -126,7 +126,7 @@ def fit(obj, width: float, height: float) -> None:
 
 
 def _spline(values: np.ndarray, steps: int) -> np.ndarray:
-    """Catmull & Rom (1974) through ``values``, ``steps`` points for each span."""
+    """Return the spline of Catmull & Rom (1974) through ``values``, ``steps`` points for each span."""
     padded = np.concatenate([[2 * values[0] - values[1]], values, [2 * values[-1] - values[-2]]])
     a, b, c, d = (padded[i : i + len(values) - 1, None] for i in range(4))
     t = np.arange(steps) / steps
@@ -144,7 +144,7 @@ def _joined(parts: Sequence):
 
 
 def finished(obj, levels: int = 0, turn: tuple[float, float, float] = (0, 0, 0)):
-    """Subdivide, turn, recompute which side is out, shade smoothly; what is left is a mesh without modifiers."""
+    """Subdivide and turn an object, recompute its normals, shade it smooth; return it, without modifiers."""
     bpy.ops.object.select_all(action="DESELECT")
     obj.select_set(True)
     bpy.context.view_layer.objects.active = obj

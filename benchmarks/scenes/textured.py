@@ -1,4 +1,4 @@
-"""Meshes with UVs and true maps, photographed: captures for the command line, and pictures under new lights."""
+"""Photographs of meshes with UVs and true maps: captures for the command line, and pictures under unseen lights."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HEAD_ROUGHNESS = (0.65, 0.45)
 
 @dataclass(frozen=True)
 class TexturedScene:
-    """mesh: makes the subject. maps: reads its true maps, given texels and detail (``resampled``). note: for all."""
+    """A subject. mesh: makes it. maps: function (texels, detail) → true maps (``resampled``). note: for pages."""
 
     mesh: Callable
     maps: Callable[[int, int], TrueMaps]
@@ -67,7 +67,7 @@ def head_maps(folder: Path, size: int, detail: int) -> TrueMaps:
 
 
 def prepare(scene: TexturedScene, view: render.View, folder: Path) -> None:
-    """Empty Blender and put subject and camera into it; where ``folder`` has no .blend file with them, save one."""
+    """Empty Blender, put subject and camera into it, and save them as ``folder``'s .blend file, unless it has one."""
     render.empty_scene(view)
     data = bpy.context.scene.camera.data
     data.type, data.angle = "PERSP", 2 * np.arctan(view.world_width / 2 / _DISTANCE)
@@ -80,7 +80,7 @@ def prepare(scene: TexturedScene, view: render.View, folder: Path) -> None:
 
 
 def save_blend(folder: Path) -> None:
-    """Save the open scene as the folder's .blend file, where it has none."""
+    """Save the open scene as the folder's .blend file, unless it has one."""
     if not (folder / BLEND).exists():
         folder.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / BLEND), copy=True, check_existing=False)
@@ -91,7 +91,7 @@ def photograph(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Write the capture into ``folder``; return the pictures under the unseen lights (K, H, W, 3) and the mask (H, W).
 
-    The scene has been prepared. What the folder holds is not rendered again.
+    Call ``prepare`` first. Pictures in the folder are not rendered again.
     """
     bpy.data.objects[NAME].data.materials.append(true_material(truth))
     mask = render.truth(folder / "seen")["coverage"] > 0.999
@@ -111,14 +111,14 @@ def shots(pictures: Iterable[np.ndarray], directions: np.ndarray) -> tuple[Obser
 
 
 def photograph_result(blend: Path, view: render.View, folder: Path, unseen: np.ndarray) -> np.ndarray:
-    """Return the pictures (K, H, W, 3) of the .blend file that a recovery has written, under the unseen lights."""
+    """Return pictures (K, H, W, 3) of a recovery's .blend file under the unseen lights."""
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     render.set_up(bpy.context.scene, view)
     return np.stack(list(render.photographs(folder, unseen)))
 
 
 def opaque(image: np.ndarray) -> np.ndarray:
-    """Return (H, W, 4) of colours (H, W, 3): every pixel counts."""
+    """Return (H, W, 4), colours (H, W, 3) with weight 1."""
     return np.concatenate([image, np.ones((*image.shape[:2], 1), np.float32)], axis=-1)
 
 

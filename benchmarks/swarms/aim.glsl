@@ -1,4 +1,4 @@
-// Over BLOCKS × 1: the best place of the whole swarm. Reads u_best and u_from (1 × 1: value and particle).
+// Over BLOCKS × 1: the global best position. Reads u_best and u_from (1 × 1: value and particle); writes o_goal.
 
 #include "layout.glsl"
 

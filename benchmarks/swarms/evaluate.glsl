@@ -1,5 +1,5 @@
-// Over W × rows: the value of every particle's place, by FUNCTION (functions.py), and the least it has had.
-// Reads u_x and, without START, u_least.
+// Over W × rows: the value at every particle's position, by FUNCTION (functions.py), and the particle's least so far.
+// Reads u_x and, without START, u_least; writes o_value, o_least.
 
 #include "layout.glsl"
 

@@ -1,4 +1,4 @@
-"""The standard test functions of swarm optimisation, over many points at once. numpy in float64.
+"""Standard test functions of swarm optimisation, over many points at once. numpy in float64.
 
 Bounds and minima as in Yao, Liu & Lin 1999, Evolutionary Programming Made Faster; all minima are 0 here.
 """
@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Of Schwefel's function: its value at the minimum for each dimension, and where that is.
+# Of Schwefel's function: the offset per dimension that makes its minimum 0, and the coordinate of the minimum.
 SCHWEFEL_VALUE, SCHWEFEL_PLACE = 418.98288727243369, 420.96874635998205
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function to minimise. number: its index in every implementation. reach: the search is in −reach…reach.
+    """A function to minimise. number: its index in every implementation. reach: the range is −reach…reach.
 
-    optimum: the coordinate, the same in every dimension, where it is 0. values: (P, D) → (P,).
+    optimum: the coordinate of the minimum, the same in every dimension. values: (P, D) → (P,).
     """
 
     name: str

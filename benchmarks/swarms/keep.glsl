@@ -1,5 +1,5 @@
-// Over W × rows·BLOCKS, in place: the best place becomes where a particle is, if that is its least value so far.
-// Reads u_x, u_value and u_least.
+// Over W × rows·BLOCKS, in place: a particle's position becomes its best, if its value is its least so far.
+// Reads u_x, u_value and u_least; writes o_best.
 
 #include "layout.glsl"
 

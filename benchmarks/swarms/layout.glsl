@@ -1,5 +1,5 @@
-// Where a big swarm's numbers lie. Four dimensions are a block; the blocks of all particles stand on top of one
-// another, u_rows rows each. DIMENSIONS, PARTICLES: of the swarm.
+// Texture layout of a large swarm. A block has four dimensions; the blocks of all particles are stacked vertically,
+// u_rows rows each. DIMENSIONS, PARTICLES: of the swarm.
 
 #define BLOCKS ((DIMENSIONS + 3) / 4)
 

@@ -1,5 +1,5 @@
-// Over W × rows·BLOCKS: Eq. 2 and 3 for four dimensions of a particle, as shaders/swarm/update.glsl has them.
-// With START: a random place and speed. Reads u_x, u_v, u_best, u_goal (BLOCKS × 1).
+// Over W × rows·BLOCKS: Eq. 2 and 3 for four dimensions of a particle, as in shaders/swarm/update.glsl.
+// With START: a random position and velocity. Reads u_x, u_v, u_best, u_goal (BLOCKS × 1); writes o_x, o_v.
 
 #include "common/random.glsl"
 #include "layout.glsl"

@@ -1,6 +1,6 @@
-"""A big swarm by CUDA, through numba-cuda: a thread a particle, in double precision.
+"""A large swarm by CUDA, with numba-cuda: a thread a particle, in double precision.
 
-Where no CUDA device is present ``available`` says so; with NUMBA_ENABLE_CUDASIM=1 numba's simulator runs it, slowly.
+NUMBA_ENABLE_CUDASIM=1 runs it, slowly, in numba's simulator.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def _move(x, v, best, value, goal, seed, iteration, constants, number, reach):
 
 
 @cuda.jit
-def _aim(best, value, goal, found):
-    """One block: each thread looks through every _BLOCK-th value, then halves of the block compare what they have."""
-    values = cuda.shared.array(_BLOCK, float64)  # a line each: the simulator knows them by their lines
+def _aim(best, value, goal, least):
+    """Reduce in one block: each thread the least of every _BLOCK-th value, then pairs of threads, in a tree."""
+    values = cuda.shared.array(_BLOCK, float64)  # one line each: the simulator identifies arrays by their lines
     owners = cuda.shared.array(_BLOCK, int32)
     t = cuda.threadIdx.x
     values[t], owners[t] = np.inf, 0
@@ -49,39 +49,39 @@ def _aim(best, value, goal, found):
     for d in range(t, goal.shape[0], _BLOCK):
         goal[d] = best[owners[0], d]
     if t == 0:
-        found[0] = values[0]
+        least[0] = values[0]
 
 
 class CudaSwarm:
-    """One swarm of ``rule`` on the CUDA device, placed like its own. every: the steps between looks for the best."""
+    """One swarm of ``rule`` on the CUDA device, with the same start. every: steps between updates of its best."""
 
     def __init__(
         self, constants: rule.Rule, function: Function, dimensions: int, particles: int, seed: int, every: int = 1
     ):
         swarm = rule.place(constants, function, dimensions, 0, particles, seed)
-        held = (swarm.x, swarm.v, swarm.best, swarm.value, swarm.goal)
-        self._x, self._v, self._best, self._value, self._goal = map(cuda.to_device, held)
-        self._found, self._given = cuda.to_device(np.zeros(1)), cuda.to_device(threads.constants_of(constants))
+        arrays = (swarm.x, swarm.v, swarm.best, swarm.value, swarm.goal)
+        self._x, self._v, self._best, self._value, self._goal = map(cuda.to_device, arrays)
+        self._least, self._constants = cuda.to_device(np.zeros(1)), cuda.to_device(threads.constants_of(constants))
         self._blocks, self._seed, self._every, self._made = -(-particles // _BLOCK), seed, every, 0
         self._function = function.number, function.reach
-        self._look()
+        self._update_goal()
 
     def step(self, iterations: int) -> None:
-        """Make so many iterations, and wait until they are made."""
+        """Run iterations, and wait for their end."""
         for _ in range(iterations):
             self._made += 1
             _move[self._blocks, _BLOCK](
-                self._x, self._v, self._best, self._value, self._goal, self._seed, self._made, self._given,
+                self._x, self._v, self._best, self._value, self._goal, self._seed, self._made, self._constants,
                 *self._function,
             )  # fmt: skip
             if self._made % self._every == 0:
-                self._look()
+                self._update_goal()
         cuda.synchronize()
 
     def goal(self) -> tuple[float, np.ndarray]:
-        """Return the least value and its place (D,)."""
-        self._look()
-        return float(self._found.copy_to_host()[0]), self._goal.copy_to_host()
+        """Return the least value and its position (D,)."""
+        self._update_goal()
+        return float(self._least.copy_to_host()[0]), self._goal.copy_to_host()
 
-    def _look(self) -> None:
-        _aim[1, _BLOCK](self._best, self._value, self._goal, self._found)
+    def _update_goal(self) -> None:
+        _aim[1, _BLOCK](self._best, self._value, self._goal, self._least)

@@ -1,7 +1,4 @@
-"""What one particle does in a step, in the part of Python that numba compiles, for processors and for CUDA alike.
-
-The same as rule.move, a particle at a time; ``compiled`` makes it with either compiler.
-"""
+"""One particle's step (rule.move) in the Python subset that numba compiles, for CPUs and CUDA."""
 
 from __future__ import annotations
 
@@ -14,14 +11,14 @@ import numpy as np
 from . import rule
 from .functions import SCHWEFEL_VALUE
 
-_SIDES = 2.0**-24  # a random number's unit
+_SIDES = 2.0**-24  # spacing of the random numbers
 
 
 def compiled(inline: Callable[[Callable], Any]) -> Any:
-    """Return step(i, x, v, best, value, goal, first, seed, iteration, constants, number, reach), made by a compiler.
+    """Return the compiled step(i, x, v, best, value, goal, first, seed, iteration, constants, number, reach).
 
-    inline: the compiler of functions that others call. The arrays are those of rule.Swarm; constants: (4,) inertia,
-    c1, c2, v_max; number, reach: of a Function.
+    inline: compiler decorator of callable functions. The arrays are those of rule.Swarm; constants: (4,) inertia, c1,
+    c2, v_max; number, reach: of a Function.
     """
     r1, r2 = np.uint32(rule.R1), np.uint32(rule.R2)
     u32 = np.uint32
@@ -96,12 +93,12 @@ def compiled(inline: Callable[[Callable], Any]) -> Any:
                 speed = constants[0] * v[i, d] + pull
                 speed = min(max(speed, -constants[3]), constants[3])
                 target = x[i, d] + speed
-                kept = min(max(target, 0.0), 1.0)
-                x[i, d] = kept
-                v[i, d] = speed if kept == target else 0.0
-        found = evaluate(x, i, number, reach)
-        if found < value[i]:
-            value[i] = found
+                clamped = min(max(target, 0.0), 1.0)
+                x[i, d] = clamped
+                v[i, d] = speed if clamped == target else 0.0
+        new_value = evaluate(x, i, number, reach)
+        if new_value < value[i]:
+            value[i] = new_value
             for d in range(x.shape[1]):
                 best[i, d] = x[i, d]
 

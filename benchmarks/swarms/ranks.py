@@ -20,38 +20,37 @@ _LEAST = np.dtype([("value", np.float64), ("particle", np.int32)], align=True)  
 
 
 def shares(particles: int, ranks: int) -> list[int]:
-    """Return where each rank's particles begin, and the end: as even as can be."""
+    """Return the first particle of each rank, and their number, for even shares."""
     return [particles * rank // ranks for rank in range(ranks + 1)]
 
 
 def run(
     world: Any, constants: rule.Rule, function: Function, dimensions: int, particles: int, iterations: int, seed: int
 ) -> tuple[rule.Swarm, dict[str, float]]:
-    """Return this rank's particles after so many iterations, and what it took.
+    """Return this rank's particles after ``iterations`` iterations, and the measurements.
 
-    That is seconds in all, of them for communication (told), and the iterations that brought a new best (news).
-    An iteration: every rank moves its particles; the least value and its first particle are found by one reduction;
-    who has that particle tells all where it is.
+    These are seconds, those of communication (told), and the iterations with a new best (news). An iteration: one
+    reduction finds the least value and its first particle; its owner broadcasts the position; all ranks move.
     """
     bounds = shares(particles, world.size)
     first, last = bounds[world.rank : world.rank + 2]
     swarm = rule.place(constants, function, dimensions, first, last - first, seed)
     world.Barrier()
-    began, told, news = time.perf_counter(), 0.0, 0
+    began, communication, improvements = time.perf_counter(), 0.0, 0
     for iteration in range(1, iterations + 1):
         at = time.perf_counter()
-        news += _aim(world, swarm, bounds)
-        told += time.perf_counter() - at
+        improvements += _aim(world, swarm, bounds)
+        communication += time.perf_counter() - at
         threads.move(swarm, constants, function, seed, iteration)
     _aim(world, swarm, bounds)
     world.Barrier()
-    return swarm, {"seconds": time.perf_counter() - began, "told": told, "news": news}
+    return swarm, {"seconds": time.perf_counter() - began, "told": communication, "news": improvements}
 
 
 def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
-    """Let all ranks know the best place, and return whether it is another.
+    """Distribute the global best to all ranks; return whether its value has changed.
 
-    16 bytes are reduced, and where it moved 8 a dimension are sent round.
+    Reduces 16 bytes, and broadcasts 8 bytes a dimension if it has.
     """
     from mpi4py import MPI
 
@@ -70,7 +69,7 @@ def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
 
 
 def main() -> None:
-    """Run as told, and print what it took."""
+    """Run the swarm of the command line, and print its measurements."""
     from mpi4py import MPI
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -91,11 +90,11 @@ def main() -> None:
         swarm, seconds = run(world, constants, function, *sizes, options.iterations, options.seed)
         taken.append(seconds)
     if world.rank == 0:
-        found = {
+        result = {
             "ranks": world.size, "threads": options.threads, "layer": threads.layer(), "value": swarm.goal_value,
             "particle": swarm.goal_particle, "place": swarm.goal.tolist(), "runs": taken, "news": taken[-1]["news"],
         }  # fmt: skip
-        print(json.dumps(found))
+        print(json.dumps(result))
 
 
 if __name__ == "__main__":

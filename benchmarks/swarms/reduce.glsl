@@ -1,5 +1,5 @@
-// A step of the reduction tree: each texel the least of SIDE × SIDE of u_from, and the first particle that has it.
-// With FIRST u_from holds the values themselves, one a particle.
+// A step of the reduction tree: the least of SIDE × SIDE texels of u_from, and the first particle with it, to o_least.
+// With FIRST u_from has one value a particle; else a value and a particle.
 
 #include "layout.glsl"
 

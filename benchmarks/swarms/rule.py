@@ -1,7 +1,7 @@
-"""The update rule of the solver (Eq. 2 and 3, shaders/swarm/update.glsl) for one swarm that moves as a whole. numpy.
+"""The solver's update rule (Eq. 2 and 3, shaders/swarm/update.glsl) for one synchronous swarm. numpy.
 
-Random numbers are pure functions of (seed, iteration, particle, dimension): however the particles are dealt out to
-ranks, threads or a GPU, each goes the same way.
+Random numbers are pure functions of (seed, iteration, particle, dimension): the result does not depend on the
+distribution of the particles over ranks, threads or a GPU.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from irpso_addon.solver.settings.schedule import load_schedule
 
 from .functions import Function
 
-R1, R2, POSITION, VELOCITY = range(4)  # purposes, which keep the streams apart
+R1, R2, POSITION, VELOCITY = range(4)  # purposes, which separate the streams of random numbers
 
 
 @dataclass(frozen=True)
 class Rule:
-    """The constants of Eq. 2; speeds in parts of the range."""
+    """The constants of Eq. 2; velocities as fractions of the range."""
 
     inertia: float
     c1: float
@@ -29,7 +29,7 @@ class Rule:
 
     @staticmethod
     def of(preset: str = "constriction") -> Rule:
-        """Return those of a preset; the constriction is multiplied in."""
+        """Return the constants of a preset, multiplied by its constriction."""
         swarm = load_schedule(preset).swarm
         chi = swarm.constriction
         return Rule(chi * swarm.inertia, chi * swarm.c1, chi * swarm.c2, swarm.v_max, swarm.start_speed)
@@ -39,7 +39,7 @@ class Rule:
 class Swarm:
     """Particles ``first`` … of a swarm: x, v, best (P, D) in 0…1 of the range; value: (P,) of the bests.
 
-    goal: (D,) the best place of the whole swarm, goal_value its value, goal_particle who found it first.
+    goal: (D,) position of the global best, goal_value its value, goal_particle the first particle with it.
     """
 
     first: int
@@ -53,7 +53,7 @@ class Swarm:
 
 
 def uniform(seed: int, iteration: int, particles: np.ndarray, dimensions: int, purpose: int) -> np.ndarray:
-    """Return (P, D) numbers in [0, 1), multiples of 2⁻²⁴: pcg4d twice (Jarzynski & Olano 2020), a hash for four."""
+    """Return (P, D) numbers in [0, 1), multiples of 2⁻²⁴: pcg4d twice (Jarzynski & Olano 2020), four a hash."""
     blocks = np.arange(-(-dimensions // 4), dtype=np.uint32)
     shape = (len(particles), len(blocks))
     h = [
@@ -83,7 +83,7 @@ def _pcg4d(h: list[np.ndarray]) -> None:
 
 
 def place(rule: Rule, function: Function, dimensions: int, first: int, count: int, seed: int) -> Swarm:
-    """Return particles ``first`` to ``first + count`` at their random places, with what they found there."""
+    """Return particles ``first`` to ``first + count`` at random positions, with their values."""
     particles = np.arange(first, first + count)
     x = uniform(seed, 0, particles, dimensions, POSITION)
     v = rule.start_speed * (2 * uniform(seed, 0, particles, dimensions, VELOCITY) - 1)
@@ -92,7 +92,7 @@ def place(rule: Rule, function: Function, dimensions: int, first: int, count: in
 
 
 def move(swarm: Swarm, rule: Rule, function: Function, seed: int, iteration: int) -> None:
-    """Move every particle once, with walls that stop it, and let it remember what is better."""
+    """Move every particle once, stop it at the walls, and update its best."""
     count, dimensions = swarm.x.shape
     particles = np.arange(swarm.first, swarm.first + count)
     r1, r2 = (uniform(seed, iteration, particles, dimensions, purpose) for purpose in (R1, R2))
@@ -107,18 +107,18 @@ def move(swarm: Swarm, rule: Rule, function: Function, seed: int, iteration: int
 
 
 def evaluate(function: Function, x: np.ndarray) -> np.ndarray:
-    """Return (P,) values at places (P, D) in 0…1 of the range."""
+    """Return (P,) values at positions (P, D) in 0…1 of the range."""
     return function.values(function.reach * (2 * x - 1))
 
 
 def found(swarm: Swarm) -> tuple[float, int]:
-    """Return the least of the swarm's values, and the first particle that has it."""
+    """Return the least of the swarm's values, and the first particle with it."""
     at = int(np.argmin(swarm.value))
     return float(swarm.value[at]), swarm.first + at
 
 
 def run(rule: Rule, function: Function, dimensions: int, particles: int, iterations: int, seed: int) -> Swarm:
-    """Return the whole swarm after so many iterations, on one processor: the reference for all others."""
+    """Return the whole swarm after ``iterations`` iterations on one processor: the reference of the others."""
     swarm = place(rule, function, dimensions, 0, particles, seed)
     for iteration in range(1, iterations + 1):
         _aim(swarm)

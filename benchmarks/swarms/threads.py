@@ -1,4 +1,4 @@
-"""A swarm's particles on the threads of one processor: numba with OpenMP (Lam, Pitrou & Seibert 2015)."""
+"""A swarm on the threads of one processor: numba with OpenMP (Lam, Pitrou & Seibert 2015)."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def _mover() -> Any:
 
 
 def constants_of(constants: rule.Rule) -> np.ndarray:
-    """Return what particle.compiled calls constants."""
+    """Return the array ``constants`` of particle.compiled."""
     return np.array([constants.inertia, constants.c1, constants.c2, constants.v_max])
 
 
 def move(swarm: rule.Swarm, constants: rule.Rule, function: Function, seed: int, iteration: int) -> None:
-    """Do what rule.move does, on as many threads as ``use`` said."""
+    """Do the same as rule.move, on the threads that ``use`` has set."""
     _mover()(
         swarm.x, swarm.v, swarm.best, swarm.value, swarm.goal, swarm.first, seed, iteration, constants_of(constants),
         function.number, function.reach,
@@ -48,7 +48,7 @@ def use(count: int) -> None:
 
 
 def layer() -> str:
-    """Return the name of the threading layer that has been used."""
+    """Return the name of numba's threading layer, after a first ``move``."""
     import numba
 
     return numba.threading_layer()

@@ -1,4 +1,4 @@
-"""A real Blender in a window that nobody sees, driven by real events: for the tests of the UI and the guide's pictures.
+"""Drives a real Blender in a virtual screen by real events, for the tests of the UI and the guide's pictures.
 
 from blender_window import build_package, find_blender, install, open_window
 

@@ -1,4 +1,4 @@
-"""Which Blender is put into a window, and how a program is started beside it."""
+"""Finds the Blender for a window, and starts programs in its environment."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pathlib import Path
 
 from .debian import PRIVATE, ROOT, debian, need_programs
 
-# The Debian has no translations (debian.py). With a list of languages Blender offers them, for the words of add-ons.
+# The Debian has no translations (debian.py). With this list Blender offers the languages, for texts of add-ons.
 LANGUAGES = Path(__file__).with_name("languages")
-# Sees to the mounts of a Debian in a folder, then becomes the program: $1 the folder, $2 how many folders of this
-# machine it shall see in their own places, then those, then the program with its arguments.
+# Makes the mounts of a Debian in a folder, then runs the program. $1: the folder; $2: number of this machine's folders
+# to mount at the same paths; then these, then the program with its arguments.
 ENTER = f"""
 set -e
 root=$1 count=$2
@@ -34,7 +34,7 @@ exec chroot "$root" "$@"
 """
 # The tools that a window needs -> the package of Debian that brings each.
 TOOLS = {"Xvfb": "xvfb", "xdotool": "xdotool", "import": "imagemagick"}
-# What of this machine's environment goes into a Debian in a folder.
+# Prefixes of the environment variables that a Debian in a folder gets.
 HANDED_ON = ("IRPSO_", "LP_", "GALLIUM_", "MESA_", "OCIO")
 
 
@@ -42,8 +42,8 @@ HANDED_ON = ("IRPSO_", "LP_", "GALLIUM_", "MESA_", "OCIO")
 class Blender:
     """One Blender and the tools beside it.
 
-    name: of the folder its pictures go to, such as ``trixie``.  executable: its path, or name on PATH.
-    root: the Debian that it lives in; None for this machine.  visible: folders that it must see.
+    name: of the folder of its pictures, such as ``trixie``.  executable: its path, or name on PATH.
+    root: the folder of its Debian; None for this machine.  visible: folders that it must see.
     """
 
     name: str
@@ -52,61 +52,61 @@ class Blender:
     visible: tuple[Path, ...] = ()
 
     def start(self, program: str, *arguments: str, variables: dict[str, str] | None = None, **how) -> subprocess.Popen:
-        """Start a program where this Blender lives; it ends when this process does.
+        """Start a program in this Blender's system; it ends with this process.
 
-        variables: added to its environment.  how: for subprocess.Popen.
+        variables: added to its environment.  how: options of subprocess.Popen.
         """
         command = ["setpriv", "--pdeathsig", "KILL", *self._enter(variables or {}), program, *arguments]
         return subprocess.Popen(command, env=self._environment(variables or {}), stdin=subprocess.DEVNULL, **how)
 
     def run(self, program: str, *arguments: str, variables=None, timeout: float = 120) -> subprocess.CompletedProcess:
-        """Run a program where this Blender lives, to its end; return its exit code and what it said, both as text."""
+        """Run a program in this Blender's system to its end; return its exit code and its output as text."""
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
         with self.start(program, *arguments, variables=variables, **pipes) as process:
             try:
-                said, _ = process.communicate(timeout=timeout)
+                output, _ = process.communicate(timeout=timeout)
             except subprocess.TimeoutExpired:
                 process.kill()
                 raise
-        return subprocess.CompletedProcess([program, *arguments], process.returncode, said, "")
+        return subprocess.CompletedProcess([program, *arguments], process.returncode, output, "")
 
     def _enter(self, variables: dict[str, str]) -> list[str]:
         if self.root is None:
             return []
         folders = [str(folder) for folder in self.visible]
-        kept = [f"{name}={value}" for name, value in os.environ.items() if name.startswith(HANDED_ON)]
+        passed_on = [f"{name}={value}" for name, value in os.environ.items() if name.startswith(HANDED_ON)]
         own = [f"{name}={value}" for name, value in variables.items()]
         home = ["HOME=/var/cache", "LANG=C.UTF-8", "PATH=/usr/local/bin:/usr/bin:/bin"]
-        inside = ["env", "--ignore-environment", *home, *kept, *own]
+        inside = ["env", "--ignore-environment", *home, *passed_on, *own]
         return [*PRIVATE, "sh", "-c", ENTER, "sh", str(self.root), str(len(folders)), *folders, *inside]
 
     def _environment(self, variables: dict[str, str]) -> dict[str, str]:
         if self.root is not None:
             return dict(os.environ)
-        # What belongs to the Python that runs this would mislead Blender's own.
+        # These variables of the running Python would mislead Blender's.
         mine = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
         return {name: value for name, value in os.environ.items() if name not in mine} | variables
 
 
 def find_blender() -> Blender:
-    """Return the Blender that ``BLENDER`` names, else that of ``BLENDER_SUITE`` (default ``trixie``), built if need be.
+    """Return the Blender that ``BLENDER`` names, else that of ``BLENDER_SUITE`` (default ``trixie``), built if missing.
 
-    Raises SystemExit, with the remedy, where there is none or a tool beside it is missing.
+    Raises SystemExit, with the remedy, if there is none or a tool is missing.
     """
     own = os.environ.get("BLENDER", "")
     if own:
-        found = shutil.which(own)
-        if not found:
+        path = shutil.which(own)
+        if not path:
             raise SystemExit(f"BLENDER={own} is no program that can be run; name Blender's executable")
         need_programs(TOOLS)
-        return Blender("own", str(Path(found).resolve()))
+        return Blender("own", str(Path(path).resolve()))
     suite = os.environ.get("BLENDER_SUITE") or "trixie"
     return Blender(suite, "blender", debian(suite), _visible())
 
 
 def _visible() -> tuple[Path, ...]:
-    """Return the folders that a Blender in a folder must see: temporary files, the repository, the data beside it."""
-    sockets = Path("/", "tmp")  # where X servers and their clients meet, whatever TMPDIR says
+    """Return the folders that a Debian in a folder must see: temporary files, the repository, the data beside it."""
+    sockets = Path("/", "tmp")  # of X servers, whatever TMPDIR is
     shared = Path(os.environ.get("IRPSO_DATA", ROOT.parent / "shared"))
     wanted = [Path(tempfile.gettempdir()), sockets, ROOT, shared]
     return tuple(dict.fromkeys(folder.resolve() for folder in wanted if folder.is_dir()))

@@ -1,7 +1,7 @@
-"""Builds a Debian with Blender in a folder, once, without a file of this machine being at risk.
+"""Builds a Debian with Blender in a folder, once, without risk for this machine's files.
 
-Mounts are made in a mount namespace of the process that needs them (``unshare --mount``): nobody else sees them, they
-end with the process, and deleting the folder never reaches through one.
+Each process makes its mounts in its own mount namespace (``unshare --mount``): other processes do not see them, they
+end with the process, and deleting the folder never follows one.
 """
 
 import fcntl
@@ -14,15 +14,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CACHE = ROOT / ".cache"
-# Debian's Blender does not ask for all it needs: without cattrs and requests 5.2 has no extensions (bl_pkg does not
+# Debian's package lacks dependencies: without cattrs and requests Blender 5.2 has no extensions (bl_pkg does not
 # register), and extensions have no numpy.
 PACKAGES = (
     "blender", "python3-numpy", "python3-cattr", "python3-requests", "libgl1-mesa-dri", "libegl1",
     "mesa-vulkan-drivers", "xvfb", "xauth", "xdotool", "imagemagick",
 )  # fmt: skip
-# sid's release file has expired where the mirror is a snapshot.
+# In a mirror that is a snapshot sid's release file has expired.
 APT = 'Acquire::Check-Valid-Until "false";\nAPT::Install-Recommends "false";\n'
-# To sync every file to the disk, and to unpack what nobody reads, takes longer than the rest.
+# Syncing every file to the disk and unpacking documentation would take longer than the rest.
 DPKG = (
     "force-unsafe-io\npath-exclude=/usr/share/doc/*\npath-exclude=/usr/share/man/*\npath-exclude=/usr/share/locale/*\n"
 )
@@ -31,9 +31,9 @@ PRIVATE = ("unshare", "--mount", "--propagation", "private")
 
 
 def debian(suite: str) -> Path:
-    """Return the folder of a Debian that has Blender in it, building it if it is not there.
+    """Return the folder of a Debian with Blender, built if it is missing.
 
-    suite: ``trixie`` (Blender 4.3.2) or ``sid`` (5.2). Raises SystemExit, with the remedy, where it cannot be built.
+    suite: ``trixie`` (Blender 4.3.2) or ``sid`` (5.2). Raises SystemExit, with the remedy, if it cannot be built.
     """
     folder = CACHE / f"blender-{suite}"
     with _only_one(suite):
@@ -48,9 +48,9 @@ def debian(suite: str) -> Path:
 
 
 def need_programs(programs: dict[str, str]) -> None:
-    """See that programs are there; install the Debian packages that are missing, as root, or say which they are.
+    """Install the Debian packages of missing programs, if this is root.
 
-    programs: program -> the package that brings it. Raises SystemExit where they are missing and cannot be installed.
+    programs: program -> its package. Raises SystemExit, naming the packages, if they cannot be installed.
     """
     missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
     if not missing:
@@ -67,7 +67,7 @@ def need_programs(programs: dict[str, str]) -> None:
 
 @contextmanager
 def _only_one(suite: str):
-    """Let one process at a time build a suite."""
+    """Hold the lock of a suite: one process at a time builds it."""
     CACHE.mkdir(exist_ok=True)
     with open(CACHE / f"blender-{suite}.lock", "w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -87,26 +87,26 @@ def _need_root(suite: str) -> None:
 
 
 def _mirror() -> list[str]:
-    """Return the mirror that this machine's own apt takes Debian from; empty for debootstrap's default."""
-    told = _apt("apt-get", "indextargets", "--format", "$(LABEL) $(REPO_URI)").splitlines()
-    return next(([line.split()[1]] for line in told if line.startswith("Debian http")), [])
+    """Return the Debian mirror of this machine's apt; empty for debootstrap's default."""
+    lines = _apt("apt-get", "indextargets", "--format", "$(LABEL) $(REPO_URI)").splitlines()
+    return next(([line.split()[1]] for line in lines if line.startswith("Debian http")), [])
 
 
 def _proxy() -> dict[str, str]:
-    """Return the environment that hands this machine's own apt proxy on, as debootstrap and apt read it."""
+    """Return the environment variable with the proxy of this machine's apt, for debootstrap and apt."""
     address = _apt("apt-config", "shell", "proxy", "Acquire::http::Proxy/f").strip().removeprefix("proxy=").strip("'")
     return {"http_proxy": address} if address else {}
 
 
 def _apt(*command: str) -> str:
-    """Return what a command of apt says; nothing on a system that has none."""
+    """Return the output of a command of apt; "" on a system without it."""
     if not shutil.which(command[0]):
         return ""
     return subprocess.run(command, capture_output=True, text=True).stdout
 
 
 def _build(suite: str, folder: Path) -> None:
-    """Build into a folder beside it, which gets its name when it is whole; in one that is whole, only add packages."""
+    """Build into FOLDER.part and rename it when complete; in a complete folder, only add packages."""
     log = folder.with_name(f"{folder.name}.log")
     environment = os.environ | _proxy() | {"DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
     with open(log, "w", encoding="utf-8") as sink:

@@ -1,8 +1,8 @@
-"""Runs inside Blender: takes pieces of Python from a folder, runs each in a timer, leaves its value or its traceback.
+"""Runs inside Blender: executes Python code from a folder in a timer, and writes its value or traceback.
 
 Usage: blender … --python driver.py -- FOLDER
-Request N is ``N.json``; its answer is ``N.answer.json``. A piece's value is that of its last expression; a generator is
-taken a step a tick, so that Blender handles events and draws in between, and its value is what it returns.
+Request N is ``N.json``; its answer is ``N.answer.json``. The value is that of the last expression. A generator advances
+a step a tick, so that Blender handles events and draws in between; its value is its return value.
 """
 
 import ast
@@ -18,13 +18,13 @@ import bpy
 
 FOLDER = sys.argv[sys.argv.index("--") + 1]
 TICK = 0.02  # seconds
-# What a piece finds, and leaves to the next one.
+# Globals of all requests.
 names = runpy.run_path(os.path.join(os.path.dirname(os.path.abspath(__file__)), "inside.py"))
 state = {"next": 0, "generator": None}
 
 
 def run(code):
-    """Run a piece of Python; return the value of its last expression, None where it ends in a statement."""
+    """Run Python code; return the value of its last expression, None if it ends in a statement."""
     tree = ast.parse(code)
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
     exec(compile(tree, "<window>", "exec"), names)
@@ -32,23 +32,23 @@ def run(code):
 
 
 def plain(value):
-    """Return a value of Blender or numpy as something that JSON can hold."""
+    """Return a value of Blender or numpy as a type that JSON has."""
     if hasattr(value, "tolist"):
         return value.tolist()
     return sorted(value) if isinstance(value, (set, frozenset)) else list(value)
 
 
-def answer(said):
-    """Leave an answer; look for the next request from now on."""
+def answer(text):
+    """Write the answer and go on to the next request."""
     path = os.path.join(FOLDER, f"{state['next']}.answer.json")
     with open(path + ".part", "w", encoding="utf-8") as file:
-        file.write(said)
+        file.write(text)
     os.replace(path + ".part", path)
     state.update(next=state["next"] + 1, generator=None)
 
 
 def take(request):
-    """Run a request, or go on with the generator that the last one left; answer when there is something to say."""
+    """Run a request, or advance the generator of the last one; answer when there is a value or an error."""
     generator = state["generator"]
     try:
         if generator is None:
@@ -63,14 +63,14 @@ def take(request):
                 return
             except StopIteration as end:
                 value = end.value
-        said = json.dumps({"value": value}, default=plain)
-    except BaseException:  # noqa: BLE001 whoever asked is told
-        said = json.dumps({"error": traceback.format_exc()})
-    answer(said)
+        text = json.dumps({"value": value}, default=plain)
+    except BaseException:  # noqa: BLE001 the answer has the traceback
+        text = json.dumps({"error": traceback.format_exc()})
+    answer(text)
 
 
 def tick():
-    """Do what there is to do."""
+    """Advance the generator, or run the next request if there is one."""
     path = os.path.join(FOLDER, f"{state['next']}.json")
     if state["generator"] is not None:
         take(None)

@@ -1,10 +1,10 @@
-"""What pieces of Python may call inside Blender: contexts, regions of the screen, and the buttons in them."""
+"""Functions for code inside Blender: contexts, regions of the screen, and their buttons."""
 
 from contextlib import suppress
 
 import bpy
 
-STEP = 18  # pixels between looks for a button: less than one is high, and each look has its region drawn again
+STEP = 18  # pixels between probes for a button: less than its height; each probe redraws the region
 
 
 def main_window():
@@ -26,7 +26,7 @@ def region_of(area, region_type):
 
 
 def override(area_type, region_type="WINDOW"):
-    """Return the context that an operator has when the mouse is over the largest area of a type."""
+    """Return the context of an operator with the mouse over the largest area of a type."""
     area = largest(area_type)
     return bpy.context.temp_override(window=main_window(), area=area, region=region_of(area, region_type))
 
@@ -38,7 +38,7 @@ def region_box(area_type, region_type="WINDOW"):
 
 
 def redrawn(ticks=3):
-    """Have everything drawn again and let a few ticks pass."""
+    """Redraw everything and wait a few ticks."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             area.tag_redraw()
@@ -47,7 +47,7 @@ def redrawn(ticks=3):
 
 
 def settled(ticks=3):
-    """Let a few ticks pass, for events to be handled."""
+    """Wait a few ticks, so that Blender handles events."""
     for _ in range(ticks):
         yield
 
@@ -72,8 +72,8 @@ def open_sidebar(tab, area_type):
 def reports():
     """Return what operators have reported to the user, of any kind, oldest first.
 
-    Where an operator cancels, its reports are not in the log; only an Info editor can copy them, so the smallest area
-    becomes one for a moment. The editor lists what was called in Python too, which is left out.
+    The log lacks reports of cancelled operators; only an Info editor can copy them, so the smallest area becomes one
+    for a moment. The editor's lines of Python calls are omitted.
     """
     window = main_window()
     area = min((a for a in window.screen.areas if a.type != "VIEW_3D"), key=lambda area: area.width * area.height)
@@ -88,8 +88,7 @@ def reports():
 
 
 def button_under_mouse(area_type, region_type):
-    """Return what the button under the mouse does, as Blender's own commands to copy it say: an operator's call in
-    Python, or a property's data path; "" where there is none."""
+    """Return the operator call in Python, or the property's data path, of the button under the mouse, or ""."""
     wm, ui = bpy.context.window_manager, bpy.ops.ui
     wm.clipboard = ""
     with override(area_type, region_type), suppress(RuntimeError):
@@ -101,10 +100,10 @@ def button_under_mouse(area_type, region_type):
 
 
 def find_button(wanted, area_type, region_type="UI"):
-    """Lead the mouse down a region in columns to a button; return its x and y on the screen.
+    """Move the mouse down a region, in columns, to a button; return its x and y on the screen.
 
-    wanted: a part of the operator's call in Python, or of the property's data path. Raises LookupError, naming the
-    buttons there are.
+    wanted: a part of the operator's call in Python, or of the property's data path. Raises LookupError, with the
+    buttons in the region.
     """
     left, top, width, height = region_box(area_type, region_type)
     window, seen = main_window(), {}

@@ -1,4 +1,4 @@
-"""Where things are on the screen, in pixels from its upper left corner, as the mouse counts."""
+"""Rectangles of the screen, in pixels from its upper left corner, like mouse positions."""
 
 from dataclasses import dataclass
 

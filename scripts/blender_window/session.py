@@ -1,4 +1,4 @@
-"""Life and end of a Blender window: the zip installed, an X server, Blender on it, and all of it gone afterwards."""
+"""Starts and ends a Blender window: installs the zip, runs an X server and Blender, and removes both."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ DRIVER = Path(__file__).resolve().parent / "driver.py"
 
 
 class Complained(Exception):
-    """Blender did not end as it should, or said on the way that something was wrong."""
+    """Blender ended with an error, or logged one."""
 
 
 def build_package(folder: Path) -> Path:
-    """Build the extension's zip for this system, with its wheels; return its path in ``folder``."""
+    """Build the extension's zip, with wheels, for this system; return its path in ``folder``."""
     sys.path.insert(0, str(ROOT / "scripts"))
     import extension
 
@@ -32,9 +32,9 @@ def build_package(folder: Path) -> Path:
 
 
 def install(blender: Blender, package: Path, user: Path) -> str:
-    """Install and enable a zip in a Blender that has nothing else, as the README says; return what Blender said.
+    """Install and enable a zip in a fresh Blender, as in the README; return Blender's output.
 
-    user: an empty folder for Blender's settings and extensions. Raises Complained where it does not work.
+    user: an empty folder for Blender's settings and extensions. Raises Complained if it fails.
     """
     command = ["--command", "extension", "install-file", "--repo", "user_default", "--enable", str(package)]
     done = blender.run(blender.executable, *command, variables=_own_places(user, user.parent), timeout=300)
@@ -47,11 +47,11 @@ def install(blender: Blender, package: Path, user: Path) -> str:
 def open_window(
     blender: Blender, user: Path, pictures: Path, backend: str = "opengl", log_name: str = "blender"
 ) -> Iterator[Window]:
-    """Open Blender in a window that fills a screen of its own; end it when done.
+    """Open Blender in a window that fills a virtual screen; end it on exit.
 
-    user: Blender's settings and extensions, of which it gets a copy.  pictures: folder of the screenshots and of
-    LOG_NAME.log, what Blender said.  backend: ``opengl`` or ``vulkan``. Raises Complained in the end where Blender
-    said that something was wrong and nobody expected it, or did not end as it should.
+    user: Blender's settings and extensions, which are copied.  pictures: folder of the screenshots and of LOG_NAME.log,
+    Blender's output.  backend: ``opengl`` or ``vulkan``. Raises Complained on exit if Blender logged unexpected errors
+    or ended with one.
     """
     with tempfile.TemporaryDirectory(prefix="irpso-window-") as scratch, _screen(blender) as display:
         folder = Path(scratch)
@@ -76,12 +76,12 @@ def open_window(
 
 
 def _own_places(user: Path, scratch: Path) -> dict[str, str]:
-    """Return the environment that keeps Blender's settings and its temporary files in folders of its own."""
+    """Return the environment variables for Blender's settings and temporary files in these folders."""
     return {"BLENDER_USER_RESOURCES": str(user), "TMPDIR": str(scratch)}
 
 
 def _end(window: Window) -> None:
-    """Have Blender end as a user would and see that it did so without a complaint."""
+    """Quit Blender as a user would. Raises Complained if it fails or has logged unexpected errors."""
     try:
         window.run("bpy.ops.wm.quit_blender()", timeout=30)
     except (BlenderGone, FailedInside):

@@ -1,4 +1,4 @@
-"""A Blender window as a test sees it: code run inside it, mouse and keys, pictures."""
+"""A Blender window for a test: runs code inside it, sends mouse and key events, takes pictures."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 from .blenders import Blender
 from .layout import Box
 
-# What Blender and its add-ons say when something is wrong.
+# Lines of the log by which Blender and its add-ons report an error.
 COMPLAINT = re.compile(
     r"Traceback \(most|^Error: |\bERROR\b|Exception in|^Writing: .*crash|memory leak|Not freed|GPUShader|Shader.*failed"
 )
-SHORTEST_WAIT = 0.02  # seconds between looks at the answer
+SHORTEST_WAIT = 0.02  # seconds between checks for the answer
 
 
 class FailedInside(Exception):
@@ -25,14 +25,14 @@ class FailedInside(Exception):
 
 
 class BlenderGone(Exception):
-    """Blender ended, or does not answer; the text has the end of what it said."""
+    """Blender ended, or does not answer; the text has the end of its log."""
 
 
 class Window:
-    """One running Blender; open_window() makes it.
+    """One running Blender, made by open_window().
 
-    blender: which.  display: X display that it is on.  process: Blender's.  folder: requests, answers and the log.
-    pictures: where screenshot() puts them.
+    display: its X display.  process: Blender's.  folder: of requests, answers and the log.  pictures: folder of
+    screenshot().
     """
 
     def __init__(self, blender: Blender, display: str, process: subprocess.Popen, folder: Path, pictures: Path):
@@ -40,17 +40,17 @@ class Window:
             blender, display, process, folder, pictures,
         )  # fmt: skip
         self.expected: list[str] = []
-        self._asked = 0
+        self._requests = 0
 
     def run(self, code: str, area: str = "VIEW_3D", timeout: float = 60):
-        """Run Python inside Blender, in its main thread; return the value of its last expression, as JSON has it.
+        """Run Python in Blender's main thread; return the value of its last expression, through JSON.
 
-        code: finds ``bpy``, what earlier pieces left, and the functions of inside.py; where its last expression is a
-        generator, a step is taken every 20 ms while Blender lives on.  area: type of the area whose context it has; ""
-        for a timer's bare context, which suits whatever loads a file.  timeout: seconds.
-        Raises FailedInside with the traceback, BlenderGone where Blender has ended or does not answer.
+        code: may use ``bpy``, globals of earlier calls, and the functions of inside.py; if its last expression is a
+        generator, it advances every 20 ms while Blender goes on.  area: type of the area of its context; "" for a
+        timer's bare context, for code that loads a file.  timeout: seconds.
+        Raises FailedInside with the traceback, BlenderGone if Blender has ended or does not answer.
         """
-        number, self._asked = self._asked, self._asked + 1
+        number, self._requests = self._requests, self._requests + 1
         request, answer = self.folder / f"{number}.json", self.folder / f"{number}.answer.json"
         part = request.with_suffix(".part")
         part.write_text(json.dumps({"code": code, "area": area}), encoding="utf-8")
@@ -62,10 +62,10 @@ class Window:
             if time.monotonic() > until:
                 raise BlenderGone(f"Blender has not answered for {timeout:.0f} s\n{code}\n{self._tail()}")
             time.sleep(SHORTEST_WAIT)
-        told = json.loads(answer.read_text(encoding="utf-8"))
-        if "error" in told:
-            raise FailedInside(told["error"])
-        return told["value"]
+        response = json.loads(answer.read_text(encoding="utf-8"))
+        if "error" in response:
+            raise FailedInside(response["error"])
+        return response["value"]
 
     def wait(self, expression: str, timeout: float = 30, area: str = "VIEW_3D"):
         """Return the value of a Python expression inside Blender once it is true. Raises TimeoutError."""
@@ -81,7 +81,7 @@ class Window:
         self.run("settled()", area="")
 
     def move(self, x: int, y: int) -> None:
-        """Put the mouse at a pixel of the screen, y from the top."""
+        """Move the mouse to a pixel of the screen, y from the top."""
         self._events("mousemove", x, y)
 
     def click(self, x: int, y: int, button: int = 1, times: int = 1, held: str = "") -> None:
@@ -91,7 +91,7 @@ class Window:
         self._events("mousemove", x, y, "sleep", 0.1, *down, *click, *up)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
-        """Press at a pixel, move to another in steps, let go."""
+        """Press at a pixel, move to another in steps, release."""
         steps = [
             part
             for k in range(1, 9)
@@ -105,7 +105,7 @@ class Window:
         self._events("mousemove", *start, "sleep", 0.1, "mousedown", button, *steps, "mouseup", button)
 
     def key(self, *keys: str) -> None:
-        """Press keys one after the other over the area under the mouse, named as xdotool does: Escape, ctrl+z, n."""
+        """Press keys in turn, over the area under the mouse. keys: xdotool's names, such as Escape, ctrl+z, n."""
         self._events("key", "--delay", 60, *keys)
 
     def type(self, text: str) -> None:
@@ -113,16 +113,16 @@ class Window:
         self._events("type", "--delay", 30, text)
 
     def region(self, area: str = "VIEW_3D", region: str = "WINDOW") -> Box:
-        """Return where a region of the largest area of a type is on the screen."""
+        """Return the rectangle of a region of the largest area of a type."""
         return Box(*self.run(f"region_box({area!r}, {region!r})", area=""))
 
     def open_sidebar(self, tab: str, area: str = "VIEW_3D") -> Box:
-        """Show a tab of an area's sidebar; return where the sidebar is. Raises FailedInside without such a tab."""
+        """Show a tab of an area's sidebar; return the sidebar's rectangle. Raises FailedInside without such a tab."""
         self.run(f"open_sidebar({tab!r}, {area!r})", area="")
         return self.region(area, "UI")
 
     def choose_in_browser(self, folder: Path) -> None:
-        """Lead the file browser, which opens in the same window, to a folder; press Return, and wait till it closes."""
+        """Choose a folder in the file browser, which opens in the same window; press Return; wait until it closes."""
         self.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
         self.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{folder}/'.encode()!r}", area="")
         self.settle()
@@ -131,7 +131,7 @@ class Window:
         self.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
 
     def find_button(self, wanted: str, area: str = "VIEW_3D", region: str = "UI") -> tuple[int, int]:
-        """Return a pixel of a button in a region, found by leading the mouse over it (some seconds).
+        """Return a pixel of a button in a region, found by moving the mouse over it (some seconds).
 
         wanted: a part of the operator's call in Python (``irpso.recover``) or of the property's data path
         (``irpso.resolution``). Raises FailedInside, naming the buttons in sight; greyed ones are found too.
@@ -148,26 +148,26 @@ class Window:
         return path
 
     def pixels(self, box: Box | None = None) -> np.ndarray:
-        """Return what the screen shows, or a part of it: (H, W, 3) uint8, row 0 at the TOP."""
+        """Return the screen's pixels, or those of a part: (H, W, 3) uint8, row 0 at the TOP."""
         self.run("redrawn()", area="")
         box = box or Box(0, 0, *self.run("main_window().width, main_window().height", area=""))
         raw = self._import("rgb:-", box)
         return np.frombuffer(raw, np.uint8).reshape(box.height, box.width, 3)
 
     def log(self) -> str:
-        """Return all that Blender has said so far."""
+        """Return Blender's output so far."""
         return (self.folder / "log").read_text(encoding="utf-8", errors="replace")
 
     def expect(self, pattern: str) -> None:
-        """Let lines of the log that match a regular expression pass as no complaint."""
+        """Ignore lines of the log that match a regular expression in complaints()."""
         self.expected.append(pattern)
 
     def reports(self) -> list[str]:
-        """Return what operators have reported to the user, of any kind, oldest first; log() lacks refusals."""
+        """Return all reports of operators, oldest first; log() lacks those of cancelled ones."""
         return self.run("reports()", area="")
 
     def complaints(self) -> list[str]:
-        """Return the lines of the log that say that something is wrong and were not expected."""
+        """Return the unexpected error lines of the log."""
         lines = [line for line in self.log().splitlines() if COMPLAINT.search(line)]
         return [line for line in lines if not any(re.search(pattern, line) for pattern in self.expected)]
 
@@ -177,10 +177,10 @@ class Window:
         with self.blender.start(
             "import", *arguments, variables={"DISPLAY": self.display}, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         ) as process:
-            taken, said = process.communicate(timeout=60)
-        if process.returncode or not taken:
-            raise BlenderGone(f"no picture could be taken: {said.decode(errors='replace')}")
-        return taken
+            image, errors = process.communicate(timeout=60)
+        if process.returncode or not image:
+            raise BlenderGone(f"no picture could be taken: {errors.decode(errors='replace')}")
+        return image
 
     def _events(self, *arguments) -> None:
         done = self.blender.run("xdotool", *map(str, arguments), variables={"DISPLAY": self.display})

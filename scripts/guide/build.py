@@ -13,7 +13,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-# What a browser loads without a click. Links to other sites are no such thing.
+# Resources that a browser loads without a click, unlike links.
 LOADED = re.compile(
     r"""<(?:script|img|iframe|source|video)\b[^>]*?\bsrc=["']?(?:https?:)?//[^\s"'>]+"""
     r"""|<link\b(?=[^>]*\brel=["']?(?:stylesheet|preload|icon|preconnect))[^>]*?\bhref=["']?(?:https?:)?//[^\s"'>]+"""
@@ -23,12 +23,12 @@ LOADED = re.compile(
 
 
 def loads_from_elsewhere(folder: Path) -> list[str]:
-    """Return "FILE: what it loads" for every page and style sheet of a site that needs a network."""
+    """Return "FILE: resource" for every page and style sheet that loads something from the network."""
     files = sorted(path for path in folder.rglob("*") if path.suffix in (".html", ".css"))
     return [
-        f"{path.relative_to(folder)}: {found[0]}"
+        f"{path.relative_to(folder)}: {match[0]}"
         for path in files
-        for found in LOADED.finditer(path.read_text(encoding="utf-8"))
+        for match in LOADED.finditer(path.read_text(encoding="utf-8"))
     ]
 
 

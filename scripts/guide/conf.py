@@ -1,7 +1,7 @@
-"""Sphinx's configuration of the guide as a site, and the order of its pages.
+"""Sphinx's configuration of the guide, and the order of its pages.
 
-Sources are the Markdown pages where they lie, so that links work in a checkout too. Sphinx finds the order of pages in
-"toctree" directives, which other readers of Markdown would show as text: ``add_navigation`` adds them while it builds.
+Sources are the Markdown pages in place, so that links work in a checkout too. Sphinx needs "toctree" directives for the
+order, which other readers of Markdown would show as text: ``add_navigation`` adds them during the build.
 """
 
 import tomllib
@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# Of docs/, in the order in which a user needs them. Names with ".." lie elsewhere.
+# Pages relative to docs/, in the order in which a user needs them.
 NAVIGATION = {
     "Start": ["install", "first_recovery", "worked_example"],
     "Photograph": ["shooting", "calibration", "rigs", "developing"],
@@ -49,7 +49,7 @@ html_show_sphinx = False
 html_static_path = ["static"]
 html_css_files = ["guide.css"]
 html_extra_path = ["root"]
-# Captions of search results are read from the pages by JavaScript, which browsers forbid for files on the disk.
+# JavaScript would read the captions of search results from the pages, which browsers forbid for local files.
 html_show_search_summary = False
 # Pygments' styles with enough contrast; furo brings its own for dark pages.
 pygments_style, pygments_dark_style = "a11y-high-contrast-light", "a11y-high-contrast-dark"

@@ -1,4 +1,4 @@
-"""Cases of bad input for the public command: name → (what makes the arguments in a folder, words of the message)."""
+"""Cases of bad input for the public command: name → (function from a folder to arguments, pattern of the message)."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ def edit(path, old, new):
 
 
 def recover(*rest, capture="card"):
-    """A case that needs nothing made: options of ``recover`` with words of the message."""
+    """Return a case that needs no files of its own: the arguments of ``recover``."""
     return lambda folder: ["recover", folder / capture, "--iterations", 2, "--quiet", "-o", folder / OUT, *rest]
 
 
@@ -41,7 +41,7 @@ def mesh(name, file="scene.blend"):
 
 
 def model(toml=WARD_TOML, glsl=WARD_GLSL, old="", new=""):
-    """A model of one's own, with a fault."""
+    """Return a case with a faulty model of the user."""
 
     def prepare(folder):
         assert old in toml + glsl
@@ -63,7 +63,7 @@ def preset(old, new):
 
 
 def with_file(name, content, *rest):
-    """A case with another file in the folder; an option that is a name of a file in the folder becomes its path."""
+    """Return a case with another file in the folder; options that name a file there become its path."""
 
     def prepare(folder):
         path = folder / name
@@ -75,7 +75,7 @@ def with_file(name, content, *rest):
 
 
 def render(*rest, maps="maps", blend="scene.blend"):
-    """Options of ``render``; maps are a square of the defaults."""
+    """Return a case of ``render`` with these options, on 4 × 4 texels of default values."""
 
     def prepare(folder):
         everything = {"normal": {c: np.full((4, 4), v, np.float32) for c, v in zip("RGB", (0, 0, 1), strict=True)}}

@@ -1,4 +1,4 @@
-"""A table with balls and things that look like balls, ray traced in numpy (float64) under distant or near lights."""
+"""A table with balls and decoys, ray traced in numpy (float64) under distant or near lights."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ TABLE = 8.0  # distance from the camera
 
 @dataclass(frozen=True)
 class Sphere:
-    """kind: mirror, or matte. centre (3,) and radius: in the camera's axes."""
+    """A ball. kind: mirror, or matte. centre (3,) and radius: in camera axes."""
 
     kind: str
     centre: tuple
@@ -26,9 +26,9 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Scene:
-    """camera: perspective, along −z. up: the table's normal. disc: (x, y, radius, albedo) painted on the table.
+    """A table with balls. camera: perspective, along −z. up: the table's normal. discs: (x, y, radius, albedo) on it.
 
-    near: lights are places, as bright as distant ones in the table's middle.
+    near: lights are positions, as bright in the table's middle as distant ones.
     """
 
     spheres: tuple = ()
@@ -41,20 +41,20 @@ class Scene:
 
 
 def place(scene, x, y, radius):
-    """The centre of a ball that lies on the table at x, y of the plane z = −TABLE below the camera."""
+    """Return the centre of a ball that lies on the table at x, y of the plane z = −TABLE."""
     up = np.asarray(scene.up)
     foot = np.array([x, y, -TABLE - (x * up[0] + y * up[1]) / up[2]])
     return tuple(foot + radius * up)
 
 
 def _nearest(scene, origin, ray):
-    """Distance to and number of what rays (N, 3) hit: spheres by number, −1 the table, −2 nothing."""
+    """Return the distance of the first hit of rays (N, 3) and its object: a sphere's number, −1 the table, −2 none."""
     up = np.asarray(scene.up)
     falling = ray @ up
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(falling < -1e-9, ((np.array([0, 0, -TABLE]) - origin) @ up) / falling, np.inf)
     t = np.where(t > 1e-6, t, np.inf)
-    what = np.where(np.isfinite(t), -1, -2)
+    hit = np.where(np.isfinite(t), -1, -2)
     for number, sphere in enumerate(scene.spheres):
         away = origin - np.asarray(sphere.centre)
         half = (away * ray).sum(-1)
@@ -65,21 +65,21 @@ def _nearest(scene, origin, ray):
             if sphere.hollow:
                 point = away + np.where(np.isfinite(s), s, 0)[:, None] * ray
                 s = np.where(point @ up < 0, s, np.inf)
-            what, t = np.where(s < t, number, what), np.minimum(t, s)
-    return t, what
+            hit, t = np.where(s < t, number, hit), np.minimum(t, s)
+    return t, hit
 
 
 def _radiance(scene, origin, ray, light, bounces=2):
-    t, what = _nearest(scene, origin, ray)
+    t, hit = _nearest(scene, origin, ray)
     up = np.asarray(scene.up)
     value = np.full(len(ray), SKY)
-    off = np.degrees(np.arccos(np.clip((ray * _toward(scene, origin, light)[0]).sum(-1), -1, 1)))
-    value[(what == -2) & (off < LAMP_DEGREES / 2)] = LAMP
+    angle = np.degrees(np.arccos(np.clip((ray * _toward(scene, origin, light)[0]).sum(-1), -1, 1)))
+    value[(hit == -2) & (angle < LAMP_DEGREES / 2)] = LAMP
     for number in range(-1, len(scene.spheres)):
-        here = what == number
-        if not here.any():
+        mask = hit == number
+        if not mask.any():
             continue
-        point = origin[here] + t[here, None] * ray[here]
+        point = origin[mask] + t[mask, None] * ray[mask]
         if number < 0:
             normal = np.broadcast_to(up, point.shape)
             albedo = scene.albedo * (1 + scene.texture * np.sin(9 * point[:, 0]) * np.cos(7 * point[:, 1]))
@@ -88,20 +88,20 @@ def _radiance(scene, origin, ray, light, bounces=2):
         else:
             sphere = scene.spheres[number]
             normal = (point - sphere.centre) / sphere.radius
-            normal = np.where((normal * ray[here]).sum(-1, keepdims=True) > 0, -normal, normal)
+            normal = np.where((normal * ray[mask]).sum(-1, keepdims=True) > 0, -normal, normal)
             albedo = sphere.albedo
             if sphere.kind == "mirror" and bounces:
-                seen = ray[here] - 2 * (ray[here] * normal).sum(-1, keepdims=True) * normal
-                value[here] = albedo * _radiance(scene, point + 1e-6 * normal, seen, light, bounces - 1)
+                seen = ray[mask] - 2 * (ray[mask] * normal).sum(-1, keepdims=True) * normal
+                value[mask] = albedo * _radiance(scene, point + 1e-6 * normal, seen, light, bounces - 1)
                 continue
         toward, strength = _toward(scene, point, light)
         shadowed = _nearest(scene, point + 1e-6 * normal, toward)[1] >= 0
-        value[here] = albedo * (SKY + strength * np.maximum((normal * toward).sum(-1), 0) * ~shadowed)
+        value[mask] = albedo * (SKY + strength * np.maximum((normal * toward).sum(-1), 0) * ~shadowed)
     return value
 
 
 def _toward(scene, point, light):
-    """Unit vectors from points (N, 3) to the light, and its strength there."""
+    """Return unit vectors from points (N, 3) to the light, and its irradiance there over that of a distant one."""
     if not scene.near:
         return np.broadcast_to(light, point.shape), 1.0
     away = light - point
@@ -110,7 +110,7 @@ def _toward(scene, point, light):
 
 
 def photographs(scene, lights, seed=0, fine=2, blur=0.7, noise=0.004, clip=1.0):
-    """Images (H, W, 4) as a reader gives them, one a light (K, 3), with blur, noise and clipped highlights."""
+    """Return an image (H, W, 4) like a reader's for each light (K, 3), with blur, noise and clipped highlights."""
     camera, rng, images = scene.camera, np.random.default_rng(seed), []
     origin, ray = (np.ascontiguousarray(part).reshape(-1, 3) for part in rays(camera, fine))
     for light in lights:

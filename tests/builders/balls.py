@@ -1,4 +1,4 @@
-"""Pictures of balls under known lights, ray traced in numpy and by Cycles, for the calibration."""
+"""Pictures of balls under known lights, ray traced in numpy, for the tests of the calibration."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tests.builders.domains import unit
 
 
 def rays(camera, fine=1):
-    """Origins and unit directions (H·fine, W·fine, 3) in the camera's axes, row 0 at the bottom."""
+    """Return origins and unit directions (H·fine, W·fine, 3) of rays in camera axes, row 0 at the bottom."""
     x = ((np.arange(camera.width * fine) + 0.5) / fine - camera.centre[0]) / camera.scale[0]
     y = ((np.arange(camera.height * fine) + 0.5) / fine - camera.centre[1]) / camera.scale[1]
     x, y = np.meshgrid(x, y)
@@ -17,7 +17,7 @@ def rays(camera, fine=1):
 
 
 def trace(camera, centre, radius, fine=1):
-    """Points, normals and whether the sphere is hit, by the quadratic |o + t d − c|² = r²."""
+    """Return points, normals, rays, and whether each hits the sphere, by the quadratic |o + t d − c|² = r²."""
     origin, ray = rays(camera, fine)
     away = origin - np.asarray(centre)
     half = (away * ray).sum(-1)
@@ -28,7 +28,7 @@ def trace(camera, centre, radius, fine=1):
 
 
 def mirror_image(camera, balls, light, distant=True, width=4.0, fine=6, room=0.05):
-    """(H, W, 3) of mirror balls [(centre, radius)]: a lamp of ``width`` degrees, radiance 100, in a room of stripes."""
+    """Return (H, W, 3) of mirror balls [(centre, radius)] in a striped room; lamp: ``width`` degrees, radiance 100."""
     whole = np.full((camera.height, camera.width, 3), room / 2)
     for centre, radius in balls:
         rows, columns = around(camera, centre, radius)
@@ -43,21 +43,21 @@ def mirror_image(camera, balls, light, distant=True, width=4.0, fine=6, room=0.0
 
 
 def around(camera, centre, radius):
-    """The rows and columns of a ball, as slices."""
+    """Return the rows and columns of a ball, as slices."""
     pixels = np.argwhere(trace(camera, centre, radius)[3])
     low, high = np.maximum(pixels.min(axis=0) - 2, 0), pixels.max(axis=0) + 3
     return slice(low[0], min(high[0], camera.height)), slice(low[1], min(high[1], camera.width))
 
 
 def part_of(camera, rows, columns):
-    """The camera of a rectangle of the image."""
+    """Return the camera of a rectangle of the image."""
     middle = (camera.centre[0] - columns.start, camera.centre[1] - rows.start)
     return Camera(columns.stop - columns.start, rows.stop - rows.start, camera.scale, middle, camera.matrix,
                   camera.perspective)  # fmt: skip
 
 
 def matte_image(camera, balls, light, distant=True, albedo=(0.5, 0.5, 0.5), ambient=0.02, fine=2):
-    """(H, W, 3) of Lambertian balls: albedo · intensity · n·l; the intensity of a near light is at distance 1."""
+    """Return (H, W, 3) of Lambertian balls: albedo · n·l · irradiance, which a near light has at distance 1."""
     whole = np.full((camera.height, camera.width, 3), float(ambient))
     for centre, radius in balls:
         rows, columns = around(camera, centre, radius)
@@ -72,14 +72,14 @@ def matte_image(camera, balls, light, distant=True, albedo=(0.5, 0.5, 0.5), ambi
 
 
 def coarse(image, fine):
-    """The mean over fine × fine values; grey becomes RGB."""
+    """Return the mean over fine × fine values; grey becomes RGB."""
     height, width = (side // fine for side in image.shape[:2])
     mean = image.reshape(height, fine, width, fine, -1).mean(axis=(1, 3))
     return np.repeat(mean, 3, axis=-1) if mean.shape[-1] == 1 else mean
 
 
 def photographed(image, rng, blur=0.0, noise=0.0, clip=None):
-    """(H, W, 4) like a reader's: blurred (Gaussian, pixels), with noise; clipped pixels have weight 0."""
+    """Return (H, W, 4) like a reader's: blurred (Gaussian, pixels), with noise; clipped pixels have weight 0."""
     if blur:
         reach = int(np.ceil(4 * blur))
         kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / blur) ** 2)
@@ -95,13 +95,13 @@ def photographed(image, rng, blur=0.0, noise=0.0, clip=None):
 
 
 def degrees(a, b):
-    """The angle between vectors."""
+    """Return the angle between vectors, degrees."""
     a, b = unit(a), unit(b)
     return np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2, 0, 1)))
 
 
 def cap(count, widest, seed=0):
-    """(count, 3) unit directions, even over the cap within ``widest`` degrees of z."""
+    """Return (count, 3) unit directions, even over the cap within ``widest`` degrees of z."""
     z = 1 - (1 - np.cos(np.radians(widest))) * (np.arange(count) + 0.5) / count
     phi = np.pi * (3 - np.sqrt(5)) * np.arange(count) + seed
     flat = np.sqrt(1 - z**2)

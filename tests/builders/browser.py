@@ -1,4 +1,4 @@
-"""Chromium without a window, driven through the DevTools protocol over pipes: no port, and no library."""
+"""Headless Chromium, driven by the DevTools protocol over pipes: no port, no library."""
 
 import base64
 import fcntl
@@ -25,7 +25,7 @@ _SECONDS = 60
 
 
 def chromium():
-    """Return the path of Chromium, None where it is not installed."""
+    """Return the path of Chromium, None if it is not installed."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -36,7 +36,7 @@ class Browser:
         self._folder = tempfile.TemporaryDirectory(prefix="irpso-chromium-", ignore_cleanup_errors=True)
         read, self._out = os.pipe()
         self._in, write = os.pipe()
-        # Chromium reads commands from 3 and writes answers to 4; a shell puts the pipes there, which are elsewhere now.
+        # Chromium reads commands from descriptor 3 and writes answers to 4; a shell moves the pipes there.
         ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (read, write)]
         script = f'exec "$@" 3<&{ends[0]} 4>&{ends[1]}'
         command = [
@@ -62,23 +62,23 @@ class Browser:
         self.resize(width, height)
 
     def resize(self, width, height, ratio=1, mobile=False):
-        """Set the size in CSS pixels and the pixels of a screen to one of them."""
+        """Set the page's size in CSS pixels. ratio: screen pixels along a CSS pixel."""
         metrics = {"width": width, "height": height, "deviceScaleFactor": ratio, "mobile": mobile}
         self._call("Emulation.setDeviceMetricsOverride", **metrics)
         self._call("Emulation.setTouchEmulationEnabled", enabled=mobile)
 
     def scheme(self, name):
-        """Prefer "light" or "dark"."""
+        """Set the preferred colour scheme: "light" or "dark"."""
         self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": name}])
 
     def open(self, page, state=""):
-        """Open a file with what follows its #, and wait until it is drawn."""
+        """Open a file with ``state`` as its fragment (after #), and wait until the page is drawn."""
         self._call("Page.navigate", url="about:blank")
         self._call("Page.navigate", url=f"{Path(page).resolve().as_uri()}#{state}")
         self.wait()
 
     def wait(self, value="yes"):
-        """Wait until the page says that what it shows is there."""
+        """Wait until the page's ``data-ready`` has this value."""
         self.until(f"document.documentElement?.dataset.ready === {value!r}")
 
     def until(self, condition):
@@ -90,17 +90,17 @@ class Browser:
             time.sleep(0.02)
 
     def state(self, text):
-        """Let the page show another state."""
+        """Set the page's fragment and wait until the page is drawn."""
         self.run(f"location.hash = {json.dumps(text)}")
         self.settle()
 
     def settle(self):
-        """Wait until the page has drawn what it was just asked to."""
+        """Wait until the page has drawn two more frames and is ready."""
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
         self.wait()
 
     def run(self, script):
-        """Return what a script evaluates to; a promise is awaited."""
+        """Return the value of a script; a promise is awaited."""
         answer = self._call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
             raise RuntimeError(answer["exceptionDetails"])
@@ -116,9 +116,9 @@ class Browser:
         self.settle()
 
     def drag(self, start, end, button="left"):
-        """Press the mouse at a place, move it to another, and release it."""
-        held = {"left": 1, "right": 2}[button]
-        steps = ("Moved", start, 0), ("Pressed", start, held), ("Moved", end, held), ("Released", end, 0)
+        """Press the mouse at a point, move it to another, and release it."""
+        mask = {"left": 1, "right": 2}[button]
+        steps = ("Moved", start, 0), ("Pressed", start, mask), ("Moved", end, mask), ("Released", end, 0)
         for kind, (x, y), buttons in steps:
             mouse = {"x": x, "y": y, "buttons": buttons, "clickCount": 1, "modifiers": 0}
             name = button if buttons or kind == "Released" else "none"
@@ -126,12 +126,12 @@ class Browser:
         self.settle()
 
     def wheel(self, place, down):
-        """Turn the wheel at a place."""
+        """Turn the wheel at a point."""
         self._call("Input.dispatchMouseEvent", type="mouseWheel", x=place[0], y=place[1], deltaX=0, deltaY=down)
         self.settle()
 
     def touch(self, *steps):
-        """Put fingers down, move and lift them: lists of places, the first one down, the last one moved to."""
+        """Touch, move and lift fingers. steps: lists of points, from the first touch to the last."""
         kinds = ["touchStart", *["touchMove"] * (len(steps) - 1)]
         for kind, places in zip(kinds, steps, strict=True):
             points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
@@ -150,7 +150,7 @@ class Browser:
         return [event for event in self.events if event["method"] in kinds]
 
     def requests(self):
-        """Return the addresses that have been asked for."""
+        """Return the URLs that the page has requested."""
         sent = [event for event in self.events if event["method"] == "Network.requestWillBeSent"]
         return [event["params"]["request"]["url"] for event in sent]
 

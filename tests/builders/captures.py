@@ -1,4 +1,4 @@
-"""Small captures, and a PNG reader and writer with zlib only, for the tests of capture/."""
+"""Small captures, and a PNG reader and writer that need zlib only, for the tests of capture/."""
 
 import struct
 import zlib
@@ -51,7 +51,7 @@ def read_png(path):
 
 
 def decode_png(path):
-    """A decoder for read_capture without Blender."""
+    """Decode a PNG without Blender: a decoder for read_capture."""
     codes, bits = read_png(path)
     return Picture((codes[::-1] / (2**bits - 1)).astype(np.float32), bits)
 

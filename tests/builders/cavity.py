@@ -1,4 +1,4 @@
-"""Hollow spheres and parts of them, whose places all receive the same from one another: form factors are areas.
+"""Hollow spheres and parts of them: the form factor to any part of a sphere from inside is its share of the area.
 
 Siegel & Howell, Thermal Radiation Heat Transfer: the inside of a sphere.
 """
@@ -17,9 +17,9 @@ from tests.oracles.geometry import mesh_from_grid
 
 
 def cavity_mesh(opening: float = -1.0) -> MeshData:
-    """Return a sphere of radius 1 whose normals face its middle, without what lies below z = ``opening``.
+    """Return a sphere of radius 1 with normals to its centre, cut off below z = ``opening``.
 
-    Unwrapped by longitude and height, which keeps areas.
+    Unwrapped by longitude and height, which preserves areas.
     """
 
     def place(u, v):
@@ -31,7 +31,7 @@ def cavity_mesh(opening: float = -1.0) -> MeshData:
 
 
 def cavity(mesh: MeshData, shape: tuple[int, int] = (24, 48)) -> Domain:
-    """Return the domain (H, W) of one photograph from the middle, under a light of intensity 1 there."""
+    """Return the domain (H, W) of one photograph from the centre, under a light of intensity 1 there."""
     bake = bake_uv(mesh, *shape[::-1], allow_overlap=True)
     middle = np.float32([[0, 0, 0, 1]])
     return domain_of(bake, np.ones((1, *shape, 4), np.float32), middle, np.ones((1, 3), np.float32), middle, card=False)
@@ -40,10 +40,10 @@ def cavity(mesh: MeshData, shape: tuple[int, int] = (24, 48)) -> Domain:
 def cap_card(
     albedo: tuple[float, float, float], lights: np.ndarray, side: int = 40
 ) -> tuple[Domain, Camera, np.ndarray]:
-    """Return a card, its camera and its normals (H, W, 3): a matt hollow cap, 60° of a sphere of radius 1, from above.
+    """Return domain, camera and normals (H, W, 3) of a matt hollow cap, 60° of a sphere of radius 1, seen from above.
 
-    With the light that it throws on itself, exactly: its opening, of area 3π/4, lets in that times cos θ, which falls
-    on an area of π; a quarter of what a place sends meets the cap again. Distant lights (K, 3).
+    Interreflection is exact: the opening, of area 3π/4, lets in 3π/4 cos θ, which falls on an area of π; a quarter of
+    the light that a point reflects meets the cap again. lights: (K, 3) distant.
     """
     camera = Camera.orthographic(side, side, 2.0)
     along = ((np.arange(side) + 0.5) / side - 0.5) * 2
@@ -54,7 +54,7 @@ def cap_card(
     rho, stack = np.array(albedo), np.zeros((len(lights), side, side, 4))
     for sample, light in zip(stack, lights, strict=True):
         cosine = normal @ light
-        beyond = place[..., 2] + 2 * cosine * light[2]  # height at which the way to the light meets the sphere
+        beyond = place[..., 2] + 2 * cosine * light[2]  # height where the ray to the light meets the sphere
         direct = np.where((cosine > 0) & (beyond > -0.5), cosine, 0)
         received = 0.25 * rho * (0.75 * light[2]) / (1 - 0.25 * rho)
         sample[covered] = np.concatenate([rho * (direct[..., None] + received), np.ones((side, side, 1))], axis=-1)[
@@ -72,17 +72,15 @@ def cap_card(
 def half_cavity(mesh: MeshData, albedo: tuple[float, float, float], lights: np.ndarray, shape=(16, 64)) -> Domain:
     """Return the domain of a matt half sphere, open to −z, photographed along z under distant lights (K, 3).
 
-    mesh: ``cavity_mesh(0.0)``. With the light that it throws on itself, exactly: the opening, of area π, lets in
-    π cos θ, of which the mean place, of an area of 2π, receives cos θ / 2; half of what a place sends meets another.
+    mesh: ``cavity_mesh(0.0)``. Interreflection is exact: the opening, of area π, lets in π cos θ, which is cos θ / 2 on
+    average over the area of 2π; half of the light that a point reflects meets the half sphere again.
     """
     bake = bake_uv(mesh, *shape[::-1], allow_overlap=True)
     normal, rho = bake.normal.astype(np.float64), np.array(albedo)
     stack = np.ones((len(lights), *shape, 4))
     for sample, light in zip(stack, lights, strict=True):
         cosine = normal @ light
-        beyond = (
-            -normal[..., 2] + 2 * cosine * light[2]
-        )  # height of the place where the way to the light meets the sphere
+        beyond = -normal[..., 2] + 2 * cosine * light[2]  # height where the ray to the light meets the sphere
         lit = (cosine > 0) & (beyond < 0)
         received = 0.5 * rho * (-light[2] / 2) / (1 - 0.5 * rho)
         sample[..., :3] = rho * ((cosine * lit)[..., None] + received)

@@ -1,4 +1,4 @@
-"""A photographed 24-patch chart whose camera, lamp and place are known."""
+"""Photographs of a 24-patch chart with known camera, lamp and position."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def photographed(
     """
     width, height = SIZE
     x, y = np.meshgrid((np.arange(2 * width) + 0.5) / 2, (np.arange(2 * height) + 0.5) / 2)
-    # The square's points as barycentric-like weights of the corners: an oracle apart from the program's solve.
+    # The square's points as homogeneous weights of the corners: independent of the program's solve.
     homogeneous = np.column_stack([corners, np.ones(4)])
     weights = np.linalg.solve(homogeneous[[0, 1, 3]].T, homogeneous[2])  # corner 2 of corners 0, 1 and 3
     basis = homogeneous[[0, 1, 3]] * (weights * (-1, 1, 1))[:, None]  # (0,0), (1,0), (0,1) with their depths

@@ -1,4 +1,4 @@
-"""Photographs with and without a 24-patch chart or a grey card: random cameras, lamps, places, turns and clutter."""
+"""Photographs with and without a 24-patch chart or a grey card: random camera, lamp, pose and clutter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from irpso_addon.calibration.radiometry.colour_chart import COLUMNS, ROWS, patch
 
 from .chart import random_camera
 
-_PITCH = 40  # pixels of the chart's own picture
+_PITCH = 40  # pixels of the chart's picture between patches
 _FINE = 2  # samples of the photograph along a pixel's side
 
 
@@ -26,7 +26,7 @@ class Scene:
 def scene(
     seed: int, chart: bool = True, mirrored: bool = False, coded: bool = True, card: bool = False, dimmest: float = 0.5
 ) -> Scene:
-    """Return a scene; the same seed gives the same. coded: as 8-bit sRGB codes made linear again.
+    """Return the scene of a seed. coded: with 8-bit codes of gamma 2.2, made linear again.
 
     card: a grey card in place of the chart. dimmest: the least channel of the lamp's tint, up to 1.
     """
@@ -54,7 +54,7 @@ def scene(
 
 
 def _corners(rng, width, height, share=None):
-    """Return the corners (4, 2) of the card, turned and tilted anywhere in the picture, all inside it."""
+    """Return corners (4, 2) of a randomly turned and tilted card, all inside the picture."""
     while True:
         wide = (share or rng.uniform(0.18, 0.8)) * width
         flat = wide * np.array([(-1, -0.7), (1, -0.7), (1, 0.7), (-1, 0.7)]) / 2
@@ -76,14 +76,14 @@ _MARGIN = 0.35  # of the pitch, of black card beyond the patches
 
 
 def _of_patches(corners, gap, mirrored):
-    """Return the corners of the field of patches, of the card's."""
+    """Return the corners of the field of patches from those of the card."""
     wide, tall = COLUMNS - gap + 2 * _MARGIN, ROWS - gap + 2 * _MARGIN
     whole = np.array([(0, 0), (wide, 0), (wide, tall), (0, tall)], np.float32)
     to_picture = cv2.getPerspectiveTransform(whole, corners.astype(np.float32))
     inner = np.array([(_MARGIN, _MARGIN), (wide - _MARGIN, _MARGIN), (wide - _MARGIN, tall - _MARGIN),
                       (_MARGIN, tall - _MARGIN)], np.float32)  # fmt: skip
-    found = cv2.perspectiveTransform(inner[None], to_picture)[0].astype(np.float64)
-    return found[[1, 0, 3, 2]] if mirrored else found
+    patch_corners = cv2.perspectiveTransform(inner[None], to_picture)[0].astype(np.float64)
+    return patch_corners[[1, 0, 3, 2]] if mirrored else patch_corners
 
 
 def _with_chart(rng, seen, corners, gap, mirrored):
@@ -133,7 +133,7 @@ def _background(rng, width, height):
 
 
 def _tiles(rng, picture, x, y, size):
-    """Paint rows of tiles: checks, greys or random colours; like a chart, but none."""
+    """Paint rows of tiles that resemble a chart: checks, greys or random colours."""
     columns, rows, pitch = rng.integers(3, 9), rng.integers(3, 7), max(4, int(size / 6))
     colours = rng.uniform(0.02, 0.9, (rows, columns, 3))
     style = rng.integers(3)

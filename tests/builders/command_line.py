@@ -1,4 +1,4 @@
-"""Small captures, meshes and .blend files for the tests of the command line, and the command line in process."""
+"""Small captures, meshes and .blend files for the tests of the command line, and a call of it in this process."""
 
 import contextlib
 import io
@@ -88,7 +88,7 @@ def angle(a, b):
 
 
 def listing(folder):
-    """Return relative path → (size, time of change) of everything below a folder."""
+    """Return relative path → (bytes, modification time) of everything below a folder."""
     return {
         str(path.relative_to(folder)): (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else None
         for path in Path(folder).rglob("*")

@@ -126,7 +126,7 @@ def ended_prefit(recovery):
 
 
 def resumed(recover, domain, model, schedule, iterations):
-    """Return the bits of two runs' maps: the second continues from the first one's checkpoint after some iterations."""
+    """Return the bits of two runs' maps; the second starts from the first one's checkpoint after some iterations."""
     both = first, second = [recover(domain, model, schedule) for _ in range(2)]
     first.step(iterations=iterations)
     second.restore(first.state())
@@ -136,7 +136,7 @@ def resumed(recover, domain, model, schedule, iterations):
 
 
 def sliced(recovery):
-    """Return the bits of a run's maps that is made in short slices, and looked at after each."""
+    """Return the bits of the maps of a recovery run in 2 ms slices, with its maps read after each."""
     while not recovery.step(time_budget_s=0.002).done:
         recovery.maps(confidence=False)
     return bits_of(recovery.maps(confidence=False))
@@ -174,7 +174,7 @@ def degrees(maps, normal):
 
 
 def around(values):
-    """Return the sums of (H, W, n) over each texel, 5×5 around it, and the rims of such squares, two and four apart."""
+    """Return the sums of (H, W, n) over 5×5 texels and the rims of such squares with texels two and four apart."""
     near = [(x, y) for x in range(-2, 3) for y in range(-2, 3)]
     rim = [(x, y) for x, y in near if max(abs(x), abs(y)) == 2]
     height, width = values.shape[:2]

@@ -1,4 +1,4 @@
-"""The window's panels drawn into a layout that checks each property, operator and icon it is given."""
+"""Draws the window's panels into a fake layout that checks each property, operator and icon."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,7 @@ ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum
 
 
 class Drawn:
-    """A layout that notes what is drawn, and refuses what Blender would not know."""
+    """A fake layout: records what is drawn; fails on properties, operators and icons that Blender lacks."""
 
     def __init__(self, notes=None):
         object.__setattr__(self, "notes", {"props": [], "operators": [], "texts": []} if notes is None else notes)
@@ -63,7 +63,7 @@ class Drawn:
 
 
 def panels(space="VIEW_3D"):
-    """Return the panels of the tab that are there now, those inside others included."""
+    """Return the panels that the tab shows now, with their children."""
     from irpso_addon.ui.panels import capture, image_editor, recovery, sidebar, view
 
     classes = [one for module in (sidebar, capture, recovery, view, image_editor) for one in module.CLASSES]
@@ -74,7 +74,7 @@ def panels(space="VIEW_3D"):
 
 
 def drawn(space="VIEW_3D"):
-    """Draw all panels; return what is in them: props, operators, texts."""
+    """Draw all panels; return their props, operators and texts."""
     notes = Drawn().notes
     for cls in panels(space):
         panel = SimpleNamespace(layout=Drawn(notes))

@@ -10,7 +10,7 @@ ASCII, BYTE, SHORT, LONG, RATIONAL, SRATIONAL = 2, 1, 3, 4, 5, 10
 
 
 def directory(tags, at, order="<"):
-    """Return a TIFF directory that lies at an offset: tags are (number, kind, values); rationals are pairs."""
+    """Return a TIFF directory at offset ``at``. tags: (number, kind, values); rationals are pairs."""
     codes = {BYTE: "B", ASCII: "B", SHORT: "H", LONG: "I", RATIONAL: "I", SRATIONAL: "i"}
     entries, extra = b"", b""
     beyond = at + 2 + 12 * len(tags) + 4
@@ -53,7 +53,7 @@ def jpeg(width, height, block=b""):
 
 
 def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None):
-    """Return a DNG 1.4 file of a mosaic (H, W) of 16-bit codes, red, green; green, blue, of a camera of Rec. 709."""
+    """Return a DNG 1.4 file of a mosaic (H, W) of 16-bit codes, pattern RGGB, of a camera with Rec. 709 primaries."""
     height, width = mosaic.shape
     tags = [
         (254, LONG, [0]), (256, LONG, [width]), (257, LONG, [height]), (258, SHORT, [16]), (259, SHORT, [1]),
@@ -71,7 +71,7 @@ def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, se
 
 
 def bayer(rgb):
-    """Return the mosaic (H, W) of (H, W, 3) on photosites red, green; green, blue."""
+    """Return the RGGB mosaic (H, W) of (H, W, 3)."""
     mosaic = rgb[..., 1].copy()
     mosaic[::2, ::2], mosaic[1::2, 1::2] = rgb[::2, ::2, 0], rgb[1::2, 1::2, 2]
     return mosaic

@@ -73,7 +73,7 @@ def accessor(table, binary, index):
 
 
 def image_of(table, binary, texture, folder):
-    """Return the code values of the image that a texture reference names."""
+    """Return the code values of the image of a texture reference."""
     view = table["bufferViews"][table["images"][table["textures"][texture["index"]]["source"]]["bufferView"]]
     start = view.get("byteOffset", 0)
     path = folder / f"image{texture['index']}.png"
@@ -82,7 +82,7 @@ def image_of(table, binary, texture, folder):
 
 
 def bent_sheet(size=1.0):
-    """A sheet of 6 × 6 bent quads, its left half mirrored in the UV square, rotated and moved in the world."""
+    """Return a sheet of 6 × 6 bent quads, its left half mirrored in the UV square, rotated and moved in the world."""
     u, v = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7))
     points = np.stack([u, v, 0.3 * np.cos(1.5 * u) + 0.2 * np.sin(2 * v)], axis=-1).reshape(-1, 3) * size
     corner = np.arange(42).reshape(6, 7)[:, :-1].ravel()
@@ -102,7 +102,7 @@ def bent_sheet(size=1.0):
 
 
 def on_a_sheet(name, texels=192):
-    """Return a result whose normals tilt off a bent sheet by a known world field, the object, and that field."""
+    """Return a result on a bent sheet whose normals tilt by the world field ``lean``, and the sheet's object."""
     obj = bent_sheet()
     mesh = extract_mesh(obj)
     surface = bake.bake_uv(mesh, texels, texels)

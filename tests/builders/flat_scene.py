@@ -1,4 +1,4 @@
-"""Pictures of a flat card on a table, warped by numpy alone: the corners and the camera are known in float64."""
+"""Pictures of a flat card on a table, warped in numpy, with corners and camera known in float64."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def looking_camera(
     size: tuple[int, int], focal: float, distance: float, tilt: float, around: float, roll: float = 0.0,
     aim: tuple[float, float] = (0.0, 0.0),
 ) -> Camera:  # fmt: skip
-    """Return a camera that looks at a place of the plane z = 0 from ``distance``; angles in degrees."""
+    """Return a camera that looks at the point ``aim`` of the plane z = 0 from ``distance``; angles in degrees."""
     tilt, around, roll = np.radians([tilt, around, roll])
     backward = np.array([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)])
     up = np.array([-np.sin(roll), np.cos(roll), 0.0])
@@ -26,7 +26,7 @@ def looking_camera(
 
 
 def seen_plane(camera: Camera, value) -> np.ndarray:
-    """Return (H, W) of what the camera sees of the plane z = 0; value: places (…, 2) → (…), row 0 at the bottom."""
+    """Return the camera's picture (H, W) of the plane z = 0, row 0 at the bottom. value: points (…, 2) → (…)."""
     width, height = camera.width, camera.height
     x = (np.arange(width * _OVER) + 0.5) / _OVER
     y = (np.arange(height * _OVER) + 0.5) / _OVER
@@ -37,13 +37,13 @@ def seen_plane(camera: Camera, value) -> np.ndarray:
 
 
 def from_upper_left(camera: Camera, places: np.ndarray) -> np.ndarray:
-    """Return (N, 2) pixels from the upper left corner of places (N, 2) on the plane z = 0."""
+    """Return the pixels (N, 2), from the upper left corner, of points (N, 2) on the plane z = 0."""
     pixels, _ = camera.project(np.insert(np.asarray(places, float), 2, 0.0, axis=1))
     return np.stack([pixels[:, 0], camera.height - pixels[:, 1]], axis=-1)
 
 
 def texture(seed: int, scale: float = 8.0):
-    """Return a function places (…, 2) → values of mean .5: waves of several lengths, sharp blobs among them."""
+    """Return a function points (…, 2) → values of mean 0.5: waves of several lengths, saturated to sharp blobs."""
     random = np.random.default_rng(seed)
     waves = [(random.normal(size=2) * 2 ** random.uniform(-1, 2) / scale, random.uniform(0, 6.3)) for _ in range(24)]
 

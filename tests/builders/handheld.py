@@ -1,4 +1,4 @@
-"""Photographs of a flat card taken by hand with a flash beside the lens, warped and lit by numpy in float64."""
+"""Handheld photographs of a flat card with a flash beside the lens, warped and lit by numpy in float64."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ OFFSET, BEAM, STRENGTH = np.array([14.0, -8.0, 0.0]), 2.5, 9e4
 
 
 def hand(count, seed=0, widest=48.0, far=360.0):
-    """Return cameras that go around the plane's origin, some ``far`` away."""
+    """Return cameras around the plane's origin, about ``far`` away, up to ``widest`` degrees off its normal."""
     random = np.random.default_rng(seed)
     return [
         looking_camera(
@@ -26,9 +26,9 @@ def hand(count, seed=0, widest=48.0, far=360.0):
 
 
 def photographs(cameras, value, blurred=(), gloss=0.0):
-    """Return a capture of pictures under the flash beside each camera; value: places (…, 2) → reflectance.
+    """Return a capture of pictures under the flash beside each camera; value: points (…, 2) → reflectance.
 
-    gloss: of the field of a board, the width of a Beckmann lobe of reflectance 0.04; 0 for none.
+    gloss: width of a Beckmann lobe of reflectance 0.04 in the field of a board; 0 for none.
     """
     shots = []
     for number, camera in enumerate(cameras):
@@ -49,7 +49,7 @@ def photographs(cameras, value, blurred=(), gloss=0.0):
 
 
 def shining(places, camera, width):
-    """Return the reflectance (N,) that a lobe adds within the field of a board, seen and lit from beside a camera."""
+    """Return the reflectance (N,) of a Beckmann lobe in the field of a board, under the camera's flash."""
     if not width:
         return 0.0
     points = np.insert(places, 2, 0.0, axis=1)

@@ -1,4 +1,4 @@
-"""HEIC files, written by pillow-heif's encoder, for the tests."""
+"""HEIC files by pillow-heif's encoder, for the tests."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""A matt sphere of radius 1 under lamps, seen by two cameras of a scene that also holds its mesh."""
+"""A scene with the mesh of a matt sphere of radius 1, photographed by two cameras under lamps."""
 
 import bpy
 import numpy as np
@@ -11,9 +11,9 @@ from tests.builders.sphere import LAMPS, SIDE, STRENGTHS, sphere_photographs
 
 
 def write_sphere(folder, near, moved=0.0):
-    """Leave the mesh in the open file and write photographs of two cameras as FOLDER/capture.
+    """Put the mesh into the open file and write photographs of two cameras as FOLDER/capture.
 
-    moved: of the mesh. Return the places (K, 3) of the lamps and their strengths.
+    moved: shift of the mesh along x. Return the positions (K, 3) of the lamps and their strengths.
     """
     empty_blend()
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, location=(moved, 0, 0))

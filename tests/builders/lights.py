@@ -1,4 +1,4 @@
-"""Subjects for the tests of lights: reliefs in float64 numpy under uneven lights, with shadow and noise."""
+"""Reliefs in float64 numpy under uneven lights, with shadow and noise, for the tests of lights."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def photographed(domain: Domain, factors: np.ndarray, rng: np.random.Generator, 
     return with_samples(domain, stack.astype(np.float32))
 
 
-def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Return (K, 3) relative errors of factors, without the mean logarithm of each channel."""
-    logs = np.log(found) - np.log(true)
+def off(estimated: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Return (K, 3) relative errors of factors, up to a common factor of each channel."""
+    logs = np.log(estimated) - np.log(true)
     return np.abs(np.expm1(logs - logs.mean(axis=0)))
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return degrees between unit vectors (…, 3)."""
+    """Return the angles (…), in degrees, between unit vectors (…, 3)."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
 
 

@@ -1,4 +1,4 @@
-"""Evaluates reflectance models on the GPU: one material, light and view per texel."""
+"""Evaluates reflectance models on the GPU, with one material, light and view per texel."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from irpso_addon.reflectance.glsl import material_declaration
 
 
 def evaluate(root, model, values, light, view, value="reflectance(s, l, v)", entry="fragment"):
-    """The GLSL expression ``value`` at N materials, lights and views: (N, 3)."""
+    """Return (N, 3): the GLSL expression ``value`` at N materials, incident and view directions."""
     count = len(light)
     components = np.concatenate(
         [np.reshape(values[p.name], (count, p.components)) for p in model.parameters]

@@ -1,4 +1,4 @@
-"""Commands under mpirun, for the tests of runs over ranks."""
+"""Runs commands under mpirun, for the tests of recoveries over ranks."""
 
 import functools
 import importlib.util
@@ -19,11 +19,11 @@ SECONDS = 900  # limit of one job on a busy machine
 def launcher():
     """Return the path of an mpirun that works with mpi4py, or None."""
     beside = Path(sys.executable).with_name("mpirun")
-    found = str(beside) if beside.exists() else shutil.which("mpirun")
-    if importlib.util.find_spec("mpi4py") is None or found is None:
+    mpirun = str(beside) if beside.exists() else shutil.which("mpirun")
+    if importlib.util.find_spec("mpi4py") is None or mpirun is None:
         return None
-    done = subprocess.run([found, "--version"], capture_output=True, text=True)
-    return found if done.returncode == 0 and "Open MPI" in done.stdout else None
+    done = subprocess.run([mpirun, "--version"], capture_output=True, text=True)
+    return mpirun if done.returncode == 0 and "Open MPI" in done.stdout else None
 
 
 def needs_mpi():
@@ -39,7 +39,7 @@ def environment(**more):
 
 
 def job(ranks, *arguments, before="", **more):
-    """Return the command of ``irpso`` on so many ranks, and its environment. before: shell text of each rank."""
+    """Return the command of ``irpso`` on ``ranks`` ranks, and its environment. before: shell code of each rank."""
     command = [sys.executable, "-m", "irpso_addon", *map(str, arguments)]
     if before:
         command = ["sh", "-c", before + ' exec "$@"', "sh", *command]
@@ -61,5 +61,5 @@ def run(ranks, *arguments, before="", **more):
     command, variables = job(ranks, *arguments, before=before, **more)
     done = subprocess.run(command, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=SECONDS)
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-    assert len(lines) <= 1, done.stdout  # one rank alone speaks
+    assert len(lines) <= 1, done.stdout  # only one rank prints
     return done.returncode, json.loads(lines[0]) if lines else None, done.stderr

@@ -1,4 +1,4 @@
-"""Recoveries of synthetic subjects by several ranks and by one process; a test starts it under mpirun.
+"""Recovers synthetic subjects over several ranks and in one process; a test starts it under mpirun.
 
 Usage: mpirun -n 5 python tests/builders/mpi_ranks.py OUT. Rank 0 writes all digests into OUT/digests.json.
 """
@@ -37,7 +37,7 @@ from tests.builders.cavity import cap_card, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import SHORT, subject
 
-PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is left for others
+PLAN = {  # case → numbers of ranks, and the iteration of the checkpoint that other numbers of ranks resume
     "prime sizes, near lights, a window of 9": ((1, 2, 4, 5), None),
     "prefit, refinement and prior": ((2,), 11),
     "a threshold": ((2,), None),
@@ -45,7 +45,7 @@ PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is
     "fewer texels than ranks want": ((5,), None),
     "rounds of interreflection": ((2,), 17),  # the last of three recoveries
     "rounds on a card": ((2,), None),
-    "indirect light separated by its colour": ((4,), 9),  # found, and the second prefit is still to come
+    "indirect light separated by its colour": ((4,), 9),  # after the separation, before the second prefit
 }
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
@@ -90,15 +90,15 @@ def cases():
 
 def digest(maps, progress):
     """Return a hash of maps and progress."""
-    found = hashlib.sha256(repr(progress).encode())
+    sha256 = hashlib.sha256(repr(progress).encode())
     arrays = {**maps.values, "residual": maps.residual, "covered": maps.covered}
     for array in [*arrays.values(), *(maps.confidence or {}).values(), *(maps.alternatives or {}).values()]:
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+        sha256.update(np.ascontiguousarray(array).tobytes())
+    return sha256.hexdigest()
 
 
 def worker_of(ranks, case):
-    """Return this rank's worker; every rank has the complete domain."""
+    """Return this rank's worker, whose window is cut from the complete domain."""
     domain, model, schedule, *_ = case
     halo = recovery_cost(model, schedule, (), domain.observations).reach
     height, width = domain.shape
@@ -111,7 +111,7 @@ def worker_of(ranks, case):
 
 
 def over(ranks, case, work):
-    """Return the result of ``work`` on a recovery over ranks, on the first rank; None on the others."""
+    """Return the result of ``work`` on a recovery over ranks; None on all ranks but the first."""
     worker = worker_of(ranks, case)
     if not ranks.leads:
         return serve(worker) and None
@@ -136,7 +136,7 @@ def recovery_of(case, solve):
 
 
 def to_the_end(recovery):
-    """Recover, reading maps in between; return the digest."""
+    """Recover to the end, with one read of the maps on the way; return the digest."""
     recovery.step(iterations=5)
     recovery.maps(confidence=False)
     recovery.step()
@@ -144,7 +144,7 @@ def to_the_end(recovery):
 
 
 def saved(path, iterations):
-    """Return a function that makes ``iterations`` iterations and writes a checkpoint."""
+    """Return a function that runs ``iterations`` iterations and writes a checkpoint."""
 
     def work(recovery):
         recovery.step(iterations=iterations)
@@ -166,13 +166,13 @@ def resumed(path):
 
 
 def main(folder):
-    """Recover all cases over some sizes, some of them with a change of ranks midway; write the digests."""
+    """Recover all cases over their numbers of ranks, some with a change of it midway; write the digests."""
     world = joined()
-    kept = KeptPrograms()  # cases share kernels
+    programs = KeptPrograms()  # cases share kernels
     context.ensure()
-    # Made once: a rank outside a case goes on to its next case and sleeps there.
+    # Created once: a rank outside a case goes on to its next case and waits there.
     groups = {size: world.among(world.rank < size) for size in (1, 2, 4, 5)}
-    found = {}
+    digests = {}
 
     def some(size, case, work):
         return None if groups[size] is None else over(groups[size], case, work)
@@ -190,10 +190,10 @@ def main(folder):
                 by_size["4 ranks, then one process"] = whole(case, resumed(path))
                 whole(case, saved(path, stop))
             by_size["one process, then 2 ranks"] = some(2, case, resumed(path))
-        found[name] = by_size
+        digests[name] = by_size
     if world.leads:
-        (folder / "digests.json").write_text(json.dumps(found, indent=2))
-    kept.close()
+        (folder / "digests.json").write_text(json.dumps(digests, indent=2))
+    programs.close()
     world.close()
 
 

@@ -18,7 +18,7 @@ _LAMPS, _POWER = 260.0 * dome_lights(16, widest=60.0) - (0.0, 0.0, DISTANCE), 1.
 
 
 def near_card(unit=1.0, camera=None, values=None, **changes):
-    """Return the capture of a matt card and its maps. unit: of length, in millimetres; changes: to the Capture."""
+    """Return the capture of a matt card and its maps. unit: of length, millimetres; changes: of the Capture."""
     values = values or smooth_maps(SHAPE, {}, seed=3)
     height, width = shape = values["normal"].shape[:2]
     camera = camera or Camera.from_fov(width, height, 30.0)
@@ -32,8 +32,8 @@ def near_card(unit=1.0, camera=None, values=None, **changes):
         image = np.concatenate([radiance, np.ones((*shape, 1))], axis=-1).astype(np.float32)
         light = Light(tuple(map(float, place)), (_POWER / unit**2,) * 3, False)
         shots.append(Observation(f"lamp {k}", lambda image=image: image, light))
-    given = {"card_distance": DISTANCE / unit, **changes}
-    return Capture("card", tuple(shots), (camera,), (np.ones(shape, bool),), **given), values
+    options = {"card_distance": DISTANCE / unit, **changes}
+    return Capture("card", tuple(shots), (camera,), (np.ones(shape, bool),), **options), values
 
 
 def write_near_card(folder, **settings):
@@ -46,7 +46,7 @@ def write_near_card(folder, **settings):
 
 
 def write_unlit_card(folder, border=(0, 0)):
-    """Write a flat card of 40 × 60 pixels without its lights and its distance; return the capture that has them.
+    """Write a flat card of 40 × 60 pixels without lights and distance; return the capture with them.
 
     border: rows and columns of black table on each side of it.
     """

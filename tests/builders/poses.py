@@ -5,11 +5,11 @@ import json
 import numpy as np
 
 WIDTH, HEIGHT = 640, 480
-# World to camera as in computer vision (x right, y down, z away), at a place (3,): of the camera that all files have.
+# The camera of all files: world to camera as in computer vision (x right, y down, z forward), and its position (3,).
 ROTATION = np.array([[0.36, -0.8, 0.48], [0.48, 0.6, 0.64], [-0.8, 0.0, 0.6]])
 CENTRE = np.array([2.0, -1.5, 0.75])
 RNG = np.random.default_rng(3)
-# What that camera sees, up to 25° off its axis.
+# Points up to 25° off its axis.
 SEEN = np.c_[RNG.uniform(-0.45, 0.45, (12, 2)), np.ones(12)] * RNG.uniform(2, 6, (12, 1))
 POINTS = SEEN @ ROTATION + CENTRE
 
@@ -53,7 +53,7 @@ COLMAP_LENSES = {
 
 
 def colmap_pixels(model, parameters):
-    """COLMAP's camera models: the pixel (0.5, 0.5) is the middle of the upper left one."""
+    """Return POINTS' pixels by COLMAP's camera models; (0.5, 0.5) is the centre of the upper left pixel."""
     values = list(parameters)
     focal = [values[0]] * 2 if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") else values[:2]
     rest = values[1:] if focal[0] == values[0] and len(values) in (3, 4, 5) and model != "PINHOLE" else values[2:]
@@ -81,7 +81,7 @@ CHUNK = COMPONENT.replace('<components><component id="0">', "").replace("</compo
 
 
 def metashape(path, terms=TERMS, world="", kind="frame", transform=None, camera="", head="", reference=""):
-    """Write what Export Cameras writes: camera to chunk, row by row."""
+    """Write the XML of Metashape's Export Cameras: matrices camera to chunk, row by row."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = ROTATION.T, CENTRE
     transform = row(matrix) if transform is None else transform
@@ -102,7 +102,7 @@ label="IMG_0001"><transform>{transform}</transform></camera></group>
 
 
 def metashape_pixels(t):
-    """Metashape's manual, appendix Camera models, frame cameras."""
+    """Return POINTS' pixels by Metashape's manual, appendix Camera models, frame cameras."""
     pixels = []
     for px, py, pz in (POINTS - CENTRE) @ ROTATION.T:
         x, y = px / pz, py / pz
@@ -120,7 +120,7 @@ TURNED = np.diag([1.0, -1.0, -1.0])
 
 
 def alicevision(path, version=(1, 2, 6), intrinsics=None, pose=None, view=None, **more):
-    """Write a .sfm as its versions do: every number a string, matrices column by column."""
+    """Write a .sfm file of an AliceVision version: every number a string, matrices column by column."""
     millimetres = {"sensorWidth": "36", "sensorHeight": "27", "focalLength": repr(500 / WIDTH * 36), "pixelRatio": "1"}
     scale = millimetres if version >= (1, 2, 2) else {"pxFocalLength": ["500", "500"]}
     if version < (1, 2, 0):
@@ -148,7 +148,7 @@ def alicevision(path, version=(1, 2, 6), intrinsics=None, pose=None, view=None, 
 
 
 def alicevision_pixels(k1=0.0, k2=0.0, k3=0.0, t1=0.0, t2=0.0):
-    """AliceVision's camera models; whole numbers are the centres of pixels."""
+    """Return POINTS' pixels by AliceVision's camera models, whose whole numbers are the centres of pixels."""
     pixels = []
     for x, y, z in (POINTS - CENTRE) @ ROTATION.T:
         u, v = x / z, y / z

@@ -19,12 +19,12 @@ RANGES = {
     "oren_nayar": {"sigma": (0.2, 0.8)},
 }
 OWN = {"ward", "oren_nayar"}
-# Seen along the normal, σ and the albedo make up for each other to within 0.1 % of the radiance: the albedo is given.
+# Seen along the normal, σ and albedo compensate each other to within 0.1 % of the radiance: the albedo is fixed.
 KNOWN = {"oren_nayar": "base_color"}
 
 
 def recovered_models(tmp_path_factory):
-    """Return model → (the known maps, the result's folder, the answer of --json), each recovered once."""
+    """Return a function: model → (true maps, the result's folder, the output of --json); it recovers each once."""
     folder = tmp_path_factory.mktemp("recovered")
 
     @functools.cache

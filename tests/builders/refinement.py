@@ -1,4 +1,4 @@
-"""A refinement of given values alone on the GPU, and domains in which known materials are seen."""
+"""Runs a refinement alone on the GPU, and makes domains that show known materials."""
 
 from dataclasses import replace
 
@@ -22,13 +22,13 @@ DELTA = 0.05
 
 
 def schedule_of(loss="robust", **settings):
-    """A schedule that is a refinement and nothing else."""
+    """Return a schedule of a refinement alone."""
     refinement = replace(SETTINGS, **settings)
     return load_schedule("swarm").replaced(iterations=0, loss=loss, delta=DELTA, shadow=0.0, refinement=refinement)
 
 
 class Bench:
-    """A refinement of a domain from given values, on the GPU. scale: of every texel."""
+    """A refinement of a domain on the GPU that starts from ``values``. scale: of every texel."""
 
     def __init__(self, model, domain, values, schedule, starts=(), entry="fragment", scale=1.0):
         context.ensure()
@@ -42,7 +42,7 @@ class Bench:
         self.bands = Bands()
 
     def run(self, iterations=None):
-        """Make some iterations, or all; return what was found, name → (H, W, components)."""
+        """Run to an iteration, or to the end; return name → (H, W, components) float64."""
         while not self.refinement.done and (iterations is None or self.refinement.iteration < iterations):
             for _ in self.refinement.advance(self.bands, 0.25):
                 pass
@@ -55,7 +55,7 @@ class Bench:
 
 
 def refinements():
-    """Return what a refinement of values ends at."""
+    """Yield a maker of ``Bench`` and close all at the end, for a fixture."""
     made = []
 
     def make(*arguments, **settings):
@@ -68,7 +68,7 @@ def refinements():
 
 
 def materials(model, shape, seed=0):
-    """Materials well inside the ranges, of normals within 30° of z, lobes in order and apart; float32."""
+    """Return random materials well inside the ranges: normals within 30° of z, lobes ordered and distinct; float32."""
     rng, values = np.random.default_rng(seed), {}
     for p in model.parameters:
         low, width = p.range[0], p.range[1] - p.range[0]
@@ -83,7 +83,7 @@ def materials(model, shape, seed=0):
 
 
 def near(model, values, by, seed=5):
-    """Values that are off by up to ``by`` of every range."""
+    """Return the values with random offsets of up to ``by`` of every range."""
     rng, off = np.random.default_rng(seed), {}
     for p in model.parameters:
         change = by * rng.uniform(-1, 1, values[p.name].shape)
@@ -95,7 +95,7 @@ def near(model, values, by, seed=5):
 
 
 def observed(model, values, shape, observations=40, noise=0.0, shadow=0.0, bounds=0.0, seed=2, **domain):
-    """A domain in which these materials are seen, with noise, fractions of its samples in shadow, or lower bounds."""
+    """Return a domain that shows these materials, with noise and parts of its samples in shadow or lower bounds."""
     rng = np.random.default_rng(seed)
     made = make_domain(*shape, observations=observations, holes=False, **domain)
     stack = made.stack.values.copy()

@@ -1,4 +1,4 @@
-"""Surfaces with relief, and lamps around them, for lights that are found by shading."""
+"""Surfaces with relief and lamps around them, for the tests of lights from shading."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def relief(steep=0.9, perspective=None):
     slope_y = steep * (np.sin(1.3 * x + 0.4) * np.cos(1.1 * y) * 1.1 / 1.3 - 0.15 * np.cos(2 * x - y))
     if perspective is None:
         return unit(np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=-1))
-    # Slopes of the logarithm of depth z: the point is z (X, Y, −1), the normal the cross product of its derivatives.
+    # Slopes of log depth: the point is z (X, Y, −1), the normal the cross product of its derivatives.
     plane = np.stack(np.meshgrid(*[(np.arange(SIDE) + 0.5 - SIDE / 2) / perspective] * 2), axis=-1)
     ray = np.concatenate([plane, -np.ones((SIDE, SIDE, 1))], axis=-1)
     along = [(-slope * perspective / 60)[..., None] * ray / perspective * 60 for slope in (slope_x, slope_y)]
@@ -44,7 +44,7 @@ def ball():
 
 
 def write_ball(folder, count=16):
-    """Write photographs of a matt ball under lamps, and its mask, but no lights; return their directions."""
+    """Write photographs of a matt ball under lamps and its mask, without light files; return the light directions."""
     normals, mask = ball()
     directions, strengths = lamps(count)
     write_exr(folder / "mask.exr", {"": {"Y": mask.astype(np.float32)}})

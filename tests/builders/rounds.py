@@ -1,4 +1,4 @@
-"""A bowl whose light on itself is known, and rounds of interreflection over it."""
+"""A bowl of known interreflection, and rounds of interreflection over it."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def matt_bowl():
 
 
 def without_indirect(bowl):
-    """Return (domain, surroundings) of it in photographs without any indirect light."""
+    """Return (domain, surroundings) of the bowl without indirect light in its photographs."""
     domain, surroundings = bowl
     values = domain.stack.values.copy()
-    darkest = values[..., :3].min(axis=(1, 2), keepdims=True)  # in shadow there is nothing else
+    darkest = values[..., :3].min(axis=(1, 2), keepdims=True)  # samples in shadow show indirect light alone
     values[..., :3] = np.where(values[..., 3:] > 0, values[..., :3] - darkest, 0)
     return with_samples(domain, values), surroundings
 
 
 def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT, **options):
-    """Return the rounds over (domain, surroundings)."""
+    """Return the rounds of interreflection over a bowl (domain, surroundings)."""
     return InterreflectionRounds(bowl[0], model, schedule, 1, fixed, "fragment", bowl[1], **options)

@@ -1,4 +1,4 @@
-"""Captures as folders and as lights and cameras of a scene, for the tests of the window."""
+"""Captures in folders, and as lights and cameras of a scene, for the tests of the window."""
 
 import bpy
 import numpy as np
@@ -12,8 +12,8 @@ RNG = np.random.default_rng(5)
 ANYWHERE = np.array([[0.36, 0.48, -0.8, 1.5], [-0.8, 0.6, 0, -2.0], [0.48, 0.64, 0.6, 3.25], [0, 0, 0, 1]])
 
 
-def given(frames):
-    """Return what reads each frame (H, W, 3) with full weight."""
+def readers_of(frames):
+    """Return a function for each frame (H, W, 3) that reads it with weight 1."""
     return [lambda f=f: np.concatenate([f, np.ones((*f.shape[:2], 1))], axis=-1).astype(np.float32) for f in frames]
 
 
@@ -24,14 +24,14 @@ def write_views(folder, single_file=False):
     mask[3:12, 5:20] = True
     lights = [Light((0.6, 0.0, 0.8), (1.0, 0.5, 0.25)), Light((0.5, -1.5, 2.0), (3.0, 4.0, 5.0), False),
               Light((-0.6, 0.0, 0.8), (0.7, 0.7, 0.7)), Light((0.0, 0.0, 1.0), (2.0, 1.0, 0.0))]  # fmt: skip
-    frames = given(RNG.uniform(0.1, 0.9, (4, 18, 24, 3)))
+    frames = readers_of(RNG.uniform(0.1, 0.9, (4, 18, 24, 3)))
     shots = tuple(Observation(f"shot {k}", frames[k], light, k % 2) for k, light in enumerate(lights))
     write_capture(Capture("views", shots, cameras, (mask, np.ones_like(mask))), folder, single_file=single_file)
     return read_capture(folder, decode)
 
 
 def created(scene, path):
-    """Make the scene of a capture, make it the source, and return the capture that it is."""
+    """Create the scene of a capture, select it as the source, and return the scene's capture."""
     scene.irpso.capture_path = str(path)
     assert bpy.ops.irpso.create_scene() == {"FINISHED"}
     scene.irpso.source = "SCENE"

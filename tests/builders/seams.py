@@ -1,4 +1,4 @@
-"""Meshes with a UV cut and known neighbours of texels on the surface."""
+"""Meshes with a UV cut and known neighbours of texels across it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from irpso_addon.geometry.surface.mesh import MeshData
 from tests.oracles import geometry as geometry_oracle
 from tests.oracles.geometry import joined, mesh_from_corners
 
-LEFT, RIGHT, HIGH = 12, 9, 14  # texels of the sheet on either side of its cut, and along it
+LEFT, RIGHT, HIGH = 12, 9, 14  # size in texels: left and right of the cut, and along it
 START = (3, 5)  # the left part's corner
 TURNS = {
     "as it is": ((1, 0), (0, 1), (26, 8)),
@@ -49,17 +49,17 @@ class Sheet:
         return None
 
     def neighbour(self, texel: tuple[int, int], by: tuple[int, int]) -> tuple[int, int] | None:
-        """Return the texel (x, y) at the offset ``by`` from another on the sheet, None past its borders."""
+        """Return the texel (x, y) at the offset ``by`` on the sheet, None past its borders."""
         part = self.part_at(texel)
         place = self._sheet(part, np.array(texel) + 0.5 + by)
         other = int(place[0] > 0)
         if not self._holds(other, place):
             return None
-        found = self._texels(other, place)
-        return tuple(int(c) for c in np.floor(found + 1e-6))
+        position = self._texels(other, place)
+        return tuple(int(c) for c in np.floor(position + 1e-6))
 
     def outside(self, texel: tuple[int, int], by: tuple[int, int]) -> float:
-        """Return the distance of the place past the sheet's borders, the larger of both directions."""
+        """Return how many texels the offset ``by`` leads past the sheet's borders, the larger of both directions."""
         s, t = self._sheet(self.part_at(texel), np.array(texel) + 0.5 + by)
         return max(-LEFT - s, s - RIGHT, -t, t - HIGH)
 
@@ -87,7 +87,7 @@ def sheet(turn: str, frames_seed: int = 1) -> Sheet:
     """Return the sheet with its right part turned; every triangle has its own tangent frame."""
     across, along, origin = (np.array(v, float) for v in TURNS[turn])
     linear = np.stack([across, along], axis=-1)
-    outside = "edge" in turn  # the left part against the right border of the domain: places past it lie outside
+    outside = "edge" in turn  # the left part touches the right border of the domain; neighbours past it lie outside
     shift = (SHAPE[1] - START[0] - LEFT if outside else 0, 0)
     parts = [
         part(np.arange(-LEFT, 1), lambda st: st + START + (LEFT, 0) + shift),
@@ -116,7 +116,7 @@ class Shifted(Sheet):
 
 
 def part(columns: np.ndarray, to_texels, high: int = HIGH, shape: tuple[int, int] = SHAPE) -> MeshData:
-    """Return columns s and rows t = 0 … high of the sheet. to_texels: from (…, 2) s, t to places in (rows, columns)."""
+    """Return columns s and rows t = 0 … high of the sheet. to_texels: from (…, 2) s, t to positions in texels."""
     s, t = np.meshgrid(columns.astype(float), np.arange(high + 1.0))
     grid = np.stack([s, t], axis=-1)
     angle = s / 40

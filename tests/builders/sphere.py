@@ -1,4 +1,4 @@
-"""Photographs of a matt sphere under lamps, computed from its equation."""
+"""Photographs of a matt sphere under lamps, computed in closed form."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ STRENGTHS = np.exp(0.3 * np.random.default_rng(3).standard_normal(LAMPS))
 
 
 def sphere_photographs(camera, places, near):
-    """Return radiance (K, H, W, 3) and mask of a matt sphere of radius 1 at the origin; computed from its equation."""
+    """Return radiance (K, H, W, 3) and mask of a matt sphere of radius 1 at the origin."""
     across = camera.points(1.0) - camera.position
     ray = across / np.linalg.norm(across, axis=-1, keepdims=True)
     b = ray @ camera.position

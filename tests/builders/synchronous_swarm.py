@@ -39,7 +39,7 @@ class Case:
 
 
 class Bench:
-    """Starts from random or given estimates. domain: in place of the case's own."""
+    """A phase on the GPU and its oracle, from random estimates or ``estimates``. domain: in place of the case's own."""
 
     def __init__(self, case: Case, entry: str = "fragment", seed: int = 7, domain=None, estimates=None):
         context.ensure()
@@ -63,10 +63,10 @@ class Bench:
         self.bands = Bands()
 
     def randomise(self) -> None:
-        """Give every particle a random place, velocity and best; about half of the bests will improve."""
+        """Set a random position, velocity and best of every particle; about half of the bests will improve."""
         problem, rng = self.problem, self.rng
         shape = (problem.particles, *problem.domain.shape)
-        # Most stay away from the walls, which are a normal's horizon.
+        # Most stay off the walls, where a normal is at the horizon.
         x, p = (rng.uniform(0.15, 0.85, size=(*shape, problem.columns)) for _ in range(2))
         v = rng.uniform(-0.25, 0.25, size=x.shape)
         x, v = swarm.ordered_lobes(problem, x, v)
@@ -111,17 +111,17 @@ class Bench:
 
     def found_fitness(self) -> np.ndarray:
         """Return (m, H, W): the fitness of every particle after the last iteration."""
-        found = self.stage.read("found_fitness").astype(np.float64)
-        fits = np.moveaxis(found, -1, 0)[: self.stage.particles]
+        fitness = self.stage.read("found_fitness").astype(np.float64)
+        fits = np.moveaxis(fitness, -1, 0)[: self.stage.particles]
         return np.stack([self.packing.unpack(one, swarm.UNFIT) for one in fits])
 
     def found_weights(self) -> np.ndarray:
         """Return (H, W, L): the linear weights of the best particle of the last iteration."""
-        found = self.stage.read("found_linear").astype(np.float64)
-        return self.packing.unpack(found)[..., : len(self.problem.weights)]
+        weights = self.stage.read("found_linear").astype(np.float64)
+        return self.packing.unpack(weights)[..., : len(self.problem.weights)]
 
     def advance(self) -> None:
-        """Make one iteration."""
+        """Run one iteration."""
         for _ in self.stage.advance(self.bands, 1.0):
             pass
 
@@ -157,5 +157,5 @@ def benches(kind=Bench):
         return made[-1]
 
     yield make
-    for item in made:
-        item.close()
+    for bench in made:
+        bench.close()

@@ -1,4 +1,4 @@
-"""Videos of a lamp that is carried around a textured relief, rendered in numpy, written by OpenCV, for the tests."""
+"""Videos of a textured relief under a moving lamp, rendered in numpy and written by OpenCV, for the tests."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Web pages for tests: maps and photographs whose radiance the oracles know, written and opened in Chromium."""
+"""Web pages for the tests, of maps and photographs by the oracles, written and opened in Chromium."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def browser():
 
 
 def maps_of(name, shape=SHAPE, covered=None, **more):
-    """Return smooth maps of a shipped model, away from the ends of the ranges, none of a roughness below 0.2."""
+    """Return smooth maps of a shipped model with scalars in 20 % to 80 % of their ranges; roughness is at least 0.2."""
     model = load_model(name)
     scalars = [p for p in model.parameters if p.components == 1]
     ends = {p.name: np.array([0.2, 0.8]) * p.width + p.range[0] for p in scalars}
@@ -48,7 +48,7 @@ def oracle(maps, light, view=UP):
 
 
 def opened(browser, folder, maps, photographs=None, state="", name="leaf"):
-    """Write a page and open it with a window of the size of the maps."""
+    """Write a page and open it at the size of the maps; return the folder."""
     write_page(Result(name, maps), folder, photographs)
     browser.resize(*maps.covered.shape[::-1])
     browser.open(folder / "index.html", f"{PLAIN}&{state}")
@@ -69,7 +69,7 @@ def lit(browser, light):
 
 
 def near_photographs(maps, count=3):
-    """Return photographs, by the oracle, of a card that a perspective camera sees under near lamps."""
+    """Return photographs, by the oracle, of a card under near lamps and a perspective camera."""
     height, width = maps.covered.shape
     place = np.array([[-1.2, 0.9, -3.0], [2.4 / width, 0, 0], [0, -1.8 / height, 0]])
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)

@@ -18,7 +18,7 @@ def tangents(normal):
 
 
 def unknowns(model, fixed=()):
-    """[(parameter, component, width)]: the free parameters; a normal has two angles with a range of π/2."""
+    """Return [(parameter, component, width)] of the free parameters; a normal has two angles with a range of π/2."""
     free = []
     for p in model.parameters:
         if p.name not in fixed:
@@ -28,7 +28,7 @@ def unknowns(model, fixed=()):
 
 
 def moved(values, parameter, component, by):
-    """Values with one number moved by ``by`` in its own units, a normal turned."""
+    """Return the values with one component moved by ``by`` in its own units; a normal is rotated by that angle."""
     value = np.array(values[parameter.name], np.float64)
     if parameter.is_normal:
         value = np.cos(by)[..., None] * value + np.sin(by)[..., None] * tangents(value)[component]
@@ -51,7 +51,7 @@ def radiance(domain, model_name, values):
 
 
 def jacobian(domain, model, values, fixed=()):
-    """(n, K, H, W, 3) derivative of the radiance by every free parameter, per range; one-sided at a range's ends."""
+    """Return (n, K, H, W, 3) derivatives of the radiance by every free parameter, per range; one-sided at its ends."""
     columns = []
     for p, i, width in unknowns(model, fixed):
         x = np.zeros(domain.shape) if p.is_normal else (values[p.name][..., i] - p.range[0]) / width
@@ -63,19 +63,19 @@ def jacobian(domain, model, values, fixed=()):
 
 
 def normal_matrix(domain, model, values, fixed=()):
-    """JᵀJ (H, W, n, n) per range, and the variance of the noise (H, W): a Σ w e² / (3 Σ w − n (1 + a) / 2)."""
+    """Return JᵀJ (H, W, n, n) per range and the noise variance (H, W): a Σ w e² / (3 Σ w − n (1 + a) / 2)."""
     j = jacobian(domain, model, values, fixed)
     w = domain.stack.values[..., 3].astype(np.float64)
     error = np.where(w[..., None] > 0, radiance(domain, model.name, values) - domain.stack.values[..., :3], 0)
     errors = np.einsum("khw,khwc->hw", w, error**2)
-    alike = np.clip(np.einsum("khw,khw->hw", w, error.sum(axis=-1) ** 2) / np.where(errors > 0, errors, 1), 1, 3)
-    freedom = 3 * w.sum(axis=0) - (1 + alike) / 2 * len(j)
-    variance = alike * errors / np.where(freedom > 0, freedom, np.nan)
+    correlation = np.clip(np.einsum("khw,khw->hw", w, error.sum(axis=-1) ** 2) / np.where(errors > 0, errors, 1), 1, 3)
+    freedom = 3 * w.sum(axis=0) - (1 + correlation) / 2 * len(j)
+    variance = correlation * errors / np.where(freedom > 0, freedom, np.nan)
     return np.einsum("khw,akhwc,bkhwc->hwab", w, j, j), variance
 
 
 def deviations(model, matrix, variance, fixed=()):
-    """Name → (H, W, components) σ, at most the range; a normal's is one number. NaN where ``matrix`` is not regular."""
+    """Return name → (H, W, components) σ, at most the range; one for a normal. NaN where ``matrix`` is singular."""
     regular = np.isfinite(variance) & (np.linalg.cond(matrix) < 1e12)
     inverse = np.linalg.inv(np.where(regular[..., None, None], matrix, np.eye(matrix.shape[-1])))
     squared = np.where(regular, variance, np.nan)[..., None] * np.einsum("hwaa->hwa", inverse)

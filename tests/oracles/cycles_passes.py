@@ -1,4 +1,4 @@
-"""Render passes of Cycles of the open scene, as an oracle."""
+"""Oracle of depth and normals: Cycles' render passes of the open scene."""
 
 import bpy
 import numpy as np

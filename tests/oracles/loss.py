@@ -1,18 +1,18 @@
-"""The loss of a sample in float64, and its least-squares weight: the reference of shaders/fitness/loss.glsl."""
+"""Oracle of shaders/fitness/loss.glsl: the loss of a sample and its least-squares weight, in float64."""
 
 import numpy as np
 
-SMALLEST = 1e-4  # of an l1 error: under it no error weighs more
+SMALLEST = 1e-4  # least l1 error in the weight 1 / |e|
 
 
 def loss(kind, e):
-    """What errors cost: |e|, e², or, for errors in δ, log(1 + e²) or e² / (1 + e²)."""
+    """Return the losses of errors: |e|, e², or, for errors in δ, log(1 + e²) or e² / (1 + e²)."""
     kinds = {"robust": lambda a: np.log1p(a**2), "geman_mcclure": lambda a: a**2 / (1 + a**2)}
     return ({"l1": np.abs, "l2": np.square} | kinds)[kind](e)
 
 
 def loss_weight(kind, e):
-    """loss′(e) / e, up to a constant factor."""
+    """Return loss′(e) / e, up to a constant factor."""
     kinds = {
         "l1": lambda a: 1 / np.maximum(np.abs(a), SMALLEST), "l2": np.ones_like, "robust": lambda a: 1 / (1 + a**2)
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""The solver's random numbers and its atlases of particles, in numpy."""
+"""Oracle of the solver's random numbers and of its particle atlases, in numpy."""
 
 from __future__ import annotations
 

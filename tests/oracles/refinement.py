@@ -1,4 +1,4 @@
-"""Oracle of the refinement: one Levenberg–Marquardt step in float64, on cards under distant lights."""
+"""Oracle of the refinement: one Levenberg–Marquardt step in float64, for cards under distant lights."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FLOOR = 0.01  # as in shaders/fitness/with_priors.glsl
 class Texel:
     """One texel's samples and loss. model: a ReflectanceModel, with its priors.
 
-    scale, delta, power: of the robust loss, Fitness.highlight_power.
+    scale, delta: of the robust loss. power: Fitness.highlight_power.
     """
 
     def __init__(self, model, domain, row, column, loss, delta, scale, power=1.0):
@@ -35,23 +35,23 @@ class Texel:
         self.unknowns = [(p, i) for p in model.parameters for i in range(2 if p.is_normal else p.components)]
 
     def error(self, values):
-        """(K, 3): render of ``values``, name → (components,), minus the samples."""
+        """Return (K, 3): render of ``values``, name → (components,), minus the samples."""
         flat = {name: v[0] if len(v) == 1 else v for name, v in values.items()}
         render = oracles.MODELS[self.model.name](flat, self.lights, self.views) * self.intensities
         off = render - self.radiance
         return np.where((self.weight > 0) & ~(self.bound & (off > 0)), off, 0)
 
     def residuals(self, values):
-        """(K, 3): errors in units of δ."""
+        """Return (K, 3) errors in units of δ."""
         return self.unit * self.relative * self.error(values)
 
     def mean_loss(self, values):
-        """Mean loss over weighted samples and channels."""
+        """Return the mean loss over weighted samples and channels."""
         e = self.residuals(values)
         return (self.weight * loss(self.loss, e)).sum() / (3 * self.weight.sum())
 
-    def belief(self, values):
-        """−2 log of the model's priors, up to a constant."""
+    def prior_cost(self, values):
+        """Return −2 log of the model's priors, up to a constant."""
         total = 0.0
         for p in self.model.parameters:
             if p.prior is not None:
@@ -64,12 +64,12 @@ class Texel:
         return total
 
     def cost(self, values):
-        """The objective: −2 log of the posterior with noise of unknown variance, up to a monotone map."""
-        more = np.expm1(self.belief(values) / (3 * self.weight.sum()))
-        return self.mean_loss(values) * (1 + more) + _FLOOR * more
+        """Return the objective: −2 log of the posterior with noise of unknown variance, up to a monotone map."""
+        excess = np.expm1(self.prior_cost(values) / (3 * self.weight.sum()))
+        return self.mean_loss(values) * (1 + excess) + _FLOOR * excess
 
     def moved(self, values, by):
-        """Values after a step (n,) in fractions of the ranges (π/2 for a normal), clipped to the ranges."""
+        """Return the values after a step (n,) in fractions of the ranges (π/2 for a normal), clipped to the ranges."""
         after, at = {}, 0
         for p in self.model.parameters:
             value = np.array(values[p.name], np.float64)
@@ -85,7 +85,7 @@ class Texel:
         return after
 
     def equations(self, values):
-        """JᵀWJ (n, n) and JᵀWe (n,), with the weights of iteratively reweighted least squares."""
+        """Return JᵀWJ (n, n) and JᵀWe (n,), with the weights of iteratively reweighted least squares."""
         e = self.error(values)
         scaled = self.unit * self.relative * e
         weight = (self.weight * self.relative**2 * loss_weight(self.loss, scaled) * ~(self.bound & (e == 0))).ravel()
@@ -97,19 +97,19 @@ class Texel:
         a, slope = (weight * j) @ j.T, (weight * j) @ e.ravel()
         part = (self.mean_loss(values) + _FLOOR) / self.unit**2 * (2 if self.loss == "l1" else 1)
         for u, (p, _) in enumerate(self.unknowns):
-            ends = [self.belief(self.moved(values, sign * _STEP * np.eye(len(slope))[u])) for sign in (-1, 1)]
+            ends = [self.prior_cost(self.moved(values, sign * _STEP * np.eye(len(slope))[u])) for sign in (-1, 1)]
             slope[u] += part * (ends[1] - ends[0]) / (4 * _STEP)
             if p.prior is not None and p.prior.kind == "normal":
                 a[u, u] += part * ((p.range[1] - p.range[0]) / p.prior.width) ** 2
         return a, slope
 
     def step(self, values, damping):
-        """(n,): the solution of (JᵀWJ + λ diag) step = −JᵀWe, not clipped."""
+        """Return (n,), the solution of (JᵀWJ + λ diag) step = −JᵀWe, not clipped."""
         a, slope = self.equations(values)
         return np.linalg.solve(a + damping * np.diag(np.diag(a)), -slope)
 
     def between(self, values, others):
-        """(n,): the small step from one material to another."""
+        """Return (n,), the step from one material to a nearby one."""
         by = []
         for p in self.model.parameters:
             change = np.asarray(others[p.name]) - values[p.name]
@@ -120,7 +120,7 @@ class Texel:
         return np.array(by)
 
     def inside(self, values, by):
-        """Whether a step stays in all ranges and within the refinement's largest move of a searched number."""
+        """Return whether a step stays in all ranges and below the refinement's largest step of a searched parameter."""
         for (p, i), one in zip(self.unknowns, by, strict=True):
             x = 0.5 if p.is_normal else (values[p.name][i] - p.range[0]) / (p.range[1] - p.range[0])
             bounded = not p.is_normal and p.kind == "search"
@@ -130,7 +130,7 @@ class Texel:
 
 
 def tangents(normal):
-    """The axes of a normal's two angles: Marquardt's scaling makes a step depend on them."""
+    """Return the axes of a normal's two angles: with Marquardt's scaling a step depends on them."""
     first = np.cross(normal, (0.0, 0, 1) if abs(normal[2]) < 0.9 else (1.0, 0, 0))
     first /= np.linalg.norm(first)
     return first, np.cross(normal, first)

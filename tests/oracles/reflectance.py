@@ -1,7 +1,7 @@
 """Oracle of the reflectance models: float64 numpy, written from the papers, independent of the shaders.
 
-Vectors are (…, 3) unit arrays that broadcast against each other. Models take a dict of parameter name → array with the
-shape (…,) or (…, components), and light and view directions; they return (…, 3) radiance under a light of intensity 1
+Vectors are (…, 3) unit arrays that broadcast against each other. A model takes parameter name → array of shape (…,) or
+(…, components), the incident and the view direction. It returns (…, 3) radiance under a light of intensity 1
 (irradiance π at normal incidence): π f_r max(n·l, 0).
 """
 
@@ -13,12 +13,12 @@ F0_SKIN = 0.028
 
 
 def dot(a, b):
-    """(…) inner product over the last axis."""
+    """Return (…), the inner product over the last axis."""
     return np.sum(np.asarray(a, np.float64) * b, axis=-1)
 
 
 def unit(a):
-    """(…, 3) vectors of length 1."""
+    """Return (…, 3) vectors of length 1."""
     a = np.asarray(a, np.float64)
     return a / np.linalg.norm(a, axis=-1, keepdims=True)
 
@@ -63,14 +63,14 @@ def dielectric(cosine, ior):
 
 
 def ior_from_f0(f0):
-    """The index of refraction with reflectance ``f0`` at normal incidence."""
+    """Return the index of refraction with reflectance ``f0`` at normal incidence."""
     return (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
 
 
 def visible_normals(cos_view, alpha, steps=200):
-    """Quadrature nodes over the visible normals: v·h (S, S), n·l of the light that h reflects (S, S), and their mean.
+    """Return quadrature nodes over the visible normals: v·h and n·l of the mirrored view, (S, S) each, and their mean.
 
-    They are uniform on spherical caps: Dupuy & Benyoub 2023, Sampling Visible GGX Normals with Spherical Caps.
+    The nodes are uniform on spherical caps: Dupuy & Benyoub 2023, Sampling Visible GGX Normals with Spherical Caps.
     """
     view = np.array([np.sqrt(1 - cos_view**2), 0, cos_view])
     stretched = unit(view * [alpha, alpha, 1])
@@ -87,7 +87,7 @@ def visible_normals(cos_view, alpha, steps=200):
 def specular_layer_albedo(cos_view, roughness, f0):
     """Albedo of the specular layer of Cycles' Principled for one view: A = F0 + (1 − F0) E[s], over visible normals.
 
-    s = (F(v·h) − F0) / (1 − F0) where the light that h reflects goes up, else 0.
+    s = (F(v·h) − F0) / (1 − F0) where the mirrored view is above the horizon, else 0.
     """
     cosine, light, mean = visible_normals(cos_view, roughness**2)
     s = (dielectric(cosine, ior_from_f0(f0)) - f0) / (1 - f0) * (light > 0)
@@ -123,7 +123,7 @@ def coat_returned(roughness, lost=None):
 
 
 def coat_albedo(cos_view, roughness):
-    """Cycles' coat, integrated: (gain of its lobe by further reflections, its albedo)."""
+    """Return (gain, albedo) of Cycles' coat, integrated; gain: of its lobe, by multiple scattering."""
     albedo = ggx_albedo(cos_view, roughness)
     gain = 1 + coat_returned(roughness) * (1 - albedo) / albedo
     return gain, gain * albedo * specular_layer_albedo(cos_view, roughness, 0.04)

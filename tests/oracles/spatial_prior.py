@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-TOLD, FINEST = 0.25, 1 / 1024  # of a range
+DETERMINED, FINEST = 0.25, 1 / 1024  # deviations, over a range: largest of a determined value, least
 
 
 def taps(scales):
-    """(n, 2) offsets (x, y): 5×5 without the centre, and the rim of 5×5 at every doubled distance."""
+    """Return (n, 2) offsets (x, y): 5×5 without the centre, and the rim of 5×5 at every doubled distance."""
     grid = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
     rims = [(x << s, y << s) for s in range(1, scales) for x, y in grid if max(abs(x), abs(y)) == 2]
     return np.array(grid + rims)
 
 
 def around(shape, covered, row, column, scales):
-    """Rows and columns of the covered neighbours that a texel reads."""
+    """Return rows and columns of the covered neighbours that a texel reads."""
     rows, columns = row + taps(scales)[:, 1], column + taps(scales)[:, 0]
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
     rows, columns = rows[inside], columns[inside]
@@ -24,14 +24,14 @@ def around(shape, covered, row, column, scales):
 
 
 def components(model):
-    """(component, width of its range) of all parameters except the normal."""
+    """Return [(component, width of its range)] of all parameters except the normal."""
     of = [(p, model.offset(p.name)) for p in model.parameters if not p.is_normal]
     return [(at + i, p.range[1] - p.range[0]) for p, at in of for i in range(p.components)]
 
 
 def likeness(prior, model, x, own, y, theirs):
-    """(n,) similarity of n neighbours to a texel; x, own: (C,), y, theirs: (n, C) over all components."""
-    apart = np.zeros(len(y))
+    """Return (n,) similarity to a texel with values x and deviations own (C,) of neighbours with y, theirs (n, C)."""
+    squared_distance = np.zeros(len(y))
     for p in model.parameters:
         if p.is_normal:
             continue
@@ -40,12 +40,12 @@ def likeness(prior, model, x, own, y, theirs):
             h = prior.likeness * width
             if p.components > 1:
                 h = prior.likeness_color * np.maximum(abs(x[c]), abs(y[:, c])) + FINEST * width
-            apart += (x[c] - y[:, c]) ** 2 / (h**2 + own[c] ** 2 + theirs[:, c] ** 2)
-    return np.exp(-apart / 2)
+            squared_distance += (x[c] - y[:, c]) ** 2 / (h**2 + own[c] ** 2 + theirs[:, c] ** 2)
+    return np.exp(-squared_distance / 2)
 
 
 def random_effects(s, y, sigma, least):
-    """(mean, deviation) of DerSimonian & Laird over values of known deviations, each counted s times."""
+    """Return (mean, deviation) by DerSimonian & Laird of values y with deviations sigma, each counted s times."""
     w = 1 / sigma**2
     fixed = (s * w * y).sum() / (s * w).sum()
     q = (s * w * (y - fixed) ** 2).sum()
@@ -56,7 +56,7 @@ def random_effects(s, y, sigma, least):
 
 
 def pooled(prior, model, covered, estimates, own):
-    """(H, W, C) means and deviations of the prior after all rounds; deviation 0 without a prior.
+    """Return (H, W, C) means and deviations of the prior after all rounds; deviation 0 without a prior.
 
     estimates, own: (H, W, C) values and deviations from the samples.
     """
@@ -70,8 +70,8 @@ def pooled(prior, model, covered, estimates, own):
             y, theirs = belief[rows, columns], deviation[rows, columns]
             s = likeness(prior, model, x, sigma, y, theirs)
             for c, width in components(model):
-                determined = theirs[:, c] < TOLD * width
-                if s[determined].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
+                determined = theirs[:, c] < DETERMINED * width
+                if s[determined].sum() <= 1e-6 or (not last and sigma[c] < DETERMINED * width):
                     continue
                 fixed = np.maximum(theirs[determined, c], FINEST * width)
                 mean[row, column, c], spread[row, column, c] = random_effects(

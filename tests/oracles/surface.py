@@ -1,4 +1,4 @@
-"""Oracle of the surface that normals belong to: slopes, their covariance, and the relaxed slopes, in float64."""
+"""Oracle of the surface phase: slopes of the normals, their covariance, and the relaxed slopes, in float64."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from scipy.optimize import lsq_linear
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles.swarm import frames
 
-LET_GO = 2.5
-_STEP = 1e-6
+OUTLIER_Z = 2.5  # as in shaders/surface/relax.glsl
+_STEP = 1e-6  # radians
 
 
 def grid_of(domain):
-    """(H, W, 2, 2) steps of a texel, [along x, along y][tangent, bitangent], without seams; 0 without neighbours."""
+    """Return (H, W, 2, 2) texel steps, [along x, along y][tangent, bitangent]; no seams, 0 without neighbours."""
     position, frame = domain.bake.position.astype(np.float64), frames(domain.bake)
     steps = np.zeros((*domain.shape, 2, 2))
     for row, column in np.argwhere(domain.solvable):
@@ -30,34 +30,34 @@ def grid_of(domain):
 
 
 def slopes_of(normal, grid, lean):
-    """(H, W, 2) rise along a step in x and in y. normal: (H, W, 3) in the texel's frame. lean: (H, W, 2)."""
+    """Return (H, W, 2) rise along a step in x and in y. normal: (H, W, 3) in the texel's frame. lean: (H, W, 2)."""
     facing = normal[..., 2] + (normal[..., :2] * lean).sum(axis=-1)
     return np.einsum("hwai,hwi->hwa", grid, -normal[..., :2] / facing[..., None])
 
 
 def covariance_of(domain, model, values, variance, grid, lean):
-    """(H, W, 2, 2) of the slopes, by samples of this variance (H, W); what is searched is held.
+    """Return (H, W, 2, 2) covariance of the slopes for samples of this variance (H, W).
 
-    Each number has its range for a prior's width.
+    Searched parameters are fixed. Each free one has a prior as wide as its range.
     """
-    held = [p.name for p in model.parameters if p.kind == "search" and not p.is_normal]
-    unknowns = confidence_oracle.unknowns(model, held)
-    j = confidence_oracle.jacobian(domain, model, values, held)
+    fixed = [p.name for p in model.parameters if p.kind == "search" and not p.is_normal]
+    unknowns = confidence_oracle.unknowns(model, fixed)
+    j = confidence_oracle.jacobian(domain, model, values, fixed)
     weight = domain.stack.values[..., 3].astype(np.float64)
     precision = np.einsum("khw,akhwc,bkhwc->hwab", weight, j, j) / variance[..., None, None] + np.eye(len(unknowns))
     normal = [i for i, (p, _, _) in enumerate(unknowns) if p.is_normal]
     angles = np.linalg.inv(precision)[..., normal, :][..., normal] * (np.pi / 2) ** 2
     (p,) = {p for p, _, _ in unknowns if p.is_normal}
-    by = [
+    tilted = [
         slopes_of(confidence_oracle.moved(values, p, i, np.full(domain.shape, _STEP))[p.name], grid, lean)
         for i in (0, 1)
     ]
-    change = (np.stack(by, axis=-1) - slopes_of(values[p.name].astype(np.float64), grid, lean)[..., None]) / _STEP
+    change = (np.stack(tilted, axis=-1) - slopes_of(values[p.name].astype(np.float64), grid, lean)[..., None]) / _STEP
     return change @ angles @ np.swapaxes(change, -1, -2)
 
 
 def circulation(begins):
-    """(L, H, W, 2) factors on the slopes in the circulation of each loop. begins: (H, W) bool, its least texel."""
+    """Return (L, H, W, 2) coefficients of the slopes in the circulations. begins: (H, W) bool, loops' first texels."""
     loops = []
     for row, column in np.argwhere(begins):
         factors = np.zeros((*begins.shape, 2))
@@ -70,13 +70,13 @@ def circulation(begins):
 
 
 def relaxed(slopes, covariance, begins, weight):
-    """(H, W, 2) slopes of least ½ Σ (s − s₀)ᵀ P⁻¹ (s − s₀) + Σ κ |circulation|: bounded least squares of the dual."""
+    """Return (H, W, 2) slopes of least ½ Σ (s − s₀)ᵀ P⁻¹ (s − s₀) + Σ κ |circulation|, by the dual's least squares."""
     c = circulation(begins).reshape(int(begins.sum()), -1)
     root = np.linalg.cholesky(covariance)
     half = np.einsum("lhwi,hwij->lhwj", c.reshape(-1, *slopes.shape), root).reshape(len(c), -1)  # C √P
-    found, sigma = c @ slopes.reshape(-1), np.sqrt((half**2).sum(axis=1))
-    kappa = weight / (sigma * (1 + (found / (LET_GO * sigma)) ** 4))
+    loop_sums, sigma = c @ slopes.reshape(-1), np.sqrt((half**2).sum(axis=1))
+    kappa = weight / (sigma * (1 + (loop_sums / (OUTLIER_Z * sigma)) ** 4))
     target = np.linalg.solve(root, slopes[..., None]).reshape(-1)  # √P⁻¹ s₀
     dual = lsq_linear(half.T, target, (-kappa, kappa), method="bvls", tol=1e-14, max_iter=10000)
-    pull = np.einsum("hwij,hwj->hwi", covariance, (c.T @ dual.x).reshape(slopes.shape))
-    return slopes - pull
+    correction = np.einsum("hwij,hwj->hwi", covariance, (c.T @ dual.x).reshape(slopes.shape))
+    return slopes - correction

@@ -27,7 +27,7 @@ HORIZON = 1e-7
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the scalar product over the last axis, kept."""
+    """Return the scalar product over the last axis, as (…, 1)."""
     return (a * b).sum(axis=-1, keepdims=True)
 
 
@@ -54,11 +54,11 @@ def cook_torrance_two_lobe(s: dict[str, np.ndarray], light: np.ndarray, view: np
 MODELS = {"lambert": lambert, "cook_torrance_two_lobe": cook_torrance_two_lobe}
 
 
-# ---- places in [0, 1]ⁿ -------------------------------------------------------------------------------------------
+# ---- positions in [0, 1]ⁿ ----------------------------------------------------------------------------------------
 
 
 def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 2) places: square to disc by ellipses (Fong 2015), disc to hemisphere by area."""
+    """Return unit normals of (…, 2) positions: square to disc by ellipses (Fong 2015), disc to hemisphere by area."""
     q = 2 * x - 1
     d = np.stack([q[..., 0] * np.sqrt(1 - q[..., 1] ** 2 / 2), q[..., 1] * np.sqrt(1 - q[..., 0] ** 2 / 2)], axis=-1)
     r2 = np.minimum(dot(d, d), 1)
@@ -66,7 +66,7 @@ def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
 
 
 def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
-    """Return (…, 2) places of unit normals; those below the horizon move onto it."""
+    """Return (…, 2) positions of unit normals; those below the horizon move onto it."""
     xy, z = n[..., :2], n[..., 2:]
     below = xy / np.sqrt(np.maximum(dot(xy, xy), 1e-20))
     u, v = np.moveaxis(np.where(z <= 0, below, xy / np.sqrt(np.maximum(1 + z, 1e-20))), -1, 0)
@@ -77,7 +77,7 @@ def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
 
 
 def cartesian_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 3) places, with |z|."""
+    """Return unit normals of (…, 3) positions, with |z|."""
     n = 2 * x - 1
     length = np.linalg.norm(n, axis=-1, keepdims=True)
     n = np.concatenate([n[..., :2], np.abs(n[..., 2:])], axis=-1)
@@ -109,7 +109,7 @@ class Problem:
 
     @property
     def dimensions(self) -> int:
-        """n."""
+        """n, the number of searched dimensions."""
         return sum(size for _, _, size in self.places)
 
     @property
@@ -136,7 +136,7 @@ class Problem:
         return delta_of(self.domain.stack.values, self.level, self.schedule.fitness, self.domain.noise)
 
     def decode(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the material of places (H, W, D): the estimates with the searched parameters replaced."""
+        """Return the material of positions (H, W, D): the estimates with the searched parameters replaced."""
         s = {name: np.asarray(value, np.float64) for name, value in self.estimates.items()}
         for name, at, size in self.places:
             part = x[..., at : at + size]
@@ -148,7 +148,7 @@ class Problem:
         return s
 
     def encode(self, s: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the places (H, W, D) of a material."""
+        """Return the positions (H, W, D) of a material."""
         x = np.zeros((*self.domain.shape, self.columns))
         for name, at, size in self.places:
             p, value = self.model.parameter(name), np.asarray(s[name], np.float64)
@@ -169,12 +169,12 @@ def frames(bake: GeometryBake) -> np.ndarray:
 
 
 def turned(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return a world vector in a frame's coordinates."""
+    """Return a world vector (…, 3) in a frame's coordinates."""
     return np.einsum("...ij,...j->...i", frame, vector)
 
 
 def direction_to(row: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit direction toward a light or view (xyz, 1 for a place), and (…, 1) its distance squared, or 1."""
+    """Return the unit direction to a light or view (xyz, 1 for a position), and (…, 1) its distance squared, or 1."""
     row = row.astype(np.float64)
     if row[3] == 0:
         return np.broadcast_to(row[:3], position.shape), np.ones((*position.shape[:-1], 1))
@@ -195,7 +195,7 @@ def delta_of(samples: np.ndarray, level: np.ndarray, settings: Fitness, noise: f
 
 
 def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Return (H, W): the mean loss of the render of places (H, W, D) over weighted samples and channels; Eq. 1."""
+    """Return (H, W): the mean loss of the render of positions (H, W, D) over weighted samples and channels; Eq. 1."""
     domain, settings = problem.domain, problem.schedule.fitness
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
     s = problem.decode(x)
@@ -230,8 +230,10 @@ class State:
 
 @dataclass(frozen=True)
 class Step:
-    """The next state. particle: (H, W) index of the moved particle, −1 for none. margin: (H, W) difference of its
-    fitness from the compared one: where it is tiny, float32 may decide otherwise."""
+    """The next state. particle: (H, W) index of the moved particle, −1 for none. fitness: (H, W).
+
+    margin: (H, W) difference of its fitness from the compared one: where it is tiny, float32 may decide otherwise.
+    """
 
     state: State
     particle: np.ndarray
@@ -307,7 +309,7 @@ def uniforms(problem: Problem, iteration: int, particle, purpose: int) -> np.nda
 
 
 def place(problem: Problem, state: State, index: int) -> Step:
-    """Return the state after particle ``index`` of every swarm gets its first place."""
+    """Return the state after particle ``index`` of every swarm gets its first position."""
     swarm, iteration = problem.schedule.swarm, index - problem.particles
     seeded = int(np.ceil(swarm.seeded * problem.particles)) if swarm.seed != "random" else 0
     seeded = max(1, seeded) if problem.stage.cycle else seeded
@@ -323,8 +325,7 @@ def place(problem: Problem, state: State, index: int) -> Step:
 def stepped(
     problem: Problem, state: State, which: np.ndarray, mean: np.ndarray | None, iteration: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities (H, W, D) of particle ``which`` (H, W) after Eq. 2 and 3. mean: for A of Eq. 4, or
-    None without that term."""
+    """Return positions, velocities (H, W, D) of particle ``which`` (H, W) after Eq. 2, 3. mean: A of Eq. 4, or None."""
     swarm = problem.schedule.swarm
     x, v, p = (np.take_along_axis(a, which[None, ..., None], axis=0)[0] for a in (state.x, state.v, state.p))
     c3 = c3_at(problem.schedule, iteration, problem.stage.iterations)
@@ -356,8 +357,10 @@ def move(problem: Problem, state: State, iteration: int) -> Step:
 
 
 def neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return the best of the neighbour in ``direction`` (H, W), one of eight, row by row from the lower left; ``x``
-    where that texel is not solved."""
+    """Return (H, W, D) bests of the neighbour in ``direction`` (H, W); ``x`` where that texel is not solved.
+
+    direction: 0 … 7, row by row from the lower left.
+    """
     around = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
     _, covered = solved_and_covered(problem.domain)
     frame = frames(problem.domain.bake)
@@ -372,17 +375,17 @@ def neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, direction: n
 
 
 def chance_direction(problem: Problem, iteration: int) -> np.ndarray:
-    """Return (H, W): the direction, one of eight, of the neighbour whose best a texel reads."""
+    """Return (H, W): the random direction, 0 … 7, of the neighbour whose best a texel reads."""
     columns, rows = global_texels(problem.domain)
     return ((random_bits(problem.seed, iteration, columns, rows, 0, CHOICE)[..., 1] >> 8) % 8).astype(int)
 
 
 def ordered_lobes(problem: Problem, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities with interchangeable lobes in ascending order."""
+    """Return positions and velocities with interchangeable lobes in ascending order."""
     at = {name: first for name, first, _ in problem.places}
-    found = {*at, *(p.name for p in problem.stage.solved)}
+    estimated = {*at, *(p.name for p in problem.stage.solved)}
     lobes, weights = problem.model.ordered, problem.model.complement
-    if not lobes or any(name not in at for name in lobes) or any(name not in found for name in weights):
+    if not lobes or any(name not in at for name in lobes) or any(name not in estimated for name in weights):
         return x, v
     first, second = (at[name] for name in problem.model.ordered)
     swap = (x[..., first] > x[..., second])[..., None]

@@ -30,7 +30,7 @@ class SynchronousSwarm(swarm.Problem):
         return [(p.name, i, *p.range) for p in solved for i in range(p.components)]
 
     def with_weights(self, s: dict[str, np.ndarray], w: np.ndarray) -> dict[str, np.ndarray]:
-        """Return a material with its linear weights replaced by (…, L)."""
+        """Return a material with its linear weights replaced by ``w``, (…, L)."""
         s, at = dict(s), 0
         for p in sorted(self.stage.solved, key=lambda p: -p.components):
             s[p.name] = w[..., at : at + p.components]
@@ -38,12 +38,12 @@ class SynchronousSwarm(swarm.Problem):
         return s
 
     def material(self, x: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the material of places (…, H, W, D) and linear weights (…, H, W, L)."""
+        """Return the material of positions (…, H, W, D) and linear weights (…, H, W, L)."""
         return self.with_weights(self.decode(x), w)
 
 
 def radiance(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
-    """(K, …, H, W, 3): the render of a material; 0 where light or view lie in the horizon, as in float32."""
+    """Return (K, …, H, W, 3), the render of a material; 0 where light or view are at or below the horizon."""
     domain = problem.domain
     above = [(light > swarm.HORIZON) & (view > swarm.HORIZON) for light, view in cosines(problem, s["normal"])]
     return np.where(above, confidence_oracle.radiance(domain, problem.model.name, s), 0)
@@ -58,7 +58,7 @@ def cosines(problem: SynchronousSwarm, n: np.ndarray) -> Iterator[tuple[np.ndarr
 
 
 def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
-    """(…, H, W): whether rounding decides if a light or view is above the horizon of a normal."""
+    """Return (…, H, W): whether rounding decides if a light or view is above the horizon of a normal."""
     edge = False
     for weight, pair in zip(problem.domain.stack.values[..., 3], cosines(problem, n), strict=True):
         edge = edge | ((weight > 0) & np.any([np.abs(c[..., 0]) < EDGE for c in pair], axis=0))
@@ -66,7 +66,7 @@ def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
 
 
 def error(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
-    """(K, …, H, W, 3): render of a material minus samples, in units of the loss."""
+    """Return (K, …, H, W, 3): render of a material minus samples, in units of the loss."""
     domain = problem.domain
     seen = _expanded(domain.stack.values[..., 3:] > 0, s["normal"])
     reference = _expanded(
@@ -83,7 +83,7 @@ def _expanded(samples: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def fitness(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
-    """(…, H, W): the mean loss over weighted samples and channels; Eq. 1."""
+    """Return (…, H, W): the mean loss over weighted samples and channels; Eq. 1."""
     e = error(problem, s)
     each = loss(problem.schedule.fitness.loss, e)
     weight = _expanded(problem.domain.stack.values[..., 3].astype(np.float64), s["normal"])
@@ -92,16 +92,16 @@ def fitness(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) -> np.ndarray:
-    """(K, H, W, 3): weight of each sample in the least squares, from the incumbent's error."""
+    """Return (K, H, W, 3): weight of each sample in the least squares, from the incumbent's error."""
     e = error(problem, incumbent)
     weight = problem.domain.stack.values[..., 3:].astype(np.float64)
-    if problem.schedule.fitness.loss == "robust":  # of squares of radiance, in those of the texel's own δ
+    if problem.schedule.fitness.loss == "robust":  # from units of the sample's δ² to those of the texel's
         weight = weight * (problem.schedule.fitness.delta * problem.level[..., None] / problem.delta) ** 2
     return weight * loss_weight(problem.schedule.fitness.loss, e)
 
 
 def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(K, …, H, W, 3, L) radiance of each weight at 1, and (K, …, H, W, 3) the radiance that the weights must explain.
+    """Return (K, …, H, W, 3, L), the radiance of each weight at 1, and (K, …, H, W, 3), the one left to the weights.
 
     The bases are differences of renders, independent of the shaders' split into bases.
     """
@@ -120,16 +120,16 @@ def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndar
 
 
 def solve(problem: SynchronousSwarm, s: dict[str, np.ndarray], counted: np.ndarray) -> np.ndarray:
-    """(…, H, W, L): the least-squares weights inside their ranges. counted: (K, H, W, 3) weights of the samples.
+    """Return (…, H, W, L), the least-squares weights inside their ranges. counted: (K, H, W, 3) weights of the samples.
 
-    It tries every combination of weights at either end of their range and returns the best feasible one.
+    Tries every combination of weights at either end of their range and returns the best feasible one.
     """
     ranges = np.array([row[2:] for row in problem.weights])
     a, right = system(problem, s)
     counted = _expanded(counted, s["normal"])
     gram = np.einsum("k...ci,k...c,k...cj->...ij", a, np.broadcast_to(counted, right.shape), a, optimize=True)
     side = np.einsum("k...ci,k...c,k...c->...i", a, np.broadcast_to(counted, right.shape), right, optimize=True)
-    dark = np.einsum("...ii->...i", gram) == 0  # no observation shows it: it stays at its lower limit
+    dark = np.einsum("...ii->...i", gram) == 0  # a weight that no observation shows stays at its lower limit
     gram = gram + np.where(dark, 1.0, 0.0)[..., None] * np.eye(len(ranges))
     side = np.where(dark, ranges[:, 0], side)
     best, lowest = np.full(side.shape, np.nan), np.full(side.shape[:-1], np.inf)
@@ -161,7 +161,7 @@ class State(swarm.State):
 
 @dataclass(frozen=True)
 class Generation:
-    """The next state. fitness: (m, H, W) of the particles. weights: (m, H, W, L) theirs.
+    """The next state. fitness: (m, H, W) and weights: (m, H, W, L) of the particles.
 
     edge: (m, H, W) whether rounding decides if a light is above the horizon of a particle or of the incumbent.
     margin: (m, H, W) difference from the personal best, lead: (H, W) lead of the best particle: where they are tiny,
@@ -178,7 +178,7 @@ class Generation:
 
 
 def placed(problem: SynchronousSwarm, state: State) -> Generation:
-    """Return the state after all particles get their first places, which is iteration −1."""
+    """Return the state after iteration −1, which gives all particles their first positions."""
     constants = problem.schedule.swarm
     seeded = int(np.ceil(constants.seeded * problem.particles)) if constants.seed != "random" else 0
     guess = problem.encode(problem.estimates)

@@ -13,7 +13,7 @@ from irpso_addon.capture import Camera, Capture, Light, Observation, read_captur
 from irpso_addon.ui.operators import scene_setup
 from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import LIGHTS, shade, sphere, write_diligent, write_png
-from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, given, image_of, write_views
+from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, image_of, readers_of, write_views
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 RNG = np.random.default_rng(5)
@@ -228,7 +228,7 @@ def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
         albedo * (t @ facing / d**3)[..., None] * light.intensity
         for t, d, light in zip(toward, far, lights, strict=True)
     ]
-    shots = tuple(Observation(str(k), given(frames)[k], light) for k, light in enumerate(lights))
+    shots = tuple(Observation(str(k), readers_of(frames)[k], light) for k, light in enumerate(lights))
     taken = Capture("card", shots, (camera,), (np.ones((12, 16), bool),), card_distance=2.5)
     write_capture(taken, tmp_path / "card")
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "card"))

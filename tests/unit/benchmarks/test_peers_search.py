@@ -5,7 +5,7 @@ import pytest
 from test_peers_models import problem
 
 from benchmarks.peers.objective import Loss, Objective
-from benchmarks.peers.per_texel import Way, _together
+from benchmarks.peers.per_texel import Way, _joint_trace
 from benchmarks.peers.problem import angles
 
 pytest.importorskip("scipy.optimize", reason="scipy is not installed: its searches cannot be run")
@@ -80,7 +80,7 @@ def test_a_trace_shows_every_texel_at_the_same_number_of_evaluations():
         Way([(0.1, 10, np.full(size, 0.1)), (0.4, 40, np.full(size, 0.4))], 100, began=0),
         Way([(0.2, 20, np.full(size, 0.2)), (1.0, 100, np.full(size, 0.9))], 100, began=0),
     ]
-    trace = _together(ways, objective, workers=1)
+    trace = _joint_trace(ways, objective, workers=1)
     assert trace[0].evaluations == 20 and trace[-1].evaluations == 100
     np.testing.assert_allclose(trace[0].values["base_color"][:, 0], [0.1, 0.2])
     np.testing.assert_allclose(trace[-1].values["base_color"][:, 0], [0.4, 0.9])
