@@ -29,26 +29,28 @@ _RIDGE = np.array([1e-3, *[0.1] * (HARMONICS - 1)])
 # harmonics' errors turn a normal by about 1°: a turn of less than ``turn`` is not accepted.
 _FEWEST, _FEWEST_LIT = 10, 4  # samples in shadow, lit samples
 _MOST_UNEXPLAINED = 0.3  # of the light in shadow
-_MOST_GLOSS = 0.25  # of the direct light: its difference to a Lambertian texel's; metal is dark beside its highlight
+# Of the direct light, times the prefit's misfit, or without: its difference to a Lambertian texel's.
+_MOST_GLOSS, _MATT = 0.25, 0.02
 
 
-def shadow_light(domain: Domain, normal: np.ndarray, sought: np.ndarray, least: float, turn: float) -> np.ndarray:
+def shadow_light(domain: Domain, normal: np.ndarray, misfit: np.ndarray, least: float, turn: float) -> np.ndarray:
     """Return (H, W, 12), the shader's output: nine coefficients, red and green of the chroma, the indirect share.
 
-    All 0 where the share is less than ``least`` or a test fails. normal: (H, W, 3) in the texels' frames. sought:
-    (H, W) bool, the texels to estimate. turn: degrees.
+    All 0 where the share is less than ``least`` or a test fails. normal: (H, W, 3) in the texels' frames. misfit:
+    (H, W), the prefit's loss, 0 to skip a texel. turn: degrees.
     """
     result = np.zeros((*domain.shape, HARMONICS + 3))
     for _, (rows, columns) in chunks(domain):
-        texels = rows[sought[rows, columns]], columns[sought[rows, columns]]
-        coefficients, chroma, share = _indirect_light(domain, texels, normal[texels].astype(np.float64), turn)
+        texels = rows[misfit[rows, columns] > 0], columns[misfit[rows, columns] > 0]
+        own = normal[texels].astype(np.float64), misfit[texels]
+        coefficients, chroma, share = _indirect_light(domain, texels, *own, turn)
         output = np.column_stack([coefficients, chroma[:, :2], share])
         result[texels] = np.where((share >= least)[:, None], output, 0)
     return result
 
 
 def _indirect_light(
-    domain: Domain, texels: Texels, normal: np.ndarray, turn: float
+    domain: Domain, texels: Texels, normal: np.ndarray, misfit: np.ndarray, turn: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return coefficients (T, 9), chroma (T, 3), share (T,) of T texels; share 0 where a test fails."""
     vectors, irradiance = light_vectors(domain, texels)
@@ -80,7 +82,7 @@ def _indirect_light(
     (albedo,) = percentiles(np.where(lit, (grey - indirect) / np.where(lit, cosine, 1), np.nan), [50.0])
     gloss = over_lights(np.where(lit, np.abs(grey - indirect - np.nan_to_num(albedo) * cosine), 0))
     accepted = active & (unexplained < _MOST_UNEXPLAINED * dark)
-    accepted &= gloss < _MOST_GLOSS * over_lights(np.where(lit, grey - indirect, 0))
+    accepted &= gloss < np.maximum(_MOST_GLOSS * misfit, _MATT) * over_lights(np.where(lit, grey - indirect, 0))
     turned, unturned = (_lambertian_normals(vectors, part, lit, bright, normal) for part in (grey - indirect, grey))
     accepted &= np.linalg.norm(turned - unturned, axis=-1) >= 2 * np.sin(np.radians(turn) / 2)
     return coefficients, chroma, np.where(accepted, share, 0)

@@ -25,7 +25,7 @@ from ..state.textures import HARMONICS, SEPARATED, SOLVED, DomainTextures, Estim
 from .indirect import SHADOW
 from .mixture import sampled
 from .phase import Phase
-from .prefit import adopt_pass, adopt_where
+from .prefit import FITNESS, adopt_pass, adopt_where
 from .sheen import CHOSEN
 
 SEPARATION = "prefit_separation"
@@ -61,6 +61,7 @@ class SeparationPhase(Phase):
         self._entry = entry
         self._estimates, self._measured = estimates, measured
         self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
+        self._misfit = np.minimum(domain.packing.unpack(measured[FITNESS]), 1.0)
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
         self._sheen = domain.packing.unpack(measured.get(CHOSEN, np.zeros_like(domain.scale))) > 0
         self._sample: np.ndarray | None = None
@@ -103,7 +104,8 @@ class SeparationPhase(Phase):
         if self._domain.domain.card:
             separated = self._separation[..., 0] > 0
             work = shadow_light_pass(self._model, self._least_share, LEAST_TURN, self._domain.defines, self._entry)
-            asked = shadow_light_steps(work, self._domain, self._estimates, ~(separated | self._sheen), bands, seconds)
+            misfit = np.where(separated | self._sheen, 0, self._misfit)
+            asked = shadow_light_steps(work, self._domain, self._estimates, misfit, bands, seconds)
             self._separation = np.where(separated[..., None], self._separation, by_shadows((yield from asked)))
         self.iteration += 1
 
@@ -151,7 +153,7 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 
     It reports light that is at least the part ``least`` of a texel's and turns the normal by ``turn`` degrees or more.
     """
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_asked": kernels.FLOAT_2D}
+    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_misfit": kernels.FLOAT_2D}
     normal = next(p.name for p in model.parameters if p.is_normal)
     defines = {
         **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "LEAST_SHARE": f"{least:.9f}",
@@ -163,18 +165,18 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 
 
 def shadow_light_steps(
-    work: Pass, domain: DomainTextures, estimates: Estimates, asked: np.ndarray, bands: Bands, seconds: float
+    work: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
 ) -> Generator[None, None, np.ndarray]:
-    """Return (H, W, 12) float32: the output of shadow_light.glsl at the texels ``asked``, (H, W) bool.
+    """Return (H, W, 12) float32: the output of shadow_light.glsl.
 
-    0 everywhere if a light lacks a channel. work: from ``shadow_light_pass``; closed at the end. In bands of rows of
-    about ``seconds``; yields after each.
+    0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss; texels of 0 are skipped. work: from
+    ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
     """
     phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
     with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:
         if not (domain.domain.intensities > 0).all():
             return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
-        phase_textures.upload("asked", [domain.packing.pack(asked[..., None].astype(np.float32))])
+        phase_textures.upload("misfit", [domain.packing.pack(misfit[..., None].astype(np.float32))])
         yield from phase_textures.make()
         inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
         constants = {"u_observations": domain.domain.observations}

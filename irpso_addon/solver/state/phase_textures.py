@@ -129,7 +129,7 @@ def indirect_table() -> TextureTable:
 def shadow_light_table() -> TextureTable:
     """Return the table of the indirect light estimated from shadows: shaders/prefit/shadow_light.glsl."""
     return TextureTable({
-        "asked": TextureGroup(("u_asked",), (), "R32F"),
+        "misfit": TextureGroup(("u_misfit",), (), "R32F"),
         "light": TextureGroup(("u_low", "u_middle", "u_high")),
     })  # fmt: skip
 

@@ -45,9 +45,9 @@ def hollow(near=False, card=True, noise=0.0, strength=1.0, lights=LIGHTS):
     return with_samples(domain, np.float32(stack)), normal, direct * irradiance, sent * irradiance, inside
 
 
-def found(domain, normal, sought=None, least=0.05, entry="fragment", turn=0.0):
+def found(domain, normal, misfit=1.0, least=0.05, entry="fragment", turn=0.0):
     context.ensure()
-    model, sought = load_model("lambert"), np.ones(domain.shape, bool) if sought is None else sought
+    model, misfit = load_model("lambert"), np.broadcast_to(np.float32(misfit), domain.shape)
     prepared = prepare(domain, model, load_schedule("standard"))
     packing = prepared.packing
     held = DomainTextures(
@@ -55,7 +55,7 @@ def found(domain, normal, sought=None, least=0.05, entry="fragment", turn=0.0):
     )
     values = {"normal": packing.pack(normal), "base_color": packing.pack(np.zeros((*domain.shape, 3)))}
     work = shadow_light_pass(model, least, turn, held.defines, entry)
-    return run_steps(shadow_light_steps(work, held, Estimates(model, values), sought, Bands(), 1.0))
+    return run_steps(shadow_light_steps(work, held, Estimates(model, values), misfit, Bands(), 1.0))
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
@@ -65,7 +65,7 @@ def found(domain, normal, sought=None, least=0.05, entry="fragment", turn=0.0):
 )
 def test_it_is_that_of_the_oracle(near, card, lights, entry):
     domain, normal, _, _, inside = hollow(near, card, noise=0.03, lights=lights)
-    mine, other = found(domain, normal, entry=entry), shadow_light(domain, normal, np.ones(SHAPE, bool), 0.05, 0.0)
+    mine, other = found(domain, normal, entry=entry), shadow_light(domain, normal, np.ones(SHAPE), 0.05, 0.0)
     np.testing.assert_array_equal(mine[..., -1] > 0, other[..., -1] > 0)
     assert (mine[inside][:, -1] > 0).mean() > 0.6
     np.testing.assert_allclose(mine[..., 9:], other[..., 9:], atol=2e-3)
@@ -129,14 +129,14 @@ def test_a_first_normal_that_this_light_has_turned_tells_the_same_light():
 def test_light_that_hardly_turns_a_normal_stays():
     domain, normal, _, _, inside = hollow(strength=2.0)
     told = found(domain, normal, turn=2.0)[..., -1] > 0
-    np.testing.assert_array_equal(told, shadow_light(domain, normal, np.ones(SHAPE, bool), 0.05, 2.0)[..., -1] > 0)
+    np.testing.assert_array_equal(told, shadow_light(domain, normal, np.ones(SHAPE), 0.05, 2.0)[..., -1] > 0)
     assert 0.2 < told[inside].mean() < 0.7 and (found(domain, normal)[inside][:, -1] > 0).mean() > 0.9
 
 
 @pytest.mark.parametrize("why", ["no shadows", "noise", "metal", "a light lacks a channel", "too little", "not sought"])
 def test_where_shadows_do_not_tell_nothing_is_taken_off(why):
     domain, normal, _, _, inside = hollow(strength=0.05 if why == "too little" else 1.0)
-    sought, values = np.ones(SHAPE, bool), domain.stack.values.copy()
+    misfit, values = np.ones(SHAPE), domain.stack.values.copy()
     if why == "no shadows":
         values[(domain.lights[:, 0] > 0.3) | (domain.lights[:, 2] < 0.75), ..., 3] = 0
     elif why == "noise":
@@ -147,8 +147,22 @@ def test_where_shadows_do_not_tell_nothing_is_taken_off(why):
     elif why == "a light lacks a channel":
         domain.intensities[4, 2] = 0
     elif why == "not sought":
-        sought = ~inside
-    assert not found(with_samples(domain, values), normal, sought, 0.05).any()
+        misfit = ~inside
+    assert not found(with_samples(domain, values), normal, misfit, 0.05).any()
+
+
+def test_a_texel_that_the_prefit_explains_better_keeps_its_light():
+    domain, normal, direct, sent, inside = hollow()
+    values = domain.stack.values.copy()
+    shine = 1 + 0.2 * np.random.default_rng(2).uniform(-1, 1, (LIGHTS, *SHAPE, 1))  # lit samples are not quite matt
+    values[..., :3] = direct * shine + sent
+    domain = with_samples(domain, np.float32(values))
+    for misfit, part in ((1.0, 1.0), (0.3, 0.0)):
+        told = found(domain, normal, misfit)[..., -1] > 0
+        assert told[inside].mean() == part
+        np.testing.assert_array_equal(
+            told, shadow_light(domain, normal, np.full(SHAPE, misfit), 0.05, 0.0)[..., -1] > 0
+        )
 
 
 def test_bounds_and_samples_of_no_weight_neither_tell_nor_change():
