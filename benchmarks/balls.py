@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks import report
 from benchmarks.scenes.ball_tables import BALL_SAMPLES, HEIGHT, SAMPLES, WIDTH, BallTable, photographed
 from irpso_addon.calibration.balls.ball import SMALL, Ball
-from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, tables_of
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, known_tables
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
 from irpso_addon.core.encode import srgb_from_linear
@@ -97,7 +97,7 @@ def _matched(
             readers = [lambda image=image: image for image in images]
             lights = run_steps(
                 calibration_steps(
-                    readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius, tables=tables_of([match]))
+                    readers, [ball], Request(kind, inverse=match.inverse[0] / ball.radius, tables=known_tables([match]))
                 )
             ).lights
             error = [

@@ -26,7 +26,7 @@ from irpso_addon.geometry.domain import Domain
 from irpso_addon.gpu import context, probe, textures
 from irpso_addon.gpu.kernel import Entry, Kernel, Output
 from irpso_addon.gpu.passes import Pass
-from irpso_addon.gpu.program import KeptPrograms
+from irpso_addon.gpu.program import ProgramCache
 from irpso_addon.pipeline.speed import make_card
 from irpso_addon.reflectance.model import ReflectanceModel, load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -84,7 +84,7 @@ def measure(quick: bool) -> dict[str, Any]:
     software, entry = product.software_renderer(), probe.faster_entry()
     side = _SMALL if quick else _SIDE[software]
     model, schedule = load_model(DEFAULT_MODEL), load_schedule("standard")
-    with closing(KeptPrograms()):
+    with closing(ProgramCache()):
         recorded(make_card(model, _SMALL), model, schedule, entry)  # compiles
         domain = make_card(model, side)
         phases, passes = recorded(domain, model, schedule, entry)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.video import FEWEST, LOOKED_AT, check_camera, chosen_frames, look_at
+from ..calibration.video import FEWEST, MOST_COMPARED, check_camera, chosen_frames, describe_frame
 from ..capture.images.colour_profile import ColourProfile, ProfileError, profile_of_h273
 from ..core.errors import InputError
 from ..core.files import new_folder
@@ -78,13 +78,13 @@ def _chosen_steps(
     """Yield the progress; return the frames to keep, as numbers of movies and indices in them."""
     places: list[tuple[int, int]] = []
     for number, movie in enumerate(movies):
-        looked_at = min(movie.frames, max(1, LOOKED_AT // len(movies)))
+        looked_at = min(movie.frames, max(1, MOST_COMPARED // len(movies)))
         indices = np.unique(np.linspace(0, movie.frames - 1, looked_at).round().astype(int))
         places += [(number, index) for index in indices.tolist()]
     looks = []
     for number, index in places:
         yield _SEARCH_SHARE * len(looks) / len(places), "looking for lights"
-        looks.append(look_at(movies[number].frame(index).values, profiles[number].linearised))
+        looks.append(describe_frame(movies[number].frame(index).values, profiles[number].linearised))
     return [places[k] for k in chosen_frames(looks, count, where)]
 
 

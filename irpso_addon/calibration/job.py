@@ -19,7 +19,7 @@ from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from .balls.detect.found import FoundBall, as_ball, of_one_kind, tables_of
+from .balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
 from .balls.detect.search import search_steps
 from .balls.lights import KINDS, Calibration, FoundLight, Request, calibration_steps
 from .balls.mirror import Sight
@@ -145,12 +145,12 @@ def calibrate_steps(
         found = tuple((yield from map_steps(search_steps(readers, camera, kinds), lambda part: _SEARCH * part)))
         if not found:
             raise InputError(_NO_BALL)
-        used = of_one_kind(found)
+        used = usable_balls(found)
         if not used:
             raise _too_small(found[0], camera)
         balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
         inverse = float(np.mean([one.inverse[0] / ball.radius for one, ball in zip(used, balls, strict=True)]))
-        request = replace(request, kind=used[0].kind, inverse=inverse, tables=tables_of(used))
+        request = replace(request, kind=used[0].kind, inverse=inverse, tables=known_tables(used))
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     start = _SEARCH if found else 0.0
@@ -161,7 +161,7 @@ def calibrate_steps(
     result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
     contradictions: list[str] = []
     for other in others:
-        steps = _second_opinion_steps(readers, camera, of_one_kind(found)[0], result, other)
+        steps = _second_opinion_steps(readers, camera, usable_balls(found)[0], result, other)
         contradictions += yield from map_steps(steps, lambda n: 1 - each * (len(shots) - n))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
@@ -189,7 +189,7 @@ def _second_opinion_steps(
     if result.near:
         return []
     ball = as_ball(other, camera, "other", None)
-    request = Request(other.kind, inverse=other.inverse[0] / ball.radius, tables=tables_of([other]))
+    request = Request(other.kind, inverse=other.inverse[0] / ball.radius, tables=known_tables([other]))
     calibration = yield from calibration_steps(readers, [ball], request)
     warning = contradiction(used, result.lights, other, calibration.lights, camera)
     return [warning] if warning else []
@@ -240,7 +240,7 @@ def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[
 
 def _doubts(found: Sequence[FoundBall]) -> list[str]:
     """Return warnings about balls that the search found but that are unused, or without shadow."""
-    used, warnings = of_one_kind(found) if found else [], []
+    used, warnings = usable_balls(found) if found else [], []
     for ball in found:
         where = f"the {ball.kind} ball of radius {ball.radius:.0f} pixels that was found"
         if ball not in used:
@@ -254,9 +254,9 @@ def _doubts(found: Sequence[FoundBall]) -> list[str]:
 
 def near_lamps(found: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
     """Return a warning if lights are output as distant, but fall off over the table like near ones."""
-    if result.near or not found or not of_one_kind(found):
+    if result.near or not found or not usable_balls(found):
         return []
-    ball = of_one_kind(found)[0]
+    ball = usable_balls(found)[0]
     inverse, error = ball.inverse
     if inverse * camera.width / ball.radius < 1 / _FAR or inverse < _SIGNIFICANT * error:
         return []

@@ -12,7 +12,7 @@ from ..capture.inspect.frames import shrunk
 from ..core.errors import InputError
 from .register import find_shifts
 
-LOOKED_AT = 600  # most frames of a video that are compared
+MOST_COMPARED = 600  # most frames of a video that are compared
 FEWEST = 3  # frames of different light in a capture
 _SIDE, _CROP = 48, 384  # pixels: longest side of a small frame; of the crop that is registered
 _DENSE = 4  # sampled pixels along a side of the block that is averaged to a pixel of a small frame
@@ -35,7 +35,7 @@ class Look:
     sharpness: float
 
 
-def look_at(codes: np.ndarray, linearised: Callable[[np.ndarray], np.ndarray]) -> Look:
+def describe_frame(codes: np.ndarray, linearised: Callable[[np.ndarray], np.ndarray]) -> Look:
     """Return the descriptor of a frame (H, W, 3). linearised: codes to radiance, applied to a part of the pixels."""
     step = max(1, max(codes.shape) // (_DENSE * _SIDE))
     small = _shrunk(linearised(codes[::step, ::step]).mean(axis=-1), _SIDE)

@@ -107,7 +107,7 @@ def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Prob
     brightness: (K,) as of ``frames.brightest``: radiance of each observation's bright pixels, NaN for none.
     """
     near = np.array([not observation.light.distant for observation in capture.observations])
-    irradiance = at_card(capture)[1]
+    irradiance = lights_at_card(capture)[1]
     ratio = float(np.nanmedian((brightness / irradiance)[near])) if np.isfinite(brightness[near]).any() else 1.0
     if not _DARKEST < ratio < _BRIGHTEST:
         yield (
@@ -117,7 +117,7 @@ def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Prob
         )
 
 
-def at_card(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
+def lights_at_card(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
     """Return the lights at a card's middle: (K, 3) unit directions to them in the camera's axes, and irradiance/π.
 
     The irradiance, (K,), is the mean of the channels on a plane that faces the light.

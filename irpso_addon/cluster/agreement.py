@@ -70,7 +70,7 @@ def _compare(facts: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
 
 
 @contextmanager
-def going_down_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None]:
+def abort_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None]:
     """If this rank fails while others wait for it, print one line that names it and abort the whole job.
 
     busy: returns whether others wait; if not, the error goes to the caller.

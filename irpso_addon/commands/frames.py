@@ -10,7 +10,7 @@ from ..blender.frames import COUNT, frame_steps
 from ..calibration.photographs import videos_of
 from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
-from .options.values import pasted, silent, warn
+from .options.values import shell_quoted, silent, warn
 
 
 def run(options: Namespace) -> dict:
@@ -23,6 +23,6 @@ def run(options: Namespace) -> dict:
     frames = bar.run(frame_steps(videos, out, count), tuple)
     warn(frames.warnings)
     if not silent(options):
-        next_command = f"irpso calibrate {pasted(out)}"
+        next_command = f"irpso calibrate {shell_quoted(out)}"
         sys.stdout.write(f"{len(frames.files)} of {frames.total} frames written to {out}; next: {next_command}\n")
     return {"output": str(out), "frames": list(frames.numbers), "warnings": list(frames.warnings)}

@@ -24,7 +24,7 @@ from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
 from ..core.progress_bar import ProgressBar
-from .options.values import numbers_of_text, pasted, silent
+from .options.values import numbers_of_text, shell_quoted, silent
 
 BLEND = "card.blend"
 _REPORT = "report.json"
@@ -115,7 +115,7 @@ def _summary(setup: Handheld, out: Path) -> str:
         f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
         f" {setup.flash.beam:.1f}",
         *(f"warning: {warning}" for warning in setup.warnings),
-        f"written to {out}; recover it with: irpso recover {pasted(out)} --blend {pasted(out / BLEND)}"
+        f"written to {out}; recover it with: irpso recover {shell_quoted(out)} --blend {shell_quoted(out / BLEND)}"
         f" --object {CARD}"
         f" --resolution {size} -o OUT",
     ]

@@ -12,7 +12,7 @@ from ..calibration.rigs.rig import read_rig, save_rig
 from ..capture.read import read_spec
 from ..core.errors import InputError
 from ..core.progress_bar import ProgressBar
-from .options.values import pasted, silent, warn
+from .options.values import shell_quoted, silent, warn
 
 _USE = {"save": (1, "irpso rig save CAPTURE -o RIG"), "apply": (2, "irpso rig apply RIG PHOTOGRAPHS -o CAPTURE")}
 
@@ -48,7 +48,7 @@ def _apply(options: Namespace) -> dict:
     applied = bar.run(steps, tuple)
     warn([*applied.left_out, *applied.warnings])
     if not silent(options):
-        out = pasted(options.output)
+        out = shell_quoted(options.output)
         sys.stdout.write(
             f"{len(applied.lamps)} photographs under their lamps, written to {out}; next: irpso inspect {out}\n"
         )

@@ -22,7 +22,7 @@ def signals_interrupt() -> bool:
 
 
 @contextmanager
-def held_back() -> Iterator[Callable[[], bool]]:
+def delayed_signals() -> Iterator[Callable[[], bool]]:
     """Delay the first SIGINT or SIGTERM; yields a function that returns whether one has come.
 
     An exception in the middle of an iteration leaves swarms partly advanced, which no checkpoint can continue. A second
@@ -54,7 +54,7 @@ def interrupted_afterwards() -> Iterator[None]:
     if not signals_interrupt():
         yield
         return
-    with held_back() as interrupted:
+    with delayed_signals() as interrupted:
         try:
             yield
         finally:

@@ -18,7 +18,7 @@ from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
 from ..core.steps import at_once
 from .domain import Domain, GeometryBake, domain_of, flat_bake
-from .light.light_shape import unshaped
+from .light.light_shape import beam_correction
 from .light.shadows import ShadowCaster, texel_size
 from .project import GRAZING, Projector, blocks, filled
 from .samples import ArrayStack, new_stack
@@ -256,7 +256,7 @@ def _beam_correction(light: Light, positions: np.ndarray, texels: np.ndarray) ->
     gain, weight = np.ones(len(texels), np.float32), np.ones(len(texels), np.float32)
     if light.axis is not None:
         for part in blocks(np.arange(len(texels))):
-            shape = unshaped(light, positions[texels[filled(part)]].astype(np.float64))
+            shape = beam_correction(light, positions[texels[filled(part)]].astype(np.float64))
             gain[part], weight[part] = (values[: len(part)] for values in shape)
     return gain, weight
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .domain import Domain, GeometryBake, laid_on
+from .domain import Domain, GeometryBake, with_texels
 from .seams.seams import SeamMap, seam_map
 
 _SHORT = 1e-6  # length of a mean of unit vectors; shorter means have no direction, as on two sides of a thin wall
@@ -28,7 +28,7 @@ def coarser(domain: Domain) -> Domain:
     x, y = domain.origin
     stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack.layers()])
     seams = None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage)
-    return replace(laid_on(domain, _coarser_bake(domain.bake), stack, seams), origin=(x // 2, y // 2))
+    return replace(with_texels(domain, _coarser_bake(domain.bake), stack, seams), origin=(x // 2, y // 2))
 
 
 def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool = False) -> np.ndarray:

@@ -146,7 +146,7 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: n
     )
 
 
-def laid_on(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
+def with_texels(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
     """Return a domain of other texels, whole and at the origin, with samples ``values`` (K, H, W, 4).
 
     Lights, views and noise stay those of ``domain``.

@@ -79,10 +79,10 @@ class Program:
 
 
 _alive: WeakValueDictionary[tuple[str, str, str], Program] = WeakValueDictionary()
-_keepers: WeakSet[KeptPrograms] = WeakSet()
+_keepers: WeakSet[ProgramCache] = WeakSet()
 
 
-class KeptPrograms:
+class ProgramCache:
     """Keeps all requested programs until closed, for recoveries that follow one another.
 
     Without it each recovery compiles its kernels anew: a third of the time of many small ones.

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.files import remove_partials
-from ..core.interrupt import held_back
+from ..core.interrupt import delayed_signals
 from ..core.progress_bar import ProgressBar
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.progress import TimeLeft
@@ -52,7 +52,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         history.take(notes)
     bar, time_left = ProgressBar("recover", quiet), TimeLeft()
     iterations = 1
-    with held_back() as interrupted:
+    with delayed_signals() as interrupted:
         progress = recovery.progress
         evaluations_before = progress.evaluations
         bar.show(progress.fraction, f"{progress.title}  placing the swarms", time_left.after(bar.seconds, progress))

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.inspect.damage import naming_remedy
-from ..cluster.agreement import check_alike, choose_device, going_down_together
+from ..capture.inspect.damage import with_skip_remedy
+from ..cluster.agreement import abort_together, check_alike, choose_device
 from ..cluster.partition import Partition, Split, around, check_fits, check_gathered, split
 from ..cluster.recovery import Leader, RankedRecovery, serve
 from ..cluster.transport import Agreed, Ranks
@@ -21,7 +21,7 @@ from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError
 from ..core.optional import present
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
-from ..geometry.domain import Domain, GeometryBake, laid_on, subset
+from ..geometry.domain import Domain, GeometryBake, subset, with_texels
 from ..geometry.seams.seams import SeamMap
 from ..geometry.surface.bake import surface_bake
 from ..gpu import context, probe
@@ -97,7 +97,7 @@ def run_on_ranks(
     result: dict[str, Any]
     leader: Leader | None = None
     try:
-        with going_down_together(ranks, lambda: leader is None or leader.busy):
+        with abort_together(ranks, lambda: leader is None or leader.busy):
             started = time.perf_counter()
             job = ranks.agreed(lambda: _divisible(checked()))
             check_alike(ranks, options, job.capture)
@@ -192,7 +192,7 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
     def read() -> Domain | None:
         if part is None:
             return None
-        with naming_remedy(job.skip_damaged):
+        with with_skip_remedy(job.skip_damaged):
             if job.mesh is None:
                 return domain_from_card(job.capture, window=part)
             of_mesh = surface_bake(bake), present(seams)
@@ -202,7 +202,7 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
     lights_only = None  # the lights and views of all ranks, with 0 × 0 texels
     if window is not None:
         none = window.bake.each(lambda values: values[:0, :0])
-        lights_only = laid_on(window, none, np.zeros((window.observations, 0, 0, 4)))
+        lights_only = with_texels(window, none, np.zeros((window.observations, 0, 0, 4)))
     of_all = ranks.given(lights_only)
     whole = replace(of_all, bake=bake, seams=seams)
     return Partition(whole, division.boxes, division.halo, window)

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..blender.materials.tangent_frames import from_blender, turned_normals
+from ..blender.materials.tangent_frames import converted_normals, from_blender
 from ..blender.ray_caster import ray_caster
-from ..capture.inspect.damage import naming_remedy
+from ..capture.inspect.damage import with_skip_remedy
 from ..core.errors import InputError
 from ..core.optional import present
 from ..core.steps import map_steps, one_step, run_steps
@@ -189,7 +189,7 @@ class Run:
         else:
             steps = mesh_steps(job.capture, job.mesh, *job.size, scratch=scratch, shadows=job.shadows)
         count, made = loading_steps(job.capture, job.mesh is not None), itertools.count(1)
-        with naming_remedy(job.skip_damaged):
+        with with_skip_remedy(job.skip_damaged):
             domain = yield from map_steps(steps, lambda _: self._show(READ, min(1.0, next(made) / count)))
         if job.source is not None:
             kept.source, kept.domain = job.source, domain
@@ -294,5 +294,5 @@ def in_solver_frames(job: Job, bake: GeometryBake) -> tuple[MapsOf, MapsOf | Non
     """Return the job's fixed maps and ground truth with normals in the frames of the domain's texels."""
     if job.mesh is None:
         return job.fixed, job.truth
-    turn = partial(turned_normals, job.model, mesh=job.mesh, bake=surface_bake(bake), change=from_blender)
+    turn = partial(converted_normals, job.model, mesh=job.mesh, bake=surface_bake(bake), change=from_blender)
     return turn(values=job.fixed), job.truth and turn(values=job.truth)

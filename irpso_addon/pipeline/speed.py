@@ -15,7 +15,7 @@ from ..core.paths import DEFAULT_MODEL
 from ..core.waves import wave_field, wave_values
 from ..geometry.domain import Domain, domain_of, flat_bake, tile
 from ..gpu import context, textures
-from ..gpu.program import KeptPrograms
+from ..gpu.program import ProgramCache
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.engine.recovery import Recovery
 from ..solver.planning.cost import recovery_cost
@@ -111,7 +111,7 @@ def measure_speed(side: int | None = None) -> Speed:
     side = side or _SIDE[context.is_software(str(context.describe()["renderer"]))]
     model, schedule = load_model(DEFAULT_MODEL), load_schedule(_PRESET)
     domain = make_card(model, side)
-    with closing(KeptPrograms()):
+    with closing(ProgramCache()):
         middle = (side - min(side, _WARM)) // 2
         small = tile(domain, middle, middle, min(side, _WARM), min(side, _WARM))
         started = time.perf_counter()

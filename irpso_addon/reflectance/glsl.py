@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .model import NARROWEST, ReflectanceModel
+from .model import LEAST_PRIOR_WIDTH, ReflectanceModel
 
 _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
@@ -45,7 +45,7 @@ def prior_declaration(model: ReflectanceModel) -> str:
             if along is not None:
                 at, (low, high) = model.offset(along.name), along.range
                 lines.append(f"float x = (c[{at}] - {low!r}) * {1 / (high - low)!r};")
-                lines.append(f"w *= max(1.0 - x * x, {NARROWEST!r});")
+                lines.append(f"w *= max(1.0 - x * x, {LEAST_PRIOR_WIDTH!r});")
             if p.prior.kind == "normal":
                 deviance, slope, curvature = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)"
                 precisions.append([*lines, f"if (component == {i}) {{ return {curvature}; }}"])
@@ -59,7 +59,8 @@ def prior_declaration(model: ReflectanceModel) -> str:
             if along is not None:  # d(1 / wᵏ) = k / wᵏ · 2 x / (1 − x²) dx
                 power = 2.0 if p.prior.kind == "normal" else 1.0
                 derivatives.append(
-                    f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x / max(1.0 - x * x, {NARROWEST!r});"
+                    f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x"
+                    f" / max(1.0 - x * x, {LEAST_PRIOR_WIDTH!r});"
                 )
             slopes.append(derivatives)
 

@@ -12,10 +12,10 @@ with open_window(blender, folder / "user", folder / "pictures") as window:
 
 from .blenders import Blender, find_blender
 from .layout import Box
-from .session import Complained, build_package, install, open_window
+from .session import BlenderError, build_package, install, open_window
 from .window import BlenderGone, FailedInside, Window
 
 __all__ = [
-    "Blender", "BlenderGone", "Box", "Complained", "FailedInside", "Window", "build_package", "find_blender",
+    "Blender", "BlenderGone", "Box", "BlenderError", "FailedInside", "Window", "build_package", "find_blender",
     "install", "open_window",
 ]  # fmt: skip

@@ -18,7 +18,7 @@ SCREEN = (1600, 1000)
 DRIVER = Path(__file__).resolve().parent / "driver.py"
 
 
-class Complained(Exception):
+class BlenderError(Exception):
     """Blender ended with an error, or logged one."""
 
 
@@ -34,12 +34,12 @@ def build_package(folder: Path) -> Path:
 def install(blender: Blender, package: Path, user: Path) -> str:
     """Install and enable a zip in a fresh Blender, as in the README; return Blender's output.
 
-    user: an empty folder for Blender's settings and extensions. Raises Complained if it fails.
+    user: an empty folder for Blender's settings and extensions. Raises BlenderError if it fails.
     """
     command = ["--command", "extension", "install-file", "--repo", "user_default", "--enable", str(package)]
     done = blender.run(blender.executable, *command, variables=_own_places(user, user.parent), timeout=300)
     if done.returncode or not list(user.glob("extensions/user_default/irpso/blender_manifest.toml")):
-        raise Complained(f"{package.name} could not be installed (exit code {done.returncode}):\n{done.stdout}")
+        raise BlenderError(f"{package.name} could not be installed (exit code {done.returncode}):\n{done.stdout}")
     return done.stdout
 
 
@@ -50,8 +50,8 @@ def open_window(
     """Open Blender in a window that fills a virtual screen; end it on exit.
 
     user: Blender's settings and extensions, which are copied.  pictures: folder of the screenshots and of LOG_NAME.log,
-    Blender's output.  backend: ``opengl`` or ``vulkan``. Raises Complained on exit if Blender logged unexpected errors
-    or ended with one.
+    Blender's output.  backend: ``opengl`` or ``vulkan``. Raises BlenderError on exit if Blender logged unexpected
+    errors or ended with one.
     """
     with tempfile.TemporaryDirectory(prefix="irpso-window-") as scratch, _screen(blender) as display:
         folder = Path(scratch)
@@ -81,7 +81,7 @@ def _own_places(user: Path, scratch: Path) -> dict[str, str]:
 
 
 def _end(window: Window) -> None:
-    """Quit Blender as a user would. Raises Complained if it fails or has logged unexpected errors."""
+    """Quit Blender as a user would. Raises BlenderError if it fails or has logged unexpected errors."""
     try:
         window.run("bpy.ops.wm.quit_blender()", timeout=30)
     except (BlenderGone, FailedInside):
@@ -91,7 +91,7 @@ def _end(window: Window) -> None:
     complaints = window.complaints()
     if code or complaints:
         text = "\n".join(complaints)
-        raise Complained(f"Blender ended with {code} and complained:\n{text}\n\nall it said:\n{window.log()[-6000:]}")
+        raise BlenderError(f"Blender ended with {code} and complained:\n{text}\n\nall it said:\n{window.log()[-6000:]}")
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from irpso_addon.geometry.domain import tile
 from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
 from irpso_addon.geometry.samples import ArrayStack
 from irpso_addon.gpu import context
-from irpso_addon.gpu.program import KeptPrograms
+from irpso_addon.gpu.program import ProgramCache
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
@@ -168,7 +168,7 @@ def resumed(path):
 def main(folder):
     """Recover all cases over their numbers of ranks, some with a change of it midway; write the digests."""
     world = joined()
-    programs = KeptPrograms()  # cases share kernels
+    programs = ProgramCache()  # cases share kernels
     context.ensure()
     # Created once: a rank outside a case goes on to its next case and waits there.
     groups = {size: world.among(world.rank < size) for size in (1, 2, 4, 5)}

@@ -54,9 +54,9 @@ def made_once(request):
         yield
         return
     from irpso_addon.gpu import probe
-    from irpso_addon.gpu.program import KeptPrograms
+    from irpso_addon.gpu.program import ProgramCache
 
-    with pytest.MonkeyPatch.context() as patch, closing(KeptPrograms()):
+    with pytest.MonkeyPatch.context() as patch, closing(ProgramCache()):
         patch.setattr(probe, "probe", functools.cache(probe.probe))
         yield
 

@@ -16,7 +16,7 @@ from ...geometry.spaces import world_normals
 from ...geometry.surface.bake import SurfaceBake
 from ...geometry.surface.mesh import MeshData
 from ...results.maps import Maps
-from .tangent_frames import to_blender, turned_normals, world_to_blender
+from .tangent_frames import converted_normals, to_blender, world_to_blender
 
 # Least bilinear weight of the solved texels among the four around a place on the other side.
 _LEAST = 0.05
@@ -27,7 +27,7 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
 
     maps: in the solver's frames. seams: of the domain; None leaves the margins unfilled.
     """
-    values = turned_normals(maps.model, maps.values, mesh, bake, to_blender)
+    values = converted_normals(maps.model, maps.values, mesh, bake, to_blender)
     maps, solved = replace(maps, values=values, tiles=mesh.tiles, wrapped=True), maps
     if seams is None or maps.covered.all() or not maps.covered.any():
         return maps

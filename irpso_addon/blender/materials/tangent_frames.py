@@ -49,7 +49,7 @@ def world_to_blender(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, worl
     return result
 
 
-def turned_normals(
+def converted_normals(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], mesh: MeshData, bake: SurfaceBake, change: Change
 ) -> dict[str, np.ndarray]:
     """Return maps with their normals converted by ``change``: ``to_blender`` or ``from_blender``."""

@@ -45,7 +45,7 @@ def seen(bundle: Bundle, views: Views) -> np.ndarray:
     return _projected(bundle, views)[0]
 
 
-def turn_errors(bundle: Bundle, views: Views) -> np.ndarray:
+def rotation_errors(bundle: Bundle, views: Views) -> np.ndarray:
     """Return the standard errors (K,), in degrees, of the photographs' rotations about their least certain axes.
 
     They follow from each pose's normal equations, with lens and points fixed, and the weighted mean of squared errors.

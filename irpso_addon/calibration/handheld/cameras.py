@@ -10,7 +10,7 @@ import numpy as np
 from ...capture.camera import Camera
 from ...capture.frame.homography import mapped
 from ...core.errors import InputError
-from .bundle import Bundle, Views, adjusted, seen, turn_errors
+from .bundle import Bundle, Views, adjusted, rotation_errors, seen
 from .poses import camera_matrix, focal_of, plane_of, pose_of
 from .tracks import Tracks
 
@@ -80,7 +80,7 @@ def _solved(
     relief = None if tracks.board else _RELIEF * float(np.median(np.linalg.norm(start.shifts, axis=1)))
     free = adjusted(start, views, _FOCAL_SPREAD[lens], relief)
     if lens != "known":
-        return free, _errors(free, views), turn_errors(free, views)
+        return free, _errors(free, views), rotation_errors(free, views)
     fixed = adjusted(start, views, 0.0, relief)
     error, best = (float(np.median(_errors(bundle, views))) for bundle in (fixed, free))
     if error > max(_OTHER_LENS * best, _LEAST_ERROR):
@@ -89,7 +89,7 @@ def _solved(
             f"points are off by {error / factor:.2f} pixels with the given focal length, and by"
             f" {best / factor:.2f} with one of {angle:.1f}° over the width; correct --fov, or leave it out"
         )
-    return fixed, _errors(fixed, views), turn_errors(fixed, views)
+    return fixed, _errors(fixed, views), rotation_errors(fixed, views)
 
 
 def _errors(bundle: Bundle, views: Views) -> np.ndarray:

@@ -166,7 +166,7 @@ def _cost(residual: np.ndarray) -> float:
     return float(np.log1p(residual**2).mean())
 
 
-def bulges(normals: np.ndarray, mask: np.ndarray) -> float:
+def outline_outwardness(normals: np.ndarray, mask: np.ndarray) -> float:
     """Return how far unit normals (P, 3) at the outline of a mask (H, W) point outward, −1…1; 0 without an outline.
 
     Those of a solid point outward. Without an outline, relief and its inverse fit photographs equally well.

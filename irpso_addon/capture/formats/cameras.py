@@ -12,7 +12,7 @@ from ..errors import CaptureError
 from ..images.exr_header import is_exr
 from ..images.headers import read_header
 from ..images.image import ImageRef
-from ..poses import PoseFile, moved, of_picture, read_poses, similarity
+from ..poses import PoseFile, moved, read_poses, similarity, upright_camera
 from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
 
@@ -68,7 +68,7 @@ class Views:
 
         def make(width: int, height: int) -> Camera:
             orientation = 1 if is_exr(image.path) else read_header(image.path).orientation
-            return moved(of_picture(camera, width, height, orientation, where), self._world)
+            return moved(upright_camera(camera, width, height, orientation, where), self._world)
 
         return ViewSpec(name, make, where, None, self._masks.get(name), True)
 

@@ -16,7 +16,7 @@ from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import ImageHeader, read_bytes, read_header
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
-from .primaries import BY_NAME, NO_COLOURS, to_rec_709
+from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
 from .raw import decode_raw, is_raw, raw_size
 
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
@@ -217,7 +217,7 @@ def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | N
     if len(set(rgb)) == 1:
         return None
     if chromaticities is None:
-        if part.colour_space in NO_COLOURS:
+        if part.colour_space in UNKNOWN_SPACES:
             return None
         raise CaptureError(
             f"{image}: is in the colour space '{part.colour_space}'; export it as linear Rec. 709", "image_unknown"

@@ -18,7 +18,7 @@ BY_NAME = {
     "lin_ap1_scene": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, *_ACES_WHITE),
     "lin_ap0_scene": (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, *_ACES_WHITE),
 }  # fmt: skip
-NO_COLOURS = ("", "data", "unknown")  # names that identify no colour space
+UNKNOWN_SPACES = ("", "data", "unknown")  # names that identify no colour space
 _SAME = 2e-3  # tolerance of equal chromaticities: programs write few digits
 # Cone responses of XYZ after Bradford (Lam 1985), as in ICC.1:2010, Annex E.
 _BRADFORD = np.array([(0.8951, 0.2664, -0.1614), (-0.7502, 1.7135, 0.0367), (0.0389, -0.0685, 1.0296)])

@@ -22,7 +22,7 @@ _sizes: dict[tuple[Any, ...], tuple[int, int]] = {}  # of intact images, by file
 
 
 @contextmanager
-def naming_remedy(skipping: bool) -> Iterator[None]:
+def with_skip_remedy(skipping: bool) -> Iterator[None]:
     """Append the option that skips damaged images to their errors, unless ``skipping``."""
     try:
         yield
@@ -32,7 +32,7 @@ def naming_remedy(skipping: bool) -> Iterator[None]:
         raise CaptureError(f"{error.message}; {_REMEDY}", error.code, error.others) from error
 
 
-def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, CaptureSpec]:
+def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, CaptureSpec]:
     """Return a spec with damaged images moved to ``left_out``. Raises CaptureError if none is intact.
 
     Yields before each image is decoded. A camera without intact images is removed. Faults of the list, such as an
@@ -64,7 +64,7 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 
-without_damaged = at_once("without_damaged", sound_steps)
+without_damaged = at_once("without_damaged", without_damaged_steps)
 
 
 def check_numbers(image: ImageRef | str, found: Samples) -> None:

@@ -60,7 +60,7 @@ def frames_of(capture: Capture, index: int) -> Frames:
     return Frames(mask, factors, checks.middle_window(mask, min(_CROP, affordable)), [], [], [], [], [])
 
 
-def keep_frame(frames: Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
+def add_frame(frames: Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
     """Add one frame's thumbnail and crop to ``frames``; yield the findings of this frame alone."""
     grey, mask = found.rgba[..., :3].mean(axis=-1), frames.mask
     frames.names.append(name)

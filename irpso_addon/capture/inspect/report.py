@@ -24,8 +24,8 @@ from ..read import read_spec
 from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
 from ..types import Capture
 from . import checks, room_light, sufficiency
-from .damage import sound_steps
-from .frames import Finding, Frames, brightest, brightness, counted, frame_steps, frames_of, keep_frame, shrunk
+from .damage import without_damaged_steps
+from .frames import Finding, Frames, add_frame, brightest, brightness, counted, frame_steps, frames_of, shrunk
 
 _T = TypeVar("_T")
 _FLAT = 0.05  # flatness: a noise of 1 % becomes about 20 % perpendicular to the plane
@@ -86,7 +86,7 @@ def inspect_steps(
     try:
         spec = read_spec(path, colour_space)
         if skip_damaged:
-            steps = sound_steps(spec, ImageStore(decoder))
+            steps = without_damaged_steps(spec, ImageStore(decoder))
             spec = yield from _numbered("Looking for damaged images", len(spec.observations), steps)
     except CaptureError as error:
         return Report(path, (), _errors(error))
@@ -143,7 +143,7 @@ def _image_steps(
         except CaptureError as error:
             findings += _errors(error)
             continue
-        findings += keep_frame(groups[observation.camera], index, str(spec.observations[index].image), samples)
+        findings += add_frame(groups[observation.camera], index, str(spec.observations[index].image), samples)
     for camera, frames in groups.items():
         if frames.names:
             facts.append((f"brightness{f', {spec.views[camera].name}' * (len(groups) > 1)}", brightness(frames)))
@@ -279,7 +279,7 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
     if len(observations) < 3 or not (on_card or all(observation.light.distant for observation in observations)):
         return
     part = replace(capture, observations=tuple(observations), cameras=(capture.cameras[index],))
-    directions, power = places.at_card(part)
+    directions, power = places.lights_at_card(part)
     where = spec.observations[frames.indices[0]].where
     if (directions[:, 2] < 0).mean() > 0.5:
         message = (

@@ -105,7 +105,7 @@ def moved(camera: Camera, world: np.ndarray) -> Camera:
     return replace(camera, matrix=matrix)
 
 
-def of_picture(camera: Camera, width: int, height: int, orientation: int, where: str) -> Camera:
+def upright_camera(camera: Camera, width: int, height: int, orientation: int, where: str) -> Camera:
     """Return the camera of an upright image of width × height pixels from the camera of the stored image.
 
     orientation: the image's EXIF tag. Raises CaptureError if the picture has other proportions or is mirrored.

@@ -15,7 +15,7 @@ from ...blender.occluders import named_occluders, with_occluders
 from ...blender.scenes.scene import empty_blend, mesh_object, open_blend
 from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
 from ...capture.framing import AUTO, Framing, framed, with_found_corners
-from ...capture.inspect.damage import naming_remedy
+from ...capture.inspect.damage import with_skip_remedy
 from ...capture.inspect.sufficiency import check_normal
 from ...capture.read import read_spec, whole_capture
 from ...capture.types import Capture
@@ -71,7 +71,7 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     derived_maps_of(options).check(model)
     fixed = fixed_from_options(options.fixed, model, tiles)
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
-    with naming_remedy(options.skip_damaged):
+    with with_skip_remedy(options.skip_damaged):
         capture = _capture(options, folder)
     held_out = capture.numbers(held_out_list(options.hold_out, capture.listed))
     capture, _ = held_out_last(capture, held_out)

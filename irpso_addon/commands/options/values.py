@@ -31,7 +31,7 @@ def silent(options: Namespace) -> bool:
     return options.quiet or options.json
 
 
-def pasted(path: Path | str) -> str:
+def shell_quoted(path: Path | str) -> str:
     """Return a path quoted for this system's shell, for printed commands."""
     return subprocess.list2cmdline([str(path)]) if os.name == "nt" else quote(str(path))
 

@@ -9,7 +9,9 @@ _WIDTH = 0.06  # standard deviation of the Gaussian of similarity, in square roo
 _LEAST_DEVIATION, _LEAST_SPREAD = 1e-3, 0.01  # standard deviations: of a texel's value; within a colour
 
 
-def drawn_to_alike(values: np.ndarray, deviations: np.ndarray, colour: np.ndarray, counted: np.ndarray) -> np.ndarray:
+def shrunk_to_similar_colours(
+    values: np.ndarray, deviations: np.ndarray, colour: np.ndarray, counted: np.ndarray
+) -> np.ndarray:
     """Return (N, n) float32: the posterior means of texels' values, with a prior from texels of similar colour.
 
     values, deviations: (N, n) values and their standard deviations. colour: (N, 3) linear. counted: (N,) bool, the

@@ -15,7 +15,7 @@ from ...capture.types import Light
 LEAST_SHARE = 0.05
 
 
-def unshaped(light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def beam_correction(light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return float32 factors of radiance (N,) and weight (N,) that turn samples into those of an isotropic light.
 
     points: (N, 3) world. Radiance is divided by the share of the intensity that reaches the texel; this scales its

@@ -79,7 +79,7 @@ def charts_of(island: np.ndarray, pieces: Pieces) -> np.ndarray:
     return chart
 
 
-def known_directly(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tuple[np.ndarray, np.ndarray]:
+def visible_across_gaps(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, 2) places and (N,) charts that see the texel there although its chart is another.
 
     The rest of its island and the other charts of its piece see a texel of a piece.
@@ -96,7 +96,7 @@ def known_directly(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tup
     return places, charts
 
 
-def beyond_pieces(
+def places_beyond_pieces(
     edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (N, 2) places past the borders of pieces, (N,) the nearest edge of each, and (N,) their charts."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .edges import SeamEdges, seam_edges
-from .gaps import beyond_pieces, charts_of, known_directly, pieces_of
+from .gaps import charts_of, pieces_of, places_beyond_pieces, visible_across_gaps
 from .places import Covered, places_beyond, texel_at
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Texels past a border with known neighbours: the reach of the prior in the shipped presets (2^4).
 SEAM_REACH = 16
 # Up to this halo a tile selects the places that its texels reach; with a wider halo nearly all are reached.
-LOOKED_FOR = 4
+LARGEST_SEARCHED_HALO = 4
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ def seam_map(edges: SeamEdges, island: np.ndarray, reach: int = SEAM_REACH) -> S
     chart = charts_of(island, pieces)
     place, edge = places_beyond(here, here.island, _covered(island), island.shape, reach)
     of = here.island[edge].astype(np.int64)
-    more = beyond_pieces(here, island, pieces, reach)
+    more = places_beyond_pieces(here, island, pieces, reach)
     place, edge, of = (np.concatenate(both) for both in zip((place, edge, of), more, strict=True))
     at = np.einsum("nij,nj->ni", here.across[edge, :, :2], place + 0.5) + here.across[edge, :, 2]
     target = texel_at(at, here.other[edge], island)
     hit = target >= 0
-    direct, seen_from = known_directly(chart, island, pieces)
+    direct, seen_from = visible_across_gaps(chart, island, pieces)
     place, of = np.concatenate([place[hit], direct]), np.concatenate([of[hit], seen_from])
     at = np.concatenate([at[hit], direct + 0.5])
     target = np.concatenate([target[hit], direct[:, 1] * island.shape[1] + direct[:, 0]])

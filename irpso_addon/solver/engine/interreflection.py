@@ -14,7 +14,7 @@ from ...core.errors import InputError
 from ...core.optional import present
 from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
-from ...geometry.light.alike import drawn_to_alike
+from ...geometry.light.alike import shrunk_to_similar_colours
 from ...geometry.light.surroundings import Surroundings
 from ...geometry.samples import SampleStack
 from ...gpu.kernel import EntryChoice
@@ -258,7 +258,7 @@ class InterreflectionRounds(Successive):
             if not (p.is_normal or p.is_albedo or p.name in self.fixed or deviation is None):
                 values[p.name] = values[p.name].copy()
                 own = values[p.name][solved], deviation[solved]
-                values[p.name][solved] = drawn_to_alike(*own, colour, explained[solved])
+                values[p.name][solved] = shrunk_to_similar_colours(*own, colour, explained[solved])
         return values
 
     def _restart_with_all_light(self, last: int) -> Domain:

@@ -15,7 +15,7 @@ import numpy as np
 from ...geometry.domain import Domain
 from ...gpu.kernel import EntryChoice
 from ...gpu.passes import Pass
-from ...gpu.program import KeptPrograms
+from ...gpu.program import ProgramCache
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..phases.phase import Phase
@@ -48,7 +48,7 @@ class Successive(RecoveryEngine):
         self._schedules = tuple(schedules)
         self._at, self._earlier_evaluations = 0, 0
         self._transition: Iterator[None] | None = None
-        self._programs = KeptPrograms()
+        self._programs = ProgramCache()
         self._live: RecoveryEngine
 
     @abstractmethod

@@ -11,7 +11,7 @@ import numpy as np
 from ...geometry.domain import Domain
 from ...geometry.samples import mapped_array
 from ...gpu.kernel import Entry
-from ...gpu.program import KeptPrograms
+from ...gpu.program import ProgramCache
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import BACKGROUND_BAND_SECONDS
@@ -97,7 +97,7 @@ class TilePool:
         self._settings, self._entry, self._scratch = (model, schedule, seed), entry, scratch
         self._most = len(self.tiles) if most is None else min(most, len(self.tiles))
         self._last = 0  # the last tile used
-        self._programs = KeptPrograms()  # a tile that comes back compiles nothing
+        self._programs = ProgramCache()  # a tile that comes back compiles nothing
         self.fill()
 
     @property

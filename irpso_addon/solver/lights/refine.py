@@ -14,7 +14,7 @@ from ...core.errors import InputError
 from ...core.steps import at_once, map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...gpu.kernel import EntryChoice
-from ...gpu.program import KeptPrograms
+from ...gpu.program import ProgramCache
 from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
 from ..settings.schedule import Schedule, load_schedule
@@ -306,7 +306,7 @@ class _Search:
             self._factors = self._factors * _white_factor(_with_divided_images(self._base, self._factors))
         self._change, self._round = np.inf, 0
         self._values: dict[str, np.ndarray] = {}
-        self._programs = KeptPrograms()  # for all rounds
+        self._programs = ProgramCache()  # for all rounds
 
     def rounds(self) -> Generator[float, None, LightStep]:
         """Run all rounds; yield the fraction done, and return the last step."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...capture.bounds import without_bounds
-from ...geometry.domain import Domain, laid_on
+from ...geometry.domain import Domain, with_texels
 from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
@@ -98,7 +98,7 @@ def _gathered(domain: Domain, stack: np.ndarray, rows: np.ndarray, columns: np.n
     shape = -(-max(len(rows), 1) // width), width
     bake = domain.bake.each(lambda values: _grid(values[rows, columns], shape))
     layers = np.stack([_grid(layer, shape) for layer in stack])
-    return laid_on(domain, bake, layers)
+    return with_texels(domain, bake, layers)
 
 
 def _grid(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ...core.errors import InputError
-from ...geometry.seams.seams import LOOKED_FOR, SEAM_REACH
+from ...geometry.seams.seams import LARGEST_SEARCHED_HALO, SEAM_REACH
 from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
@@ -228,7 +228,7 @@ def _tile_sizes(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | N
     texels, seams = _texels(part), 0
     if borders is not None:
         border_length = borders.length_in(box, cost.reach)
-        ghosts = int(border_length * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
+        ghosts = int(border_length * (cost.reach if cost.reach <= LARGEST_SEARCHED_HALO else SEAM_REACH))
         texels += min(ghosts, _texels(coverage) - texels)
         bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.

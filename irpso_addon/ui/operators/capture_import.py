@@ -33,9 +33,9 @@ from ..common.file_paths import absolute
 from ..common.polls import NO_CAPTURE, usable
 from ..common.words import n_, rpt
 from ..properties import findings
-from ..properties.scene_settings import REACTIONS, model_of
+from ..properties.scene_settings import UPDATE_CALLBACKS, model_of
 from ..session.job import subject_object
-from ..session.scene_capture import capture_of, capture_path, keep_corners, keep_places
+from ..session.scene_capture import capture_of, capture_path, keep_corners, store_light_facts
 
 # Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice lasts as long as
 # this took. After each image Blender redraws all views. If that takes a second (software renderer on a busy machine),
@@ -204,7 +204,7 @@ class ImportCapture(bpy.types.Operator):
         settings.source = "FILES"
         if settings.capture_path != (stored := _stored_path(path)):  # the same capture keeps its card distance
             settings.capture_path = stored
-        keep_places(settings, spec)
+        store_light_facts(settings, spec)
         settings.subject = subject_of(spec)
         settings.summary = f"kind: {spec.kind}\nimages: {len(spec.observations)}"
         settings.findings.clear()
@@ -312,7 +312,7 @@ def _menu(self, context) -> None:
 
 
 CLASSES = (ImportCapture, CheckCapture, CaptureFiles)
-REACTIONS["skip_damaged"] = lambda settings: check_capture(settings.id_data)
+UPDATE_CALLBACKS["skip_damaged"] = lambda settings: check_capture(settings.id_data)
 
 
 @persistent

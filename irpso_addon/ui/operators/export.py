@@ -29,7 +29,7 @@ from ...results.write import write_maps
 from ..common.file_paths import absolute
 from ..common.words import iface, rpt
 from ..session import session
-from ..session.keep import NOTHING, found_in, has_found, pictures_of, report_of
+from ..session.keep import NOTHING, found_in, has_maps, pictures_of, report_of
 
 MAPS = "maps"
 _FORMATS = {MAPS: ("Maps", "16-bit PNG, 32-bit EXR, a report and a preview, in a folder"), **FORMATS}
@@ -79,7 +79,7 @@ class IRPSO_OT_export(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is a result to export."""
-        return has_found(cls)
+        return has_maps(cls)
 
     def invoke(self, context, event):
         """Open the file browser with a proposed path."""

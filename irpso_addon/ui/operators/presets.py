@@ -23,7 +23,7 @@ from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipp
 from ..common import failures
 from ..common.file_paths import absolute
 from ..common.words import iface, tip
-from ..properties.schedule_settings import base_schedule, differences, fill, is_shipped, name_today, schedule_of
+from ..properties.schedule_settings import base_schedule, current_name, differences, fill, is_shipped, schedule_of
 
 FOLDER = "irpso"  # in the user's folder of presets
 _HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n\n"
@@ -71,7 +71,7 @@ def read_preset(path: str | Path) -> tuple[str, Schedule]:
             continue
         try:
             name, value = _ASSIGNMENT.fullmatch(line).groups()
-            values[name_today(name)] = ast.literal_eval(value)
+            values[current_name(name)] = ast.literal_eval(value)
         except (AttributeError, SyntaxError, ValueError) as error:
             raise InputError(
                 f"{path}: line {number} sets no setting to a value; write lines like {_OBJECT}.particles = 24"

@@ -33,7 +33,7 @@ def draw_unkept(layout, context) -> None:
         row.operator("irpso.forget", icon="X").path = str(stored.path)
 
 
-def restored_job(context, found: unkept.Unkept) -> SceneJob:
+def restored_job(context, found: unkept.StoredRecovery) -> SceneJob:
     """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
     identity = glance(found.path, {})
     try:
@@ -47,7 +47,7 @@ def restored_job(context, found: unkept.Unkept) -> SceneJob:
 class _OfStored:
     path: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
-    def _stored(self) -> unkept.Unkept:
+    def _stored(self) -> unkept.StoredRecovery:
         stored = next((one for one in unkept.listed() if one.path == Path(self.path)), None)
         if stored is None:
             raise InputError("this recovery is no longer stored")

@@ -23,7 +23,7 @@ from ...capture.framing import framed
 from ...capture.images.headers import read_header
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.raw import is_raw
-from ...capture.inspect.damage import naming_remedy
+from ...capture.inspect.damage import with_skip_remedy
 from ...capture.places import card_depth, card_middle, card_size
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
@@ -34,9 +34,9 @@ from ..common import failures
 from ..common.file_paths import absolute
 from ..common.polls import NO_CAPTURE, usable
 from ..common.words import rpt
-from ..properties.scene_settings import REACTIONS
+from ..properties.scene_settings import UPDATE_CALLBACKS
 from ..session import session
-from ..session.card_place import is_free, show_card
+from ..session.card_place import is_automatic, show_card
 from ..session.job import subject_object
 from ..session.scene_capture import spec_steps
 
@@ -271,7 +271,7 @@ class CreateScene(bpy.types.Operator):
         settings = scene.irpso
         try:
             spec = run_steps(spec_steps(settings))
-            with naming_remedy(settings.skip_damaged):
+            with with_skip_remedy(settings.skip_damaged):
                 capture = build_capture(spec, decode)
             on_card = settings.subject == "CARD" and len(capture.cameras) == 1
             part = framed(capture, spec.framing)
@@ -283,7 +283,7 @@ class CreateScene(bpy.types.Operator):
             settings.card_distance = capture.card_distance or 0.0  # so that This Scene gives the same capture
             rows, columns = part.masks[0].shape
             card = material.card_object(capture.name, rows, columns)
-            if is_free(card):  # the user has not moved it
+            if is_automatic(card):  # the user has not moved it
                 place_card(card, part.cameras[0], depth)
             if context.window is not None:
                 show_card(context, card, np.array(card.matrix_world), rows / columns)
@@ -390,4 +390,4 @@ def _assignable(context) -> list:
 
 
 CLASSES = (CreateScene, ShowObservation, AssignImages)
-REACTIONS["observation"] = _observation_changed
+UPDATE_CALLBACKS["observation"] = _observation_changed

@@ -293,7 +293,7 @@ class IRPSO_PT_material(_OfCapture, bpy.types.Panel):
         column.prop(settings, "model")
         if settings.model == CUSTOM:
             column.prop(settings, "model_path", text="File")
-        if upkeep.is_wanting(settings):
+        if upkeep.lacks_parameters(settings):
             upkeep.ask()
         column = layout.column(heading="Recover")
         column.use_property_split, column.use_property_decorate = True, False

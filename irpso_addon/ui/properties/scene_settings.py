@@ -26,7 +26,9 @@ from ..common.file_paths import absolute
 from .schedule_settings import ScheduleSettings
 
 CUSTOM = "CUSTOM"  # the user's own model
-REACTIONS: dict[str, Callable[[bpy.types.PropertyGroup], None]] = {}  # setting → the operators' function on its change
+UPDATE_CALLBACKS: dict[
+    str, Callable[[bpy.types.PropertyGroup], None]
+] = {}  # setting → the operators' function on its change
 _LARGEST_SIDE = 16384
 _COLOUR_SPACES = (
     ("auto", "Automatic", "8-bit images are sRGB unless file or pixels show that they are linear; others are linear"),
@@ -185,7 +187,7 @@ class ViewSettings(bpy.types.PropertyGroup):
     observation: IntProperty(
         name="Photograph", description="Number of the photograph to show, from 1, with its light. The capture's other"
         " lights in the scene are switched off", min=1, default=1,
-        update=lambda self, context: REACTIONS["observation"](self),
+        update=lambda self, context: UPDATE_CALLBACKS["observation"](self),
     )  # fmt: skip
     split: FloatProperty(
         name="Split", description="Where the render ends and the photograph begins", subtype="FACTOR", min=0, max=1,
@@ -272,7 +274,7 @@ class Settings(bpy.types.PropertyGroup):
     )
     skip_damaged: BoolProperty(
         name="Leave Out Damaged Images", description="Recover without images that are missing or cannot be decoded. The"
-        " check decodes every image once", update=lambda self, context: REACTIONS["skip_damaged"](self),
+        " check decodes every image once", update=lambda self, context: UPDATE_CALLBACKS["skip_damaged"](self),
     )  # fmt: skip
     light_strengths: EnumProperty(
         name="Light Strengths", description="Source of the lights' strengths", items=_STRENGTHS

@@ -85,7 +85,7 @@ def fill(settings: ScheduleSettings, schedule: Schedule) -> None:
         setattr(settings, name, value)
 
 
-def name_today(name: str) -> str:
+def current_name(name: str) -> str:
     """Return the present name of a setting that an earlier version may have stored under another."""
     old = next((old for old in _RENAMED if name.startswith(old)), "")
     return name.replace(old, _RENAMED[old], 1) if old else name
@@ -95,8 +95,8 @@ def rename_stored(settings: ScheduleSettings) -> None:
     """Move values that an earlier version stored under other names to the present settings."""
     stored = system_properties(settings)
     for old in {*stored.keys()} - SETTINGS.keys():
-        if name_today(old) in SETTINGS:
-            setattr(settings, name_today(old), stored[old])
+        if current_name(old) in SETTINGS:
+            setattr(settings, current_name(old), stored[old])
             del stored[old]
 
 

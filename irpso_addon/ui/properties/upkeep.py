@@ -15,11 +15,11 @@ from .schedule_settings import rename_stored
 def fill_lists() -> None:
     """Fill missing parameter lists of all scenes. Panels cannot: Blender forbids changes during drawing."""
     for scene in bpy.data.scenes:
-        if is_wanting(scene.irpso):
+        if lacks_parameters(scene.irpso):
             refresh_parameters(scene.irpso)
 
 
-def is_wanting(settings) -> bool:
+def lacks_parameters(settings) -> bool:
     """Return whether the parameter list is missing. A custom model may have none: its file may be unreadable."""
     return not settings.parameters and settings.model != CUSTOM
 

@@ -25,12 +25,12 @@ def free_place(context, height: float) -> np.ndarray:
 
 
 def put_card(card: bpy.types.Object, place: np.ndarray) -> None:
-    """Move a card's object to an automatic (4, 4) position; ``is_free`` is true until the user moves it."""
+    """Move a card's object to an automatic (4, 4) position; ``is_automatic`` is true until the user moves it."""
     card.matrix_world = Matrix(place.tolist())
     card[_POSITION] = [float(value) for row in card.matrix_basis for value in row]
 
 
-def is_free(card: bpy.types.Object) -> bool:
+def is_automatic(card: bpy.types.Object) -> bool:
     """Return whether a card is at its automatic position or at the origin."""
     now = np.array(card.matrix_basis).ravel()
     return np.allclose(now, np.array(card.get(_POSITION, np.eye(4).ravel()))) or np.allclose(now, np.eye(4).ravel())

@@ -71,7 +71,7 @@ def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
     return Curves(title, np.array(iterations), errors, "%", log=True)
 
 
-def has_found(cls) -> bool:
+def has_maps(cls) -> bool:
     """Return whether there are maps to keep; if not, the button's tooltip names the remedy."""
     running = session.current()
     return usable(cls, running is not None and running.recovery is not None, NOTHING)
@@ -87,7 +87,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there are maps to keep."""
-        return has_found(cls)
+        return has_maps(cls)
 
     def execute(self, context):
         """Pause the recovery, and make images, material and, for a card, its object."""

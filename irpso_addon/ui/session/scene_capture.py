@@ -14,7 +14,7 @@ from ...blender.scenes.scene_capture import photographed_lights, scene_steps
 from ...capture.frame.find import Found
 from ...capture.framing import Framing, framed_steps
 from ...capture.images.image import ImageStore
-from ...capture.inspect.damage import naming_remedy, sound_steps
+from ...capture.inspect.damage import with_skip_remedy, without_damaged_steps
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec, build_steps
 from ...capture.types import Capture
@@ -36,7 +36,7 @@ def capture_of(scene) -> Capture:
 def capture_steps(scene) -> Generator[None, None, Capture]:
     """Yield before each image header is read; return the capture as ``capture_of``."""
     settings = scene.irpso
-    with naming_remedy(settings.skip_damaged):
+    with with_skip_remedy(settings.skip_damaged):
         if settings.source == "SCENE":
             return (yield from _scene_steps(scene))
         spec = yield from spec_steps(settings)
@@ -47,7 +47,7 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
 def spec_steps(settings) -> Generator[None, None, CaptureSpec]:
     """Yield before each decoded image; return ``spec_of``, without damaged images if the settings leave them out."""
     spec = spec_of(settings)
-    return (yield from sound_steps(spec, ImageStore(decode))) if settings.skip_damaged else spec
+    return (yield from without_damaged_steps(spec, ImageStore(decode))) if settings.skip_damaged else spec
 
 
 def spec_of(settings) -> CaptureSpec:
@@ -56,7 +56,7 @@ def spec_of(settings) -> CaptureSpec:
     Also stores in the settings the values that panels show, because panels read no files.
     """
     spec = read_spec(capture_path(settings), settings.colour_space)
-    keep_places(settings, spec)
+    store_light_facts(settings, spec)
     spec = replace(spec, framing=_framing_of(settings, spec.framing))
     # Blender stores 420.1 as 420.1000061: an unchanged field keeps the file's own digits.
     if settings.card_distance in (0.0, np.float32(spec.card_distance or 0.0)):
@@ -99,7 +99,7 @@ def crop_around(corners: np.ndarray) -> list[int]:
     return [int(value) for value in (*low, *(high - low))]
 
 
-def keep_places(settings, spec: CaptureSpec) -> None:
+def store_light_facts(settings, spec: CaptureSpec) -> None:
     """Store whether lights of the files have positions, and the files' card distance."""
     settings.near_lights = not all(shot.distant for shot in spec.observations)
     settings.stated_distance, settings.stated_width = spec.card_distance or 0.0, spec.framing.card_width or 0.0

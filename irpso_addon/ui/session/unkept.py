@@ -19,11 +19,11 @@ from ...solver.state.checkpoint import read_note
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
 _log = logging.getLogger(__name__)
-_listed: list[Unkept] | None = None  # contents of the folder, None before it is read
+_listed: list[StoredRecovery] | None = None  # contents of the folder, None before it is read
 
 
 @dataclass(frozen=True)
-class Unkept:
+class StoredRecovery:
     """A stored recovery. fraction: done, 0…1. file: path of its .blend, "" if unsaved. recipe: from ``recipe_of``."""
 
     path: Path
@@ -64,7 +64,7 @@ def store(running: Any) -> None:
     look()
 
 
-def listed() -> list[Unkept]:
+def listed() -> list[StoredRecovery]:
     """Return the stored recoveries, the newest first."""
     if _listed is None:
         look()
@@ -94,8 +94,8 @@ def forget(path: Path | None) -> None:
     look()
 
 
-def _read(path: Path) -> Unkept | None:
+def _read(path: Path) -> StoredRecovery | None:
     try:
-        return Unkept(path, **json.loads(bytes(read_note(path, _ABOUT))))
+        return StoredRecovery(path, **json.loads(bytes(read_note(path, _ABOUT))))
     except (CheckpointError, ValueError, TypeError):
         return None

@@ -70,7 +70,7 @@ def test_an_interrupted_run_resumes_to_the_same_maps(card, tmp_path):
     looks = iter([False] * 12 + [True] * 100)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drive, "_MOST_ITERATIONS", 4)
-        patch.setattr(drive, "held_back", lambda: _Interrupted(looks))
+        patch.setattr(drive, "delayed_signals", lambda: _Interrupted(looks))
         assert run_cli("recover", capture, "--model", "lambert", "-o", tmp_path / "cut", *settings)[0] == 130
     assert recover(capture, tmp_path / "cut", *settings, "--resume")[0] == 0
     for name in ("maps.exr", "normal.exr", "confidence.exr"):
@@ -96,7 +96,7 @@ def test_no_file_of_the_result_depends_on_the_memory(card, tmp_path, monkeypatch
 
 
 class _Interrupted:
-    """What ``held_back`` returns: a signal comes when the looks say so."""
+    """What ``delayed_signals`` returns: a signal comes when the looks say so."""
 
     def __init__(self, looks):
         self._looks = looks

@@ -11,7 +11,7 @@ from irpso_addon.gpu import context, program, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.kernel import Kernel, Output, Packed
 from irpso_addon.gpu.passes import Pass
-from irpso_addon.gpu.program import KeptPrograms
+from irpso_addon.gpu.program import ProgramCache
 from irpso_addon.solver.kernels.kernels import copy_pass
 
 pytestmark = pytest.mark.usefixtures("gpu")
@@ -235,7 +235,7 @@ def test_passes_of_one_kernel_compile_once_while_any_has_it(entry, compiled):
 
 
 def test_kept_programs_outlive_their_passes(entry, compiled):
-    with closing(KeptPrograms()):
+    with closing(ProgramCache()):
         for _ in range(2):
             ran(entry, 5)[0].close()
         assert len(compiled) == 1
@@ -245,7 +245,7 @@ def test_kept_programs_outlive_their_passes(entry, compiled):
 
 def test_a_kernel_that_its_file_no_longer_holds_is_compiled_anew(entry, compiled, tmp_path):
     source, target = tmp_path / "mine.glsl", textures.empty(2, 2)
-    with closing(KeptPrograms()):
+    with closing(ProgramCache()):
         for value in ("1.0", "2.0"):
             source.write_text(f"bool texel_kernel(ivec2 t)\n{{\n    o_0 = vec4({value});\n    return true;\n}}\n")
             work = Pass(Kernel(source, (Output("o_0"),), {}, {}, {}), entry)

@@ -41,13 +41,13 @@ def test_distant_objects_do_not_move_a_card():
 def test_a_card_is_free_until_the_user_moves_it():
     card = bpy.data.objects.new("card", None)
     bpy.context.scene.collection.objects.link(card)
-    assert card_place.is_free(card)
+    assert card_place.is_automatic(card)
     place = np.eye(4)
     place[0, 3] = 1.75
     card_place.put_card(card, place)
-    assert card_place.is_free(card) and card.location[0] == 1.75
+    assert card_place.is_automatic(card) and card.location[0] == 1.75
     card.location[1] = 0.01
-    assert not card_place.is_free(card)
+    assert not card_place.is_automatic(card)
 
 
 def test_an_object_near_the_cards_edge_moves_it():

@@ -75,7 +75,7 @@ def test_a_failed_modal_operator_ends_and_is_reported(monkeypatch, operator):
 
 
 def test_a_list_that_cannot_be_filled_is_reported_and_not_raised(monkeypatch):
-    monkeypatch.setattr(upkeep, "is_wanting", broken)
+    monkeypatch.setattr(upkeep, "lacks_parameters", broken)
     assert upkeep.fill_lists() is None and len(failures.messages()) == 1
 
 

@@ -9,7 +9,7 @@ import pytest
 from irpso_addon.calibration.balls.ball import Ball
 from irpso_addon.calibration.balls.detect import falloff, shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
-from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, of_one_kind, tables_of
+from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
 from irpso_addon.calibration.balls.detect.outline import fitted
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import FoundLight, Request, calibration_steps
@@ -71,7 +71,7 @@ def test_the_lights_of_a_found_ball_are_within_three_degrees(table, found, numbe
 
 
 def lights_of(table, ball):
-    request = Request(ball.kind, tables=tables_of([ball]))
+    request = Request(ball.kind, tables=known_tables([ball]))
     readers = [lambda i=i: i for i in table]
     return run_steps(calibration_steps(readers, [as_ball(ball, EMPTY.camera, "ball", None)], request)).lights
 
@@ -232,6 +232,6 @@ def test_balls_of_the_surest_ones_kind_and_size_are_used():
         return FoundBall(kind, np.zeros((3, 2)), radius, 1.0, 0.9)
 
     found = [ball("matte", 30), ball("mirror", 50), ball("mirror", 20), ball("mirror", 47)]
-    assert [b.radius for b in of_one_kind(found)] == [50, 47]
+    assert [b.radius for b in usable_balls(found)] == [50, 47]
     small = FoundBall("mirror", np.zeros((3, 2)), 12, 1.0, 0.9, exact=False)
-    assert [b.kind for b in of_one_kind([small, found[0]])] == ["matte"] and of_one_kind([small]) == []
+    assert [b.kind for b in usable_balls([small, found[0]])] == ["matte"] and usable_balls([small]) == []

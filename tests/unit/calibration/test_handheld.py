@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, seen, turn_errors
+from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, rotation_errors, seen
 from irpso_addon.calibration.handheld.cameras import placed_cameras
 from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
 from irpso_addon.calibration.handheld.job import _flash, handheld_steps
@@ -112,7 +112,7 @@ def test_the_standard_error_of_a_rotation_is_the_spread_over_draws_of_the_noise(
         found = adjusted(exact, noisy, 0.0, None)
         turned = found.rotations @ rotations.transpose(0, 2, 1)
         turns.append([(r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]) for r in turned])
-        told.append(turn_errors(found, noisy))
+        told.append(rotation_errors(found, noisy))
     spread = [
         np.degrees(np.sqrt(np.linalg.eigvalsh(np.cov(0.5 * one.T))[-1])) for one in np.array(turns).swapaxes(0, 1)
     ]

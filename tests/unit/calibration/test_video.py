@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.video import check_camera, chosen_frames, look_at
+from irpso_addon.calibration.video import check_camera, chosen_frames, describe_frame
 from irpso_addon.core.errors import InputError
 from tests.builders.video import direction, lit, scene
 
@@ -24,7 +24,7 @@ def filmed(lights, change=lambda frame, k: frame):
 
 
 def looks_of(frames):
-    return [look_at(frame, lambda linear: linear) for frame in frames]
+    return [describe_frame(frame, lambda linear: linear) for frame in frames]
 
 
 def angles(lights, others):

@@ -95,11 +95,11 @@ def test_a_damaged_image_is_refused_with_the_option_that_leaves_it_out(tmp_path,
     path = diligent(tmp_path)
     harm(tmp_path / "003.png")
     message = r"003\.png.*; or leave it out with --skip-damaged$"
-    with pytest.raises(CaptureError, match=message) as caught, damage.naming_remedy(skipping=False):
+    with pytest.raises(CaptureError, match=message) as caught, damage.with_skip_remedy(skipping=False):
         for observation in read_capture(path, decode).observations:
             observation.read()
     assert "\n" not in str(caught.value)
-    with pytest.raises(CaptureError) as caught, damage.naming_remedy(skipping=True):
+    with pytest.raises(CaptureError) as caught, damage.with_skip_remedy(skipping=True):
         for observation in read_capture(path, decode).observations:
             observation.read()
     assert "--skip-damaged" not in str(caught.value)
@@ -126,7 +126,7 @@ def test_faults_of_the_list_or_the_mask_are_never_skipped(tmp_path):
         read_capture(path, decode, skip_damaged=True)
     diligent(tmp_path / "b")
     (tmp_path / "b" / "mask.exr").write_bytes(b"junk")
-    with pytest.raises(CaptureError, match=r"mask\.exr") as caught, damage.naming_remedy(skipping=False):
+    with pytest.raises(CaptureError, match=r"mask\.exr") as caught, damage.with_skip_remedy(skipping=False):
         read_capture(tmp_path / "b", decode)
     assert "--skip-damaged" not in str(caught.value)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture import CaptureError
-from irpso_addon.capture.poses import moved, of_picture, read_poses, similarity
+from irpso_addon.capture.poses import moved, read_poses, similarity, upright_camera
 from tests.builders.poses import (
     CENTRE,
     CHUNK,
@@ -327,7 +327,7 @@ def test_a_picture_shown_upright_has_the_camera_of_the_stored_one_turned_with_it
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     turned = upright(np.stack([x, y], axis=-1), orientation)
     height, width = (int(side * factor) for side in turned.shape[:2])
-    shown = of_picture(camera, width, height, orientation, "here")
+    shown = upright_camera(camera, width, height, orientation, "here")
     assert (shown.width, shown.height) == (width, height)
     pixels, _ = shown.project(POINTS)
     stored, _ = camera.project(POINTS)
@@ -339,13 +339,13 @@ def test_a_picture_shown_upright_has_the_camera_of_the_stored_one_turned_with_it
 
 def test_a_size_already_turned_by_the_program_is_kept(tmp_path):
     camera = a_camera(tmp_path)
-    assert of_picture(camera, WIDTH, HEIGHT, 6, "here") == camera
+    assert upright_camera(camera, WIDTH, HEIGHT, 6, "here") == camera
 
 
 @pytest.mark.parametrize(("size", "orientation", "words"), [((600, 480), 1, "uncropped"), ((640, 480), 2, "mirrored")])
 def test_a_cropped_or_mirrored_picture_is_refused(tmp_path, size, orientation, words):
     with pytest.raises(CaptureError, match=f"^here: .*{words}"):
-        of_picture(a_camera(tmp_path), *size, orientation, "here")
+        upright_camera(a_camera(tmp_path), *size, orientation, "here")
 
 
 def test_an_image_name_that_fits_several_cameras_must_be_whole(tmp_path):

@@ -16,21 +16,21 @@ def handlers_put_back():
 
 
 def test_the_first_signal_is_only_noted():
-    with interrupt.held_back() as interrupted:
+    with interrupt.delayed_signals() as interrupted:
         assert not interrupted()
         signal.raise_signal(signal.SIGINT)
         assert interrupted()
 
 
 def test_the_second_signal_interrupts_at_once():
-    with pytest.raises(KeyboardInterrupt), interrupt.held_back():
+    with pytest.raises(KeyboardInterrupt), interrupt.delayed_signals():
         signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGTERM)
 
 
 def test_the_former_handlers_are_back_afterwards():
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with interrupt.held_back():
+    with interrupt.delayed_signals():
         pass
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
@@ -43,6 +43,6 @@ def test_blenders_signal_handler_is_replaced_by_pythons(monkeypatch):
         return None if handler.__name__ == "note" else former  # what Python says of a handler set from C
 
     monkeypatch.setattr(interrupt.signal, "signal", from_outside)
-    with interrupt.held_back():
+    with interrupt.delayed_signals():
         pass
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -43,14 +43,14 @@ class FoundBall:
         return (self.points.max(axis=0) + self.points.min(axis=0)) / 2
 
 
-def of_one_kind(found: Sequence[FoundBall]) -> list[FoundBall]:
+def usable_balls(found: Sequence[FoundBall]) -> list[FoundBall]:
     """Return the exact balls for calibration: mirror, else matte ones, of about the size of the first (surest)."""
     kind = "mirror" if any(ball.exact and ball.kind == "mirror" for ball in found) else "matte"
     same = [ball for ball in found if ball.exact and ball.kind == kind]
     return [ball for ball in same if 1 / _SAME_SIZE < ball.radius / same[0].radius < _SAME_SIZE]
 
 
-def tables_of(found: Sequence[FoundBall]) -> tuple[Table, ...]:
+def known_tables(found: Sequence[FoundBall]) -> tuple[Table, ...]:
     """Return the table below each ball; () if any is unknown."""
     tables = tuple(ball.table for ball in found if ball.table is not None)
     return tables if len(tables) == len(found) else ()
