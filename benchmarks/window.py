@@ -37,7 +37,7 @@ seen = {{"pressed": 0.0, "last": 0.0, "first": None, "stalls": [], "draws": 0}}
 
 def drawn():
     seen["draws"] += 1
-    if seen["first"] is None and handlers._stage is not None and handlers._stage._pictures:
+    if seen["first"] is None and handlers._overlay is not None and handlers._overlay._pictures:
         seen["first"] = time.perf_counter() - seen["pressed"]
 
 def beat():
@@ -115,7 +115,7 @@ def watched(window: Any, capture: Path) -> dict[str, Any]:
     redraw = float(np.median(window.run(REDRAW, area="", timeout=300)))
     begin(window, capture)
     window.wait("session.current().recovery is not None", 300)
-    window.run("bpy.ops.irpso.cancel()\nsession._loaded.prepared = None")
+    window.run("bpy.ops.irpso.cancel()\nsession._previous_run.prepared = None")
     window.run(PRESS, timeout=300)
     anew = window.wait("seen['first']", 300)
     window.run("bpy.ops.irpso.cancel()")
@@ -156,7 +156,7 @@ def displayed(window: Any, capture: Path, iterations: int, repeats: int) -> dict
 def begin(window: Any, capture: Path) -> None:
     """Import a capture and press Recover."""
     window.run(f"bpy.ops.irpso.import_capture(filepath={str(capture)!r})")
-    window.wait("not importlib.import_module(session.__package__ + '.capture_import').checking(bpy.context.scene)", 600)
+    window.wait(f"not importlib.import_module('{MODULE}.operators.capture_import').checking(bpy.context.scene)", 600)
     window.run("bpy.context.scene.irpso.subject = 'CARD'")
     window.run(PRESS, timeout=300)
 

@@ -71,8 +71,8 @@ class InterreflectionRounds(Successive):
         solve: Callable[..., RecoveryEngine] = Recovery,
     ):
         free = any(not p.is_normal and p.name not in (fixed or {}) for p in model.parameters)
-        self._fixes_normals = surroundings.shape_known and free  # in all recoveries but the last
-        self._warm = self._fixes_normals  # whether the last recovery starts from earlier estimates
+        self._known_shape = surroundings.shape_known and free  # in all recoveries but the last
+        self._warm = self._known_shape  # whether the last recovery starts from earlier estimates
         super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, self._warm))
         self._surroundings, self._scratch, self._solve = surroundings, scratch, solve
         self._dominated = np.zeros(domain.shape, bool)  # texels whose light is mostly indirect
@@ -166,7 +166,7 @@ class InterreflectionRounds(Successive):
 
     def restore(self, saved: Checkpoint) -> None:
         self.close()
-        self._warm, self._dominated, self._substitutes = self._fixes_normals, np.zeros(self.domain.shape, bool), {}
+        self._warm, self._dominated, self._substitutes = self._known_shape, np.zeros(self.domain.shape, bool), {}
         self._schedules = _schedules(self.schedule, self._warm)
         self._at, self._earlier_evaluations = (int(number) for number in saved.arrays[_AT])
         self._errors = saved.arrays[_ERRORS].tolist()
@@ -197,7 +197,7 @@ class InterreflectionRounds(Successive):
 
     def _normals_fixed(self, number: int) -> bool:
         """Return whether a recovery fixes the normals of the known shape."""
-        return self._fixes_normals and number < len(self._schedules) - 1
+        return self._known_shape and number < len(self._schedules) - 1
 
     def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
         normals = {
@@ -216,7 +216,7 @@ class InterreflectionRounds(Successive):
         return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)
 
     def _next(self) -> Iterator[None]:
-        maps = self._live.maps(confidence=self._fixes_normals)
+        maps = self._live.maps(confidence=self._known_shape)
         self._bases.append(self._basis(maps))
         self._errors.append(self._mean_residual(maps))
         domain = yield from self._subtract_indirect()
@@ -241,7 +241,7 @@ class InterreflectionRounds(Successive):
             light += counted * layer[..., :3].mean(axis=-1)
             count += counted
         explained = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
-        values = self._stabilised(maps, explained) if self._fixes_normals else maps.values
+        values = self._stabilised(maps, explained) if self._known_shape else maps.values
         return {**values, _EXPLAINED: (explained & ~self._dominated)[..., None].astype(np.float32)}
 
     def _stabilised(self, maps: Maps, explained: np.ndarray) -> dict[str, np.ndarray]:
@@ -276,7 +276,7 @@ class InterreflectionRounds(Successive):
         None if that light is negligible.
         """
         domain = self.domain
-        first, relaxation = len(self._bases) == 1, 1.0 if self._fixes_normals else _RELAXATION
+        first, relaxation = len(self._bases) == 1, 1.0 if self._known_shape else _RELAXATION
         with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
             exchange, covered = light.exchange, light.covered
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
@@ -308,7 +308,7 @@ class InterreflectionRounds(Successive):
             share = np.zeros(domain.shape)
             share[covered] = np.divide(subtracted, shown, out=np.zeros_like(subtracted), where=shown > 0)
             self._set_share(share)
-            if self._fixes_normals:
+            if self._known_shape:
                 part = strength * indirect / np.maximum(strength * indirect + direct, 1e-12)
                 self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > _MOST_INDIRECT
                 self._dominated &= domain.solvable
