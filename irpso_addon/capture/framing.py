@@ -21,7 +21,7 @@ from .bounds import bounded, weight_and_clipped
 from .camera import Camera
 from .distortion import undistorted
 from .errors import CaptureError
-from .frame.find import Found, corner_steps
+from .frame.find import DetectedCorners, corner_steps
 from .types import Capture
 
 AUTO = "auto"  # search the corners in the photographs
@@ -96,7 +96,7 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
 framed = at_once("framed", framed_steps)
 
 
-def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, None, tuple[Framing, Found]]:
+def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, None, tuple[Framing, DetectedCorners]]:
     """Search the corners as ``corner_steps``; return the framing with them, and the search's result.
 
     Printed markers also set the card's width, in millimetres, if neither it nor the card's distance is known.

@@ -24,7 +24,7 @@ from ..pipeline.job import Job
 from ..pipeline.live import LIVE, LivePicture
 from ..pipeline.preview import PART, can_be_smaller, smaller
 from ..pipeline.ranks import run_on_ranks
-from ..pipeline.result import Found, found_of, make_material, pictures_of, report_of, subject_of
+from ..pipeline.result import ResultMaps, make_material, pictures_of, report_of, result_maps, subject_of
 from ..pipeline.run import Run
 from ..results.report import plain
 from ..results.write import BLEND, REPORT, remove_result, write_maps
@@ -170,7 +170,7 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
 
 def _solved(
     options: Namespace, run: Run, folder: Path, saving: Saving, changes: Mapping[str, Any] = MappingProxyType({})
-) -> tuple[dict, Found, float]:
+) -> tuple[dict, ResultMaps, float]:
     """Run to the end and write the maps into a folder; return the report, the maps, and when the search ended.
 
     changes: settings in the report that replace the options of these names.
@@ -183,7 +183,7 @@ def _solved(
         maps = run.maps()
         warnings = [*unsaved, *live.warnings, *run.device_warnings()]
     started = time.perf_counter()
-    found = found_of(run, maps, derived_maps_of(options))
+    found = result_maps(run, maps, derived_maps_of(options))
     settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")} | changes
     settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
     report = report_of(run, found, settings, seconds, warnings)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration.shading.flat import even_steps, falloff_steps
-from ..calibration.shading.known import Found, Samples, cells, free_scale, nearer
+from ..calibration.shading.known import LampFit, Samples, cells, free_scale, nearer
 from ..capture.bounds import without_bounds
 from ..capture.camera import Camera
 from ..capture.framing import Framing, framed
@@ -35,7 +35,7 @@ class FlatCard:
     """Near lights calibrated over a card. capture: with them and ``card_distance`` in their unit. found: the fit."""
 
     capture: Capture
-    found: Found
+    found: LampFit
     warnings: tuple[str, ...] = ()
 
     @property
@@ -136,7 +136,7 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
         )
 
 
-def _check_known(fit: Found, even: Found) -> None:
+def _check_known(fit: LampFit, even: LampFit) -> None:
     if not nearer(fit, even):
         raise InputError(
             "the lamps are too far from the card, or too close together: distant lamps light a matt card evenly, and"

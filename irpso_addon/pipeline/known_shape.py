@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration.shading.known import (
-    Found,
+    LampFit,
     Samples,
     cells,
     fit_steps,
@@ -62,7 +62,7 @@ class KnownShape:
     """
 
     capture: Capture
-    found: Found
+    found: LampFit
     near: bool
     determined: float
     mismatch: float
@@ -90,7 +90,7 @@ class KnownShape:
         }
 
 
-def light_rows(capture: Capture, found: Found, near: bool) -> list[dict[str, Any]]:
+def light_rows(capture: Capture, found: LampFit, near: bool) -> list[dict[str, Any]]:
     """Return the report's row of each light, with its standard errors."""
     rows = []
     strengths, distances = found.errors[:, 3], found.distance_errors
@@ -191,7 +191,7 @@ def _check_lit(capture: Capture, samples: Samples) -> None:
 
 def _fit(
     samples: Samples, caster: ShadowCaster, texels: np.ndarray, kind: str
-) -> Generator[None, None, tuple[Found, bool, float]]:
+) -> Generator[None, None, tuple[LampFit, bool, float]]:
     """Yield often; return the fit of the lamps, whether they are near, and ``KnownShape.determined``."""
     centre = samples.points.mean(axis=0)
     size = float(np.linalg.norm(samples.points - centre, axis=-1).max())
@@ -209,7 +209,7 @@ def _fit(
     return fit, near, determined
 
 
-def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None, tuple[Found, bool]]:
+def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None, tuple[LampFit, bool]]:
     """Return the fit of near or of distant lamps, and whether it is near."""
     far = None
     if kind != "near":
@@ -220,7 +220,7 @@ def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None,
     return (close, True) if far is None or nearer(close, far) else (far, False)
 
 
-def _check_known(capture: Capture, mesh: MeshData, fit: Found, determined: float, mismatch: float) -> None:
+def _check_known(capture: Capture, mesh: MeshData, fit: LampFit, determined: float, mismatch: float) -> None:
     if not determined >= _LEAST_DETERMINED:
         raise InputError(
             f"'{mesh.name}': its visible part faces too few directions to separate lights from albedo; put a ball"
@@ -239,7 +239,7 @@ def _check_known(capture: Capture, mesh: MeshData, fit: Found, determined: float
         )
 
 
-def check_explained(capture: Capture, found: Found, subject: str) -> None:
+def check_explained(capture: Capture, found: LampFit, subject: str) -> None:
     """Raise InputError, naming the photograph, where the fit explains too little of its radiance."""
     worst = int(found.explained.argmin())
     if not found.explained[worst] >= _LEAST_EXPLAINED:

@@ -36,7 +36,7 @@ _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states 
 
 
 @dataclass(frozen=True)
-class Found:
+class ResultMaps:
     """Maps of a run. solver: with normals in the solver's frames; written: in those of Blender's normal maps.
 
     derived: maps besides the model's. height: the relief, None unless the user wants it.
@@ -48,7 +48,7 @@ class Found:
     height: Height | None
 
 
-def found_of(run: Run, maps: Maps, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
+def result_maps(run: Run, maps: Maps, wanted: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
     """Return the last ``maps`` of the run, with derived maps. Raises InputError where one cannot be made."""
     job, domain = run.job, present(run.domain)
     wanted.check(maps.model)
@@ -56,11 +56,11 @@ def found_of(run: Run, maps: Maps, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
     derived, height = derived_maps(wanted, maps, written, domain.bake, job.mesh, job.capture.cameras[0])
     if (share := run.indirect_share) is not None:
         derived.append(indirect_map(share, maps.covered))
-    return Found(maps, written, derived, height)
+    return ResultMaps(maps, written, derived, height)
 
 
 def report_of(
-    run: Run, found: Found, settings: Mapping[str, Any], seconds: float, warnings: list[str] | None = None
+    run: Run, found: ResultMaps, settings: Mapping[str, Any], seconds: float, warnings: list[str] | None = None
 ) -> dict[str, Any]:
     """Return the report. settings: the user's. seconds, warnings: of the search."""
     job, maps, progress, domain = run.job, found.solver, present(run.progress), present(run.domain)
@@ -123,7 +123,7 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     return [*warnings, text] if text else warnings
 
 
-def pictures_of(run: Run, found: Found) -> dict[str, np.ndarray]:
+def pictures_of(run: Run, found: ResultMaps) -> dict[str, np.ndarray]:
     """Return file stem → (H, W, 3) display values: renders beside photographs, confidence, held-out observations."""
     run.relight(found.solver)
     names = preview_names(run.job.capture, run.job.unseen)
@@ -142,7 +142,7 @@ def subject_of(job: Job) -> Any:
 
 
 def make_material(
-    job: Job, subject: Any, found: Found, height: Height | None, folder: Path | None = None
+    job: Job, subject: Any, found: ResultMaps, height: Height | None, folder: Path | None = None
 ) -> tuple[Any, Any]:
     """Assign the maps to their object as a material; return both. A card's object is created.
 

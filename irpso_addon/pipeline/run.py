@@ -42,7 +42,7 @@ _CACHE_SHARE = 0.1  # of the free memory, for a cached preparation
 
 
 @dataclass
-class Kept:
+class RunCache:
     """Cache of one run's results for the next: the domain of a ``Job.source``, its lights and its preparation.
 
     wish: the settings of lights; basis: the settings of prepared. A domain under estimated lights is not cached.
@@ -73,7 +73,7 @@ class Run:
         job: Job,
         show: Callable[[str, float], None] = lambda step, fraction: None,
         elsewhere: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
-        kept: Kept | None = None,
+        kept: RunCache | None = None,
     ):
         """``open`` begins the work.
 
@@ -81,7 +81,7 @@ class Run:
         yields meanwhile. kept: the cache of former runs.
         """
         self.job = job
-        self._show, self._elsewhere, self._kept = show, elsewhere, Kept() if kept is None else kept
+        self._show, self._elsewhere, self._kept = show, elsewhere, RunCache() if kept is None else kept
         self.domain: Domain | None = None
         self.fitted: Domain | None = None
         self.lights: Lights | None = None

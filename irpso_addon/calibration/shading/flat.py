@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.optional import present
-from .known import Found, Samples, fit_steps
+from .known import LampFit, Samples, fit_steps
 from .lamps import Lamps
 
 _STARTS = 1.2, 2.5, 5.0  # distances of lamps at the start of fits, in radii of the card
@@ -18,7 +18,9 @@ _GLOSS_ROUNDS, _GLOSSY = 2, 12.0  # degrees from the mirror direction
 _ROUNDS = 5  # of the trends' reweighting
 
 
-def falloff_steps(samples: Samples, views: np.ndarray, centre: np.ndarray, size: float) -> Generator[None, None, Found]:
+def falloff_steps(
+    samples: Samples, views: np.ndarray, centre: np.ndarray, size: float
+) -> Generator[None, None, LampFit]:
     """Yield often; return near lamps over a card, whose normals are all (0, 0, 1).
 
     views: (T, 3) unit directions to the camera. Samples near the mirror direction have no weight: gloss adds light.
@@ -28,7 +30,7 @@ def falloff_steps(samples: Samples, views: np.ndarray, centre: np.ndarray, size:
     gradient is measurable. Of several starts, the fit with the least misfit is used. The standard errors include the
     difference from the fit to all samples.
     """
-    best: Found | None = None
+    best: LampFit | None = None
     for start in _starts(samples, centre, size):
         fit = yield from fit_steps(samples, start, near=True, nearest=_NEAREST)
         if best is None or fit.misfit < best.misfit:
@@ -42,7 +44,7 @@ def falloff_steps(samples: Samples, views: np.ndarray, centre: np.ndarray, size:
     return replace(fit, errors=np.hypot(fit.errors, _difference(best.lamps, fit.lamps)))
 
 
-def even_steps(samples: Samples, lamps: Lamps) -> Generator[None, None, Found]:
+def even_steps(samples: Samples, lamps: Lamps) -> Generator[None, None, LampFit]:
     """Yield often; return the fit of distant lamps along the normal: a card is evenly lit by any distant lamp."""
     count = len(lamps.inverses)
     up = replace(lamps, directions=np.tile((0.0, 0.0, 1.0), (count, 1)), inverses=np.zeros(count))

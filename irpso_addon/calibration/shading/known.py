@@ -54,7 +54,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Found:
+class LampFit:
     """Fitted lamps. errors: (K, FREE) standard errors of their parameters (delete-a-group jackknife, Efron 1982).
 
     misfit: robust deviation of the samples over a texel's RMS radiance. weight: (K, T) final weights of the samples.
@@ -78,7 +78,7 @@ class Found:
         return np.minimum(self.errors[:, 2] / np.maximum(self.lamps.inverses, 1e-12), 1.0)
 
 
-def nearer(near: Found, distant: Found) -> bool:
+def nearer(near: LampFit, distant: LampFit) -> bool:
     """Return whether the lamps are significantly near.
 
     The median of 1 / distance must exceed three standard errors, and the misfit must fall by a tenth. Gloss resembles
@@ -129,7 +129,7 @@ def _narrowness(normals: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(normals.T @ normals / len(normals))[0])
 
 
-def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAREST) -> Generator[None, None, Found]:
+def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAREST) -> Generator[None, None, LampFit]:
     """Yield after each round; return the lamps fitted from a start: Levenberg–Marquardt, albedos eliminated.
 
     near: whether distances are free; nearest: largest size / distance. Samples have weight where the lamp is above the
@@ -162,10 +162,10 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAR
             break
     bright = samples.weight * samples.values**2
     explained = (weight * samples.values**2).sum(axis=1) / np.maximum(bright.sum(axis=1), 1e-12)
-    return Found(lamps, equations.errors(lamps, weight, width), width / _WIDTH, weight, explained)
+    return LampFit(lamps, equations.errors(lamps, weight, width), width / _WIDTH, weight, explained)
 
 
-def free_normals(samples: Samples, found: Found) -> np.ndarray:
+def free_normals(samples: Samples, found: LampFit) -> np.ndarray:
     """Return the angles (T,), degrees, between the known normals and normals fitted to the samples under the lamps.
 
     NaN where fewer than four samples have weight.
@@ -186,7 +186,7 @@ def free_normals(samples: Samples, found: Found) -> np.ndarray:
     return np.where((initial > 0).sum(axis=0) >= 4, angle, np.nan)
 
 
-def free_scale(samples: Samples, found: Found) -> float:
+def free_scale(samples: Samples, found: LampFit) -> float:
     """Return the factor of the lamps' strengths for which the brightest texels have the albedo WHITE."""
     shading, _ = found.lamps.shading(samples.points, samples.normals)
     top, bottom = ((found.weight * shading * other).sum(axis=0) for other in (samples.values, shading))

@@ -29,7 +29,7 @@ _REMEDY = "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window"
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectedCorners:
     """corners: four (x, y), clockwise from the upper left one, in pixels from the picture's upper left corner.
 
     photographs: number that agree, of ``read`` photographs. board: of the markers, None for a rectangle.
@@ -51,7 +51,7 @@ class Found:
         return f"{points}, {by} in {self.photographs} of {self.read} photographs"
 
 
-def corner_steps(capture: Capture) -> Generator[float, None, Found]:
+def corner_steps(capture: Capture) -> Generator[float, None, DetectedCorners]:
     """Return the corners of the flat subject of one camera: the field of a marker board, or the dominant rectangle.
 
     Yields the fraction done. Reads up to nine photographs. Raises CaptureError where neither shows, several could be
@@ -98,7 +98,9 @@ def _radiance(capture: Capture, number: int) -> np.ndarray:
     return np.nan_to_num(without_bounds(capture.observations[number].read())[..., :3].mean(axis=-1), posinf=0.0)
 
 
-def _search_steps(codes: list[np.ndarray], combined: list[np.ndarray], name: str) -> Generator[None, None, Found]:
+def _search_steps(
+    codes: list[np.ndarray], combined: list[np.ndarray], name: str
+) -> Generator[None, None, DetectedCorners]:
     """Yield before searching each picture; return the corners by markers, else by the outline."""
     markers = []
     for picture in (*codes, *combined):
@@ -109,7 +111,7 @@ def _search_steps(codes: list[np.ndarray], combined: list[np.ndarray], name: str
     return (yield from _by_outline(codes, combined, name))
 
 
-def _by_markers(single: list[Seen | None], combined: list[Seen | None]) -> Found:
+def _by_markers(single: list[Seen | None], combined: list[Seen | None]) -> DetectedCorners:
     """Return the field's corners from the markers of single photographs and of combined pictures."""
     detections = [one for one in (*single, *combined) if one is not None]
     board = max((one.board for one in detections), key=lambda board: sum(one.board == board for one in detections))
@@ -122,10 +124,12 @@ def _by_markers(single: list[Seen | None], combined: list[Seen | None]) -> Found
     pixels = np.concatenate([np.median(places, axis=0) for places in by_number.values()])
     corners = mapped(homography(plane, pixels), board.field_corners)
     agree = sum(one is not None and one.board == board for one in single)
-    return Found(_points(corners), agree, len(single), board)
+    return DetectedCorners(_points(corners), agree, len(single), board)
 
 
-def _by_outline(codes: list[np.ndarray], combined: list[np.ndarray], name: str) -> Generator[None, None, Found]:
+def _by_outline(
+    codes: list[np.ndarray], combined: list[np.ndarray], name: str
+) -> Generator[None, None, DetectedCorners]:
     """Return the mean of the combined pictures' dominant rectangle, fitted to each photograph. Raises CaptureError."""
     outlines = []
     for picture in combined:
@@ -154,7 +158,7 @@ def _by_outline(codes: list[np.ndarray], combined: list[np.ndarray], name: str) 
             f" it; {_REMEDY}",
             "corners",
         )
-    return Found(_points(np.mean(close, axis=0)), len(close), len(codes))
+    return DetectedCorners(_points(np.mean(close, axis=0)), len(close), len(codes))
 
 
 def _points(corners: np.ndarray) -> Corners:

@@ -14,7 +14,7 @@ import numpy as np
 from ...core.steps import at_once, map_steps
 from .. import places
 from ..errors import CaptureError
-from ..frame.find import Found
+from ..frame.find import DetectedCorners
 from ..framing import AUTO, found_corner_steps, framed
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
@@ -45,7 +45,7 @@ class Report:
     findings: tuple[Finding, ...]
     images: int = 0
     texels: int = 0
-    corners: Found | None = None
+    corners: DetectedCorners | None = None
 
     @property
     def usable(self) -> bool:

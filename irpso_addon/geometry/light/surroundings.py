@@ -17,7 +17,7 @@ from ..surface.mesh import MeshData
 from .exchange import Cast, Exchange, exchange_steps, lit_steps
 
 Values = Mapping[str, np.ndarray]  # parameter name → (H, W, components)
-Found = tuple[Domain, Exchange, Values]
+InterreflectionSurface = tuple[Domain, Exchange, Values]
 CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
 
 
@@ -33,7 +33,7 @@ class Surroundings(Protocol):
     @property
     def identity(self) -> dict[str, str]: ...
 
-    def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
+    def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
         """Yield the fraction of the work done; return the surface's domain, its exchange, and the maps on it."""
 
 
@@ -54,7 +54,7 @@ class MeshSurroundings:
         """A hash of the occluders: the samples do not always show that an occluder has changed."""
         return {"occluders": hashlib.sha256(self.mesh.occluders.tobytes()).hexdigest()}
 
-    def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
+    def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
         """As Surroundings. The first call casts all rays, a call under other lights only those to the lights."""
         shape = self.mesh, surface_bake(domain.bake)
         if self._exchange is None:
@@ -82,7 +82,7 @@ class CardSurroundings:
         """As Surroundings."""
         return {}
 
-    def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
+    def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
         """As Surroundings. Every call casts all rays: the relief depends on the maps."""
         mesh, bake = card_surface(self.camera, domain, values[self.normal])
         cast = self.caster_of(mesh)

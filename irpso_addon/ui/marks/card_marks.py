@@ -9,7 +9,7 @@ import numpy as np
 from bpy.props import FloatVectorProperty
 
 from ...blender.images import decode
-from ...capture.frame.find import Found, corner_steps
+from ...capture.frame.find import DetectedCorners, corner_steps
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.spec import build_capture
 from ..common.file_paths import absolute
@@ -167,11 +167,11 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
         """Read some photographs and store the corners."""
         return self.begin(context, self._search_steps(context.scene.irpso))
 
-    def _search_steps(self, settings) -> Generator[float, None, Found]:
+    def _search_steps(self, settings) -> Generator[float, None, DetectedCorners]:
         """Yield the fraction done (0…1); return the corners. Raises InputError."""
         return (yield from corner_steps(build_capture(spec_of(settings), decode)))
 
-    def finished(self, context, found: Found) -> set[str]:
+    def finished(self, context, found: DetectedCorners) -> set[str]:
         """Store the corners, and the width of a printed marker board's field."""
         keep_corners(context.scene.irpso, found)
         self.report({"INFO"}, rpt("Corners: {found}", found=found))

@@ -29,7 +29,7 @@ from ...results.write import write_maps
 from ..common.file_paths import absolute
 from ..common.words import iface, rpt
 from ..session import session
-from ..session.keep import NOTHING, found_in, has_maps, pictures_of, report_of
+from ..session.keep import NOTHING, current_maps, has_maps, pictures_of, report_of
 
 MAPS = "maps"
 _FORMATS = {MAPS: ("Maps", "16-bit PNG, 32-bit EXR, a report and a preview, in a folder"), **FORMATS}
@@ -139,7 +139,7 @@ class IRPSO_OT_export(bpy.types.Operator):
         if self.seamless and _is_card(running):
             return self._write_seamless(running, folder)
         spaces = tuple(space for space in NORMAL_SPACES if getattr(self, f"normal_{space}"))
-        found = found_in(running, True, DerivedMaps(spaces, self.height))
+        found = current_maps(running, True, DerivedMaps(spaces, self.height))
         report, pictures = report_of(running, found), pictures_of(running, found)
         files = write_maps(found.written, folder, report, pictures, found.derived)
         priors = running.job.schedule.fitness.priors
@@ -147,7 +147,7 @@ class IRPSO_OT_export(bpy.types.Operator):
         return text, mode_warnings(found.solver, priors)
 
     def _write_seamless(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
-        found = found_in(running, False)
+        found = current_maps(running, False)
         tile = tiled(found.written, self.height)
         report = tile.report(report_of(running, found))
         files = write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
@@ -156,7 +156,9 @@ class IRPSO_OT_export(bpy.types.Operator):
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
         optional = {name for name in _OPTIONAL.get(self.format, ()) if getattr(self, name)}
         card, occluded = _is_card(running), "occlusion" in optional
-        found = found_in(running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded)))
+        found = current_maps(
+            running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded))
+        )
         result = Result(file_stem(running.job.name), found.written, found.height, card=card)
         if occluded and not card:
             result = replace(result, baked_sky=mesh_open_sky(alone(running.job.mesh), result.maps))

@@ -10,7 +10,7 @@ import numpy as np
 from ...blender.materials import material
 from ...core.errors import IrpsoError
 from ...pipeline import result
-from ...pipeline.result import Found, found_of
+from ...pipeline.result import ResultMaps, result_maps
 from ...reflectance.model import shipped_models
 from ...results.derived_maps import DerivedMaps
 from ...results.map_tables import map_tables
@@ -26,12 +26,12 @@ NOTHING = n_("Nothing has been recovered yet: press Recover")
 _STANDARD = "Standard"
 
 
-def found_in(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
+def current_maps(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
     """Return the current maps. wanted: derived maps to add. Raises InputError if one cannot be made."""
-    return found_of(running.work, running.maps(confidence), wanted)
+    return result_maps(running.work, running.maps(confidence), wanted)
 
 
-def report_of(running: session.Session, found: Found) -> dict[str, Any]:
+def report_of(running: session.Session, found: ResultMaps) -> dict[str, Any]:
     """Return the report of the current maps, in the form that the command line writes."""
     job, model = running.job, running.job.model
     settings = {
@@ -46,7 +46,7 @@ def report_of(running: session.Session, found: Found) -> dict[str, Any]:
     return result.report_of(running.work, found, settings, running.seconds)
 
 
-def pictures_of(running: session.Session, found: Found) -> dict[str, np.ndarray]:
+def pictures_of(running: session.Session, found: ResultMaps) -> dict[str, np.ndarray]:
     """Return the pictures of a result: file stem → (H, W, 3) display values; convergence if there is a history."""
     running.relight(found.solver)
     pictures, maps = result.pictures_of(running.work, found), found.solver
@@ -107,7 +107,7 @@ def _keep(context, running: session.Session) -> str:
     """Make images, material and card object; return the operator's message. Raises InputError."""
     job = running.job
     former = result.subject_of(job)
-    found = found_in(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
+    found = current_maps(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
     folder = preferences.current(context).folder()
     made_material, subject = result.make_material(job, former, found, found.height, folder)
     made_material[material.ORIGIN], made_material[material.STAMP] = job.origin, running.stamp

@@ -16,7 +16,7 @@ from ...core.udim import ONE_SQUARE
 from ...geometry.domain import Domain
 from ...gpu import context
 from ...gpu.context_guard import ContextGuard
-from ...pipeline.run import LIGHTS, PREPARE, READ, Kept, Run
+from ...pipeline.run import LIGHTS, PREPARE, READ, Run, RunCache
 from ...results.maps import Maps
 from ...solver.engine.engine import RecoveryEngine
 from ...solver.engine.progress import Progress, TimeLeft
@@ -48,7 +48,7 @@ class Session:
     data: results of the previous run, for reuse. changed: called with the session for every redraw and by ``close``.
     """
 
-    def __init__(self, job: SceneJob, data: Kept, changed: Callable[[Session], None]):
+    def __init__(self, job: SceneJob, data: RunCache, changed: Callable[[Session], None]):
         self._data, self._changed = data, changed
         self._worker = Worker()
         self.work = Run(job, self._on_step, self._worker.run, data)

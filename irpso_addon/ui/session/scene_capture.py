@@ -11,7 +11,7 @@ import numpy as np
 
 from ...blender.images import decode
 from ...blender.scenes.scene_capture import photographed_lights, scene_steps
-from ...capture.frame.find import Found
+from ...capture.frame.find import DetectedCorners
 from ...capture.framing import Framing, framed_steps
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import with_skip_remedy, without_damaged_steps
@@ -85,7 +85,7 @@ def is_marked(settings) -> bool:
     return marks is None or any(marks)
 
 
-def keep_corners(settings, found: Found) -> None:
+def keep_corners(settings, found: DetectedCorners) -> None:
     """Make detected corners the frame, and a marker board's width the card's if near lights need a distance."""
     settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
     settings.crop = crop_around(np.array(found.corners))

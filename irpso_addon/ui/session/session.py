@@ -7,7 +7,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ...pipeline.run import Kept
+from ...pipeline.run import RunCache
 from ..common import failures
 from ..common.polls import usable
 from ..common.words import n_
@@ -17,7 +17,7 @@ from .recovery import Session
 
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
-_previous_run = Kept()  # results of the last run that the next one may reuse
+_previous_run = RunCache()  # results of the last run that the next one may reuse
 
 
 def current() -> Session | None:

@@ -160,9 +160,9 @@ def test_the_curves_of_an_export_are_at_the_iterations_they_were_taken(recovered
 
 
 def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
-    from irpso_addon.ui.session.keep import found_in, pictures_of
+    from irpso_addon.ui.session.keep import current_maps, pictures_of
 
-    found = found_in(recovered, True)
+    found = current_maps(recovered, True)
     assert set(pictures_of(recovered, found)) == {"preview", "confidence"}
     recovered.probes.add(3, 5)
     recovered.probes[0].curve[:] = [(1, 0.1), (2, 0.05)]

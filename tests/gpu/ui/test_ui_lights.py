@@ -68,7 +68,7 @@ def test_strengths_are_estimated_in_slices_and_reported(settings, truth, monkeyp
         running.tick(0.5)
     assert off(running.lights.intensities, FACTORS).max() < 0.02
     np.testing.assert_array_equal(running.recovery.domain.intensities, running.lights.intensities)
-    found = keep.found_in(running, True)
+    found = keep.current_maps(running, True)
     assert np.median(cli_maker.angle(found.solver.values["normal"], truth["normal"])) < 0.5
     assert keep.report_of(running, found)["lights"] == running.lights.report()
     drawn = Drawn()
