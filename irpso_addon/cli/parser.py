@@ -211,7 +211,7 @@ def _add_tile(commands: argparse._SubParsersAction) -> None:
         "--size",
         type=int,
         metavar="N",
-        help="texels along a side (default: the largest power of two that the card fills)",
+        help="texels along a side (default: the largest power of two that needs no enlarging)",
     )
     add.add_argument("--overlap", type=float, metavar="SHARE",
                      help="width of the joint as a part of the side (default: best of 0.2 to 0.4)")  # fmt: skip

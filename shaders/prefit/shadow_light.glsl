@@ -1,9 +1,9 @@
 // Over W×H texels: estimates the indirect light of a matt texel from its shadows. Indirect light from matt surfaces changes
 // slowly with the lamp's direction: spherical harmonics to order 2 (Basri and Jacobs 2003). A texel in attached or cast
 // shadow shows indirect light alone. The pass fits harmonics to the samples in shadow; they predict the lit samples'
-// indirect light. Reads the estimates' normals and u_misfit, the prefit's loss (0: skip the texel). Writes nine coefficients
-// (mean over the channels of radiance over irradiance/π), red and green of the chroma, and the indirect share of the
-// texel's light; zeros where a test fails.
+// indirect light. Reads the estimates' normals and u_misfit, the prefit's loss, at most 1 (0: skip the texel). Writes nine
+// coefficients (mean over the channels of radiance over irradiance/π), red and green of the chroma, and the indirect share
+// of the texel's light; zeros where a test fails.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -355,7 +355,8 @@ vec3 accepted_chroma_and_share(Texel t, Fit fit, float misfit)
         }
     }
     float share = light.x / max(light.y, LEAST_LIGHT);
-    if (!(unexplained < MOST_UNEXPLAINED * dark && gloss < max(MOST_GLOSS * misfit, MATT) * lit && share >= LEAST_SHARE)) {
+    float most_gloss = max(MOST_GLOSS * misfit, MATT) * lit;
+    if (!(unexplained < MOST_UNEXPLAINED * dark && gloss < most_gloss && share >= LEAST_SHARE)) {
         return vec3(0.0);
     }
     vec3 turned = lambertian_normal(t, fit, fit.indirect) - lambertian_normal(t, fit, no_indirect());

@@ -50,7 +50,8 @@ def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np
 
     samples: (N, F, 3) per bracket, codes / largest code, 0…1: N pixels in its F frames. exposures: (F,) per bracket,
     above 0, in any unit. Each channel's curve is 1 at the largest code; white balance is not determined. Raises
-    InputError if the exposures differ by less than half a stop or too few pixels are usable in two frames.
+    InputError if a bracket's longest exposure is less than 1.5 times its shortest or too few pixels are usable in two
+    frames.
     """
     for times in exposures:
         if len(times) < _LEAST_FRAMES or max(times) < _LEAST_RATIO * min(times):

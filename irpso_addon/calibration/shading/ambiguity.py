@@ -114,7 +114,7 @@ def even_relief(lights: np.ndarray) -> np.ndarray:
     """Return the bas-relief transformation (3, 3) of normals under which lights (K, 3) have the most equal strengths.
 
     Integrability leaves n → (n₁ + a n₃, n₂ + b n₃, c n₃) free (Belhumeur, Kriegman & Yuille 1999). The strength of
-    lamps does not depend on their direction: a robust fit (Geman & McClure 1987), from many starts, makes most
+    lamps does not depend on their direction: a robust fit (Cauchy's loss), from many starts, makes most
     intensities equal.
     """
     best, least = np.zeros(3), np.inf

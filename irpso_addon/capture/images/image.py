@@ -226,7 +226,7 @@ def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | N
         return to_rec_709(chromaticities)
     except ValueError as error:
         raise CaptureError(
-            f"{image}: its chromaticities match no known colour space; export it as linear Rec. 709", "image_unknown"
+            f"{image}: its chromaticities define no colour space; export it as linear Rec. 709", "image_unknown"
         ) from error
 
 

@@ -251,7 +251,7 @@ def _shortfalls(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
     """Return the shortfalls of the lights for ``goal``."""
     lights = written_lights(spec)
     if not lights:
-        return [sufficiency.Shortfall("unreadable", "the numbers of a light are not a light")]
+        return [sufficiency.Shortfall("unreadable", "one of the lights has invalid numbers")]
     if lack := sufficiency.no_normal(lights):
         return [lack]
     distant = np.array([light.distant for light in lights])

@@ -169,8 +169,8 @@ def shadow_light_steps(
 ) -> Generator[None, None, np.ndarray]:
     """Return (H, W, 12) float32: the output of shadow_light.glsl.
 
-    0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss; texels of 0 are skipped. work: from
-    ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
+    0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss, at most 1; texels of 0 are skipped.
+    work: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
     """
     phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
     with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:

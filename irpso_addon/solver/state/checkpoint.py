@@ -157,7 +157,7 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise CheckpointError(
-            f"{path}: the checkpoint cannot be read ({error.strerror or error}); check its permissions"
+            f"{path}: the checkpoint cannot be read ({error.strerror or error}); check its path and permissions"
         ) from error
     except _DAMAGED as error:
         raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error

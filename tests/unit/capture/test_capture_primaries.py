@@ -67,5 +67,5 @@ def test_a_clipped_channel_takes_the_whole_pixel_with_it(tmp_path):
 
 
 def test_chromaticities_of_no_colour_space_are_refused(tmp_path):
-    with pytest.raises(CaptureError, match="a.exr: its chromaticities match no known colour space"):
+    with pytest.raises(CaptureError, match="a.exr: its chromaticities define no colour space"):
         written(tmp_path / "a.exr", (0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3127, 0.3290))
