@@ -72,6 +72,10 @@ def test_samples_match_non_negative_least_squares():
         some += (parts > 0).sum()
         wanted = np.maximum(light[k, y, x] - parts[1:] @ chromas[y, x, 1:], 0) * domain.intensities[k]
         np.testing.assert_allclose(left.layer(k)[y, x, :3], wanted, atol=1e-5)
+        removed = light[k, y, x] - wanted / domain.intensities[k]
+        kept = np.linalg.norm(light[k, y, x] - removed)
+        weight = max(0.1, np.cos(np.arctan2(np.linalg.norm(removed), kept)) ** 2)
+        np.testing.assert_allclose(left.layer(k)[y, x, 3], weight, atol=1e-5)
         np.testing.assert_array_equal(left.texels(np.array([y]), np.array([x]))[k, 0], left.layer(k)[y, x])
     assert LIGHTS * 15 < some < 3 * LIGHTS * 15  # samples with one, two and three parts
     np.testing.assert_array_equal(left.subset(np.array([3])).layer(0), left.layer(3))
