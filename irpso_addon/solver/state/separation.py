@@ -39,9 +39,9 @@ _MOST_SPREAD = 0.15
 _LEAST_FOUND = 0.02  # of the texels
 _LEAST_SATURATION, _MOST_SATURATION, _MOST_DISTANCE = 1.2, 4.0, 0.15
 
-# Least weight of a sample after its light is separated by colour; 0.05 to 0.2 differ by less than 0.5°. Normal errors of
-# rendered goblets and bowls with all weights 1 and with these: copper 15.7 and 14.0°, brass 4.3 and 3.8°, bronze 12.0 and
-# 11.9°, terracotta 4.7 and 4.5°, gold 18.8 and 18.9° (median 5.5 and 4.7°).
+# Least weight of a sample after its light is separated by colour; 0.05 to 0.2 differ by less than 0.5°. Normal errors
+# of rendered goblets and bowls with all weights 1 and with these: copper 15.7 and 14.0°, brass 4.3 and 3.8°, bronze
+# 12.0 and 11.9°, terracotta 4.7 and 4.5°, gold 18.8 and 18.9° (median 5.5 and 4.7°).
 _LEAST_WEIGHT = 0.1
 
 
