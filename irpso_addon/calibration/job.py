@@ -173,7 +173,7 @@ def calibrate_steps(
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
-        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *contradictions,
+        *unknown_lens(spec.views[number], camera, balls), *_ball_warnings(found), *contradictions,
         *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
@@ -238,7 +238,7 @@ def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[
     ]
 
 
-def _doubts(found: Sequence[FoundBall]) -> list[str]:
+def _ball_warnings(found: Sequence[FoundBall]) -> list[str]:
     """Return warnings about balls that the search found but that are unused, or without shadow."""
     used, warnings = usable_balls(found) if found else [], []
     for ball in found:

@@ -43,8 +43,8 @@ class RankTransport:
     def received(self, tile: int) -> Sequence[Received]:
         return self._received
 
-    def all(self, value: Value) -> list[Value]:
-        return self._team.all(value)
+    def allgather(self, value: Value) -> list[Value]:
+        return self._team.allgather(value)
 
     def _between(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
         """Return rank → overlap that this one sends, and reads. reach: of halos, in texels; None: all."""

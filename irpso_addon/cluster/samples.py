@@ -41,7 +41,7 @@ class RankedStack:
 
     def put(self, observation: int, layer: np.ndarray) -> None:
         self._last = None
-        self._orders.deal(Worker.put, (int(self.observations[observation]), layer, self.second))
+        self._orders.scatter(Worker.put, (int(self.observations[observation]), layer, self.second))
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         down, across = (side.start for side in self._part)

@@ -13,7 +13,7 @@ import numpy as np
 from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from ..capture.noise import NoiseEstimate
-from ..capture.places import card_depth
+from ..capture.card import card_depth
 from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
 from ..core.steps import at_once

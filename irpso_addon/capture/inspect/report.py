@@ -12,7 +12,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from ...core.steps import at_once, map_steps
-from .. import places
+from ..card import card_size, lights_at_card, near_lights
 from ..errors import CaptureError
 from ..frame.find import DetectedCorners
 from ..framing import AUTO, found_corner_steps, framed
@@ -23,7 +23,7 @@ from ..noise import images_read, noise_of
 from ..read import read_spec
 from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
 from ..types import Capture
-from . import checks, room_light, sufficiency
+from . import checks, room_light, sufficiency, units
 from .damage import without_damaged_steps
 from .frames import Finding, Frames, add_frame, brightest, brightness, counted, frame_steps, frames_of, shrunk
 
@@ -202,7 +202,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         if used is not camera:
             facts.append(("used", f"{used.width}×{used.height} of that"))
     if part.card_distance is not None and len(part.cameras) == 1:
-        width, height = places.card_size(part.cameras[0], part.card_distance)
+        width, height = card_size(part.cameras[0], part.card_distance)
         facts.append(("card", f"{part.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
     return facts
 
@@ -279,13 +279,13 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
     if len(observations) < 3 or not (on_card or all(observation.light.distant for observation in observations)):
         return
     part = replace(capture, observations=tuple(observations), cameras=(capture.cameras[index],))
-    directions, power = places.lights_at_card(part)
+    directions, power = lights_at_card(part)
     where = spec.observations[frames.indices[0]].where
     if (directions[:, 2] < 0).mean() > 0.5:
         message = (
             f"{where}: most lights are behind the subject; directions must point toward the light, z to the camera"
         )
-        if not places.near_lights(capture):  # else places.card_problems reports them
+        if not near_lights(capture):  # else units.card_problems reports them
             yield Finding("lights_reversed", message)
         return
     if checks.flatness(directions) < sufficiency.FLAT_USELESS:
@@ -309,19 +309,19 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
 def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iterator[Finding]:
     """Yield findings of lengths in different units. frames: of the first camera."""
     for view, camera in zip(spec.views, capture.cameras, strict=True):
-        for code, message in places.lens_problems(camera):
+        for code, message in units.lens_problems(camera):
             yield Finding(code, f"{view.where}: {message}")
-    if not places.near_lights(capture):
+    if not near_lights(capture):
         return
     for view in spec.views:
         if not view.lens:
             message = "has no lens and is assumed 2 units of the light positions wide; give fov_degrees or world_width"
             yield Finding("lens", f"{view.where}: {message}")
-    problems: list[places.Problem] = []
+    problems: list[units.Problem] = []
     if len(capture.cameras) > 1:
-        problems += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
+        problems += units.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
     elif capture.card_distance is not None:
-        problems += [*places.card_problems(capture), *places.strength_problems(capture, brightest(frames, capture))]
+        problems += [*units.card_problems(capture), *units.strength_problems(capture, brightest(frames, capture))]
     elif not spec.views[0].placed:
         message = "near lights on a flat card need its distance from the camera, in the unit of their places; add"
         problems.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))

@@ -20,7 +20,7 @@ Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): o
 class HaloTransport(Protocol):
     """Sends results of a tile's own texels to the tiles that have these texels in their halo or as ghosts.
 
-    Tiles are numbered in their process. All processes call ``exchange``, ``all`` and ``publish`` in the same order.
+    Tiles are numbered in their process. All processes call ``exchange``, ``allgather`` and ``publish`` in the same order.
     """
 
     connected: bool  # whether any tile reads another
@@ -34,7 +34,7 @@ class HaloTransport(Protocol):
     def received(self, tile: int) -> Sequence[Received]:
         """Return the results that other tiles have published for the texels that a tile reads."""
 
-    def all(self, value: Value) -> list[Value]:
+    def allgather(self, value: Value) -> list[Value]:
         """Return the value of each process."""
 
 
@@ -57,7 +57,7 @@ class LocalTransport:
     def received(self, tile: int) -> Sequence[Received]:
         return list(self._held[tile].values())
 
-    def all(self, value: Value) -> list[Value]:
+    def allgather(self, value: Value) -> list[Value]:
         return [value]
 
 
@@ -154,7 +154,7 @@ class LockStep:
         self._iterations_made = count or 0
         self._exchange()
         reached = all(tile.reached for tile in self._pool.tiles)
-        if self._pool.active.looks_at_threshold and all(self._transport.all(reached)):
+        if self._pool.active.looks_at_threshold and all(self._transport.allgather(reached)):
             yield from self._finish_stage()
 
     def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
@@ -168,7 +168,7 @@ class LockStep:
 
     def _reached(self, recovery: TileRecovery) -> bool:
         """Return whether the first tile of any process has reached the threshold."""
-        return recovery.looks_at_threshold and any(self._transport.all(recovery.reached))
+        return recovery.looks_at_threshold and any(self._transport.allgather(recovery.reached))
 
     def _finish_stage(self) -> Iterator[None]:
         """Begin the next stage on all tiles: the whole domain has reached the threshold."""
@@ -199,7 +199,7 @@ class LockStep:
     def _exchange(self) -> None:
         self._published = bool(self._pool.active.reach)
         samples, self._samples = self._samples, []
-        self._sample = merged([each for part in self._transport.all(samples) for each in part]) if samples else None
+        self._sample = merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
         if self._published and self._transport.connected:
             self._transport.exchange()
 

@@ -24,7 +24,7 @@ from ...capture.images.headers import read_header
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.raw import is_raw
 from ...capture.inspect.damage import with_skip_remedy
-from ...capture.places import card_depth, card_middle, card_size
+from ...capture.card import card_depth, card_middle, card_size
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError

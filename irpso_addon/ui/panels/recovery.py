@@ -117,15 +117,15 @@ def draw_result(layout, context, running: session.Session) -> None:
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
     drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
-    if running.unseen:
-        drawing.wrapped(layout, context, running.unseen, "HIDE_ON")
+    if running.held_out_error:
+        drawing.wrapped(layout, context, running.held_out_error, "HIDE_ON")
     if running.lights is not None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):
             _draw_warning(layout, context, text)
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    for text in (*running.doubts, *capture_warnings(running.job.capture, reads=False)):
+    for text in (*running.warnings, *capture_warnings(running.job.capture, reads=False)):
         _draw_warning(layout, context, text)
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")
