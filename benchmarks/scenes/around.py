@@ -60,11 +60,11 @@ def unseen_shots() -> list[Shot]:
 
 def pictures(folder: Path, shot: Shot) -> Iterator[np.ndarray]:
     """Yield (H, W, 3) radiance of the open scene from the shot's camera under each light; cached in the folder."""
-    look(shot)
+    set_camera(shot)
     yield from (render.photographs_near if shot.near else render.photographs)(folder / shot.name, shot.lights)
 
 
-def look(shot: Shot) -> None:
+def set_camera(shot: Shot) -> None:
     """Move the scene's camera to the shot's position, upright and toward the subject."""
     axis = Vector([float(v) for v in shot.camera])
     turn = Matrix([[float(v) for v in row] for row in _frame(shot.camera)]).to_4x4()

@@ -75,7 +75,7 @@ class Ranks:
         return self._world.bcast(value, root=root) if self._world else value
 
     def agreed(self, work: Callable[[], Result]) -> Result:
-        """Return the result of ``work``; if it raises an IrpsoError on a rank, raise CollectiveError on all, naming it."""
+        """Return the result of ``work``; if a rank raises IrpsoError, raise CollectiveError, naming it, on all."""
         error: IrpsoError | None = None
         try:
             result = work()

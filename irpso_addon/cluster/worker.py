@@ -76,7 +76,7 @@ class Worker:
         """Make a second sample stack, of zeros."""
         self._second = None  # freed first
         photographs = self._stack(second=False)
-        self._second = None if photographs is None else photographs.another()
+        self._second = None if photographs is None else photographs.zeros_like()
 
     def put(self, given: tuple[int, np.ndarray, bool] | None) -> None:
         """Replace the samples of one observation; rank 0 passes (number, (H, W, 4), second), the others None."""
@@ -236,7 +236,8 @@ class Worker:
 
     def digest(self) -> int:
         """Return the 64-bit digest of all solved texels' samples, for any division of the domain."""
-        return sum(self.ranks.allgather(0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain))) % 2**64
+        own = 0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain)
+        return sum(self.ranks.allgather(own)) % 2**64
 
     def close(self) -> None:
         """Free all that lies on the GPU."""

@@ -111,7 +111,7 @@ def run_on_ranks(
             else:
                 result = {"exit_code": _serve_orders(worker)}
     except CollectiveError as collective:
-        return refused(ranks, options, collective.error)
+        return leave_with_error(ranks, options, collective.error)
     except BaseException as error:
         if leader is not None:  # the other ranks wait for an order
             leader.end(error.exit_code if isinstance(error, IrpsoError) else 130)
@@ -123,7 +123,7 @@ def run_on_ranks(
     return result
 
 
-def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
+def leave_with_error(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
     """Leave the MPI job after an error of all ranks: rank 0 raises it, the others return an exit code."""
     ranks.close()
     if ranks.leads:
@@ -201,7 +201,7 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
     window = ranks.agreed(read)
     lights_only = None  # the lights and views of all ranks, with 0 × 0 texels
     if window is not None:
-        none = window.bake.each(lambda values: values[:0, :0])
+        none = window.bake.map_arrays(lambda values: values[:0, :0])
         lights_only = with_texels(window, none, np.zeros((window.observations, 0, 0, 4)))
     of_all = ranks.broadcast(lights_only)
     whole = replace(of_all, bake=bake, seams=seams)

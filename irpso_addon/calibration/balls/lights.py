@@ -16,7 +16,7 @@ from .matte import Fit, fit_lights
 from .mirror import Sight, find_highlights
 from .near import SIGNIFICANT, Intersection, converge, meet
 from .shading import shading_of
-from .table import Table, gathered
+from .table import Table, radiance_from_table
 
 KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
@@ -120,7 +120,7 @@ def _by_shading(
     shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
     fits, bounce = fit_lights(shadings, centre, free, inverse)
     for tables in _tables(request.tables, bounce):
-        light = [gathered(*one) for one in zip(views, surroundings, tables, strict=True)]
+        light = [radiance_from_table(*one) for one in zip(views, surroundings, tables, strict=True)]
         shaded = [shading_of(views, photograph, light) for photograph in range(len(shadings))]
         other, albedo = fit_lights(shaded, centre, free, inverse)
         if _misfit(other) < _misfit(fits):

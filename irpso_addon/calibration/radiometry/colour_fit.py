@@ -111,7 +111,7 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
     return Chart(values, usable, left_out, places)
 
 
-def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
+def orient_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
     """Try all eight orders of the corners; return them (4, 2) in the chart's order, its patches and their fit.
 
     Raises InputError if no order gives a chart or too few patches are usable, Mirrored if the photograph shows the

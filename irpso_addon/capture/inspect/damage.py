@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ...core.steps import at_once
+from ...core.steps import blocking
 from ..errors import CaptureError
 from ..images.image import ImageRef, ImageStore
 from ..images.linearise import Samples
@@ -64,7 +64,7 @@ def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[Non
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 
-without_damaged = at_once("without_damaged", without_damaged_steps)
+without_damaged = blocking("without_damaged", without_damaged_steps)
 
 
 def check_numbers(image: ImageRef | str, found: Samples) -> None:

@@ -11,7 +11,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from ...core.steps import at_once, map_steps
+from ...core.steps import blocking, map_steps
 from ..card import card_size, lights_at_card, near_lights
 from ..errors import CaptureError
 from ..frame.find import DetectedCorners
@@ -29,7 +29,7 @@ from .frames import Finding, Frames, add_frame, brightest, brightness, counted, 
 
 _T = TypeVar("_T")
 _FLAT = 0.05  # flatness: a noise of 1 % becomes about 20 % perpendicular to the plane
-_MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness: below, an axis counts as mirrored
+_MIRRORED, _TURNED = -0.1, -0.1  # of ``mirror_agreement`` and ``outward_components``: below, an axis is mirrored
 _ENOUGH = 500  # fewest squares, or border texels, for either finding
 
 
@@ -117,7 +117,7 @@ def inspect_steps(
     except CaptureError as error:
         findings += _errors(error)
     if capture.encoding is not None:
-        yield from _numbered("Testing the encoding", 0, capture.encoding.testing())
+        yield from _numbered("Testing the encoding", 0, capture.encoding.test_steps())
         facts.append(("encoding", _encoding(capture.encoding)))
         if message := capture.encoding.message():
             findings.append(Finding("encoding", message))
@@ -128,7 +128,7 @@ def inspect_steps(
     return Report(path, tuple(facts), tuple(findings), len(capture.observations), texels, corners)
 
 
-inspect_capture = at_once("inspect_capture", inspect_steps)
+inspect_capture = blocking("inspect_capture", inspect_steps)
 
 
 def _image_steps(
@@ -293,7 +293,7 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
     agreement, count = checks.mirror_agreement(normals, mask)
-    out_x, out_y, border = checks.outwardness(normals, mask)
+    out_x, out_y, border = checks.outward_components(normals, mask)
     if count >= _ENOUGH and agreement < _MIRRORED:
         axis = "x" if border >= _ENOUGH / 5 and out_x < out_y else "y"
         yield Finding(

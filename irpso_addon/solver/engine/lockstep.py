@@ -20,7 +20,7 @@ Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): o
 class HaloTransport(Protocol):
     """Sends results of a tile's own texels to the tiles that have these texels in their halo or as ghosts.
 
-    Tiles are numbered in their process. All processes call ``exchange``, ``allgather`` and ``publish`` in the same order.
+    Tiles are numbered in their process. All processes call ``exchange``, ``allgather``, ``publish`` in the same order.
     """
 
     connected: bool  # whether any tile reads another
@@ -164,7 +164,7 @@ class LockStep:
             tile.progress = recovery.progress
             yield
         tile.progress = recovery.progress
-        tile.look()
+        tile.record_due()
 
     def _reached(self, recovery: TileRecovery) -> bool:
         """Return whether the first tile of any process has reached the threshold."""
@@ -178,8 +178,8 @@ class LockStep:
             recovery.finish_stage()
             tile.progress, tile.reached, tile.round_maps = recovery.progress, False, None
             if tile.watch is not None and recovery.progress.iteration_in_all != before:
-                tile.watch.forget(before)  # an untiled recovery would not have recorded it
-            tile.look()
+                tile.watch.discard(before)  # an untiled recovery would not have recorded it
+            tile.record_due()
             self._publish(number)
             yield
         self._exchange()
@@ -199,7 +199,9 @@ class LockStep:
     def _exchange(self) -> None:
         self._published = bool(self._pool.active.reach)
         samples, self._samples = self._samples, []
-        self._sample = merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
+        self._sample = (
+            merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
+        )
         if self._published and self._transport.connected:
             self._transport.exchange()
 

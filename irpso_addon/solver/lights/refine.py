@@ -11,7 +11,7 @@ import numpy as np
 
 from ...capture.inspect.checks import NARROW, flatness
 from ...core.errors import InputError
-from ...core.steps import at_once, map_steps, run_steps
+from ...core.steps import blocking, map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...gpu.kernel import EntryChoice
 from ...gpu.program import ProgramCache
@@ -149,7 +149,7 @@ def light_steps(
     return search.result(domain, step)
 
 
-estimate_lights = at_once("estimate_lights", light_steps)
+estimate_lights = blocking("estimate_lights", light_steps)
 
 
 def chosen_steps(

@@ -73,7 +73,7 @@ class Marking:
         try:
             picture, self._size = _make_picture(self.radiances(context.scene.irpso, readers))
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         self._area = _show_in_editor(context, picture)
         if self._area is None:
             self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")

@@ -19,10 +19,10 @@ from ...blender.images import decode
 from ...blender.scenes.scene import middle_of
 from ...blender.scenes.scene_capture import wide_lights
 from ...calibration.photographs import is_photograph
+from ...capture.card import card_depth, card_middle
 from ...capture.inspect import sufficiency
 from ...capture.inspect.frames import Finding
 from ...capture.inspect.report import Report, inspect_steps
-from ...capture.card import card_depth, card_middle
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec
 from ...capture.types import Capture
@@ -273,7 +273,9 @@ def _check_scene(scene) -> None:
         capture = capture_of(scene)
         place = _subject_place(settings, capture)
     except InputError as error:
-        findings.keep(settings, [Finding(getattr(error, "code", "scene"), failures.words(error), severity="error")])
+        findings.keep(
+            settings, [Finding(getattr(error, "code", "scene"), failures.message_of(error), severity="error")]
+        )
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"

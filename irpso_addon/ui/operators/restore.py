@@ -71,9 +71,9 @@ class IRPSO_OT_restore(_OfStored, bpy.types.Operator):
         try:
             started = session.begin(restored_job(context, self._stored()))
         except IrpsoError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         if not bpy.app.background:
-            follow(context, started)
+            run_in_window(context, started)
         return {"FINISHED"}
 
 
@@ -86,14 +86,14 @@ class IRPSO_OT_forget(_OfStored, bpy.types.Operator):
     def execute(self, context):
         """Delete its checkpoint."""
         try:
-            unkept.forget(self._stored().path)
+            unkept.delete(self._stored().path)
         except IrpsoError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
 
 
-def follow(context, begun: session.Session) -> None:
+def run_in_window(context, begun: session.Session) -> None:
     """Show a session's card, mark the file as changed, and run the session by the window's timer."""
     if begun.mesh is None:
         height, width = begun.job.capture.masks[0].shape

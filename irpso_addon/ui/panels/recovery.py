@@ -146,7 +146,7 @@ def draw_result(layout, context, running: session.Session) -> None:
 
 
 def _draw_warning(layout, context, text: str) -> None:
-    text = failures.words(InputError(text))
+    text = failures.message_of(InputError(text))
     drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
 
 

@@ -95,7 +95,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running.pause()
         try:
             text = _keep(context, running)
-            unkept.forget(running.job.resumed)
+            unkept.delete(running.job.resumed)
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}

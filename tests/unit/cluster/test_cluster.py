@@ -110,7 +110,7 @@ def test_distributed_samples_read_like_those_in_memory():
     def ask(order, *arguments):
         asked.append(order)
         if order is Worker.make_second:
-            return stacks.append(stack.another())
+            return stacks.append(stack.zeros_like())
         *arguments, second = arguments
         read = stacks[second]
         if order is Worker.layer:
@@ -139,7 +139,7 @@ def test_distributed_samples_read_like_those_in_memory():
     some = np.array([1, 0]), np.array([2, 1])
     np.testing.assert_array_equal(part.stack.texels(*some), wanted.stack.texels(*some))
     fitted = shared.subset(np.array([2, 5]))
-    second = fitted.another()
+    second = fitted.zeros_like()
     assert second.shape == fitted.shape and not second.layer(1).any()
     second.put(1, 0.5 * stack.layer(5))
     np.testing.assert_array_equal(second.layer(1), 0.5 * stack.layer(5))
