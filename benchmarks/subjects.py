@@ -72,9 +72,9 @@ class Card:
         return whole if count is None or count >= whole.count else whole.subset(sample(whole.count, count, seed))
 
 
-def sample(count: int, wanted: int, seed: int = 0) -> np.ndarray:
-    """Return ``wanted`` random indices below ``count``; a smaller sample is the start of a larger one."""
-    return np.random.default_rng(seed).permutation(count)[:wanted]
+def sample(count: int, size: int, seed: int = 0) -> np.ndarray:
+    """Return ``size`` random indices below ``count``; a smaller sample is the start of a larger one."""
+    return np.random.default_rng(seed).permutation(count)[:size]
 
 
 def spiral_lights(count: int, lowest: float = _LOWEST) -> np.ndarray:

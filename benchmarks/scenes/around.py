@@ -72,7 +72,7 @@ def set_camera(shot: Shot) -> None:
     bpy.context.view_layer.update()
 
 
-def write(folder: Path, name: str, found: list[Shot], every: int, view: render.View) -> Path:
+def write(folder: Path, name: str, shots: list[Shot], every: int, view: render.View) -> Path:
     """Write a capture of every ``every``-th light of the shots into folder/name, unless it exists; return its path.
 
     Pictures are read from the folder, or rendered into it.
@@ -81,7 +81,7 @@ def write(folder: Path, name: str, found: list[Shot], every: int, view: render.V
     if target.exists():
         return target
     cameras, masks, observations = [], [], []
-    for number, shot in enumerate(found):
+    for number, shot in enumerate(shots):
         radiances = list(pictures(folder, shot))
         masks.append(render.truth(folder / shot.name)["coverage"] > 0.999)
         cameras.append(camera_from_object(bpy.context.scene.camera, view.width, view.height))

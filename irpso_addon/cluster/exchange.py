@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..solver.engine.halo import HaloOverlap, Place, cells_of, overlap_of
-from ..solver.engine.lockstep import Received, Value, taken
+from ..solver.engine.lockstep import Received, Value, overlap_values
 from .transport import Ranks
 
 
@@ -27,12 +27,14 @@ class RankTransport:
         self._size = 0
         self._received: list[Received] = []
 
-    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
         """Cut this rank's results to what others read; nothing in a stage solved in closed form."""
         # Across a seam a texel may read all of the halo, at any distance from the box.
         sent, read = self._between(None if self._seams else reach)
-        self._size = found.shape[-1]
-        self._outgoing = {rank: taken(overlap, found) for rank, overlap in sent.items()} if self._size else {}
+        self._size = results.shape[-1]
+        self._outgoing = (
+            {rank: overlap_values(overlap, results) for rank, overlap in sent.items()} if self._size else {}
+        )
         self._read = read if self._size else {}
 
     def exchange(self) -> None:

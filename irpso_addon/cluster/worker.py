@@ -78,10 +78,10 @@ class Worker:
         photographs = self._stack(second=False)
         self._second = None if photographs is None else photographs.zeros_like()
 
-    def put(self, given: tuple[int, np.ndarray, bool] | None) -> None:
+    def put(self, sent: tuple[int, np.ndarray, bool] | None) -> None:
         """Replace the samples of one observation; rank 0 passes (number, (H, W, 4), second), the others None."""
-        observation, second = self.ranks.broadcast(given and (given[0], given[2]))
-        part, stack = self._scattered(given and {"layer": given[1]}), self._stack(second)
+        observation, second = self.ranks.broadcast(sent and (sent[0], sent[2]))
+        part, stack = self._scattered(sent and {"layer": sent[1]}), self._stack(second)
         if part is not None and stack is not None:
             stack.put(observation, part["layer"])
 

@@ -298,7 +298,7 @@ class _Work:
             return None
         if exposing.by == "exif":
             return exif_amount(path) if exposure_of(read_bytes(path)) else None
-        parsed = None if exposing.given else name_amount(path.stem)
+        parsed = None if exposing.exposures else name_amount(path.stem)
         return parsed[1] if parsed else None
 
     def _chart_shot(self, scaled: bool, remedy: str) -> Shot:

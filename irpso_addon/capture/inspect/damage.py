@@ -67,9 +67,9 @@ def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[Non
 without_damaged = blocking("without_damaged", without_damaged_steps)
 
 
-def check_numbers(image: ImageRef | str, found: Samples) -> None:
+def check_numbers(image: ImageRef | str, samples: Samples) -> None:
     """Raise CaptureError if no pixel of an image is a number."""
-    if found.not_finite.all():
+    if samples.not_finite.all():
         raise CaptureError(f"{image}: none of its pixels is a number; render or export it again", "image_nan")
 
 

@@ -25,7 +25,7 @@ class HaloTransport(Protocol):
 
     connected: bool  # whether any tile reads another
 
-    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
         """Publish (H, W, n) results of a tile's texels. reach: width of the halos that the next iteration reads."""
 
     def exchange(self) -> None:
@@ -47,9 +47,9 @@ class LocalTransport:
         self._arriving: list[dict[int, Received]] = [{} for _ in places]
         self._held: list[dict[int, Received]] = [{} for _ in places]
 
-    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
         for overlap in self._overlaps[tile]:
-            self._arriving[overlap.other][tile] = overlap, taken(overlap, found)
+            self._arriving[overlap.other][tile] = overlap, overlap_values(overlap, results)
 
     def exchange(self) -> None:
         self._held, self._arriving = self._arriving, [{} for _ in self._held]
@@ -224,6 +224,6 @@ class LockStep:
             recovery.set_halo(values, ghosts)
 
 
-def taken(overlap: HaloOverlap, found: np.ndarray) -> np.ndarray:
+def overlap_values(overlap: HaloOverlap, results: np.ndarray) -> np.ndarray:
     """Return (n, channels) of a tile's results (H, W, channels): at texels of another's halo, then at its ghosts."""
-    return np.concatenate([found[overlap.here].reshape(cells_of(overlap), found.shape[-1]), found[overlap.seen]])
+    return np.concatenate([results[overlap.here].reshape(cells_of(overlap), results.shape[-1]), results[overlap.seen]])

@@ -89,10 +89,10 @@ class Lights:
             "last_change": round(self.change, 6),
         }
 
-    def warnings(self, asked: bool = True) -> list[str]:
-        """Return one line per warning. asked: whether the user requested intensities."""
+    def warnings(self, requested: bool = True) -> list[str]:
+        """Return one line per warning. requested: whether the user requested intensities."""
         lines = []
-        if not asked and (self.factors != 1).any():
+        if not requested and (self.factors != 1).any():
             lines.append(
                 "the images contradict the lights' intensities, all given as 1, so they were estimated:"
                 f" {self.summary()}; --intensities given (Light Strengths) keeps them"

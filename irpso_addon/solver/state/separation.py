@@ -104,12 +104,12 @@ def separation_steps(
 separation_of = blocking("separation_of", separation_steps)
 
 
-def by_shadows(found: np.ndarray) -> np.ndarray:
-    """Return the separation (H, W, SEPARATED) float32 from the output of shadow_light.glsl, ``found`` (H, W, 12).
+def by_shadows(output: np.ndarray) -> np.ndarray:
+    """Return the separation (H, W, SEPARATED) float32 from the output of shadow_light.glsl, ``output`` (H, W, 12).
 
     Red and green of the indirect light's chroma, zeros in place of a second one, its share, and the coefficients.
     """
-    coefficients, chroma, share = found[..., :HARMONICS], found[..., HARMONICS:-1], found[..., -1:]
+    coefficients, chroma, share = output[..., :HARMONICS], output[..., HARMONICS:-1], output[..., -1:]
     ends = np.where(share > 0, np.maximum(chroma, 1e-6), 0), np.zeros((*share.shape[:-1], 2))
     return np.concatenate([*ends, share, coefficients], axis=-1, dtype=np.float32)
 

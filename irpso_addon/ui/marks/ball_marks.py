@@ -104,7 +104,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
             places["spot", number] = self._place_of(*spot)
         return places
 
-    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+    def clicked(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
         """Grab a middle or a rim; drop a highlight, or restore a dropped one."""
         if isinstance(handle, tuple) and handle[0] == "spot":
             self._dropped ^= {self._highlights[handle[1]][0]}

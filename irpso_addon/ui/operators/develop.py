@@ -39,13 +39,13 @@ def free_folder(source: Path, word: str) -> Path:
     return first_free(home.parent, f"{home.name}_{word}")
 
 
-def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], found: str) -> set[str]:
-    """Import a new capture and report its first warning, and ``found``; return the operator's result."""
+def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], written: str) -> set[str]:
+    """Import a new capture and report its first warning, and ``written``; return the operator's result."""
     bpy.ops.irpso.import_capture(directory=str(capture))
     if warnings:
         more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
         operator.report({"WARNING"}, failures.message_of(InputError(warnings[0])) + more)
-    operator.report({"INFO"}, rpt("{found} written to {name}", found=found, name=capture.name))
+    operator.report({"INFO"}, rpt("{found} written to {name}", found=written, name=capture.name))
     return {"FINISHED"}
 
 

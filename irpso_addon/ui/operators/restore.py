@@ -33,14 +33,14 @@ def draw_unkept(layout, context) -> None:
         row.operator("irpso.forget", icon="X").path = str(stored.path)
 
 
-def restored_job(context, found: unkept.StoredRecovery) -> SceneJob:
+def restored_job(context, stored: unkept.StoredRecovery) -> SceneJob:
     """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
-    identity = glance(found.path, {})
+    identity = glance(stored.path, {})
     try:
-        apply_recipe(context.scene.irpso, found.recipe)
-        return replace(make_job(context), entry=identity["entry"], resumed=found.path)
+        apply_recipe(context.scene.irpso, stored.recipe)
+        return replace(make_job(context), entry=identity["entry"], resumed=stored.path)
     except InputError as error:
-        where = f" (it was in {found.file})" if found.file and found.file != bpy.data.filepath else ""
+        where = f" (it was in {stored.file})" if stored.file and stored.file != bpy.data.filepath else ""
         raise InputError(f"{error}{where}") from error
 
 
