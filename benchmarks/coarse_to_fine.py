@@ -44,7 +44,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Way:
+class Variant:
     """A variant: a preset with changes (of Schedule.replaced). group: heading of the table that compares it."""
 
     group: str
@@ -53,16 +53,16 @@ class Way:
     changes: dict[str, Any]
 
 
-def ways() -> list[Way]:
+def variants() -> list[Variant]:
     """Return the compared variants; swarms also with 1 level and as many evaluations as 3 levels take."""
-    variants = [Way("standard", f"levels {n}", "standard", {"levels": n}) for n in (1, 2, 3)]
+    variants = [Variant("standard", f"levels {n}", "standard", {"levels": n}) for n in (1, 2, 3)]
     for seed in ("lambert", "random"):
         group = f"swarm, {ITERATIONS} iterations, {seed} start"
         swarm = {"iterations": ITERATIONS, "seed": seed}
-        variants += [Way(group, f"levels {n}", "swarm", {**swarm, "levels": n}) for n in (1, 3)]
+        variants += [Variant(group, f"levels {n}", "swarm", {**swarm, "levels": n}) for n in (1, 3)]
         part = load_schedule("swarm").level_iterations
         equal = {**swarm, "iterations": round(ITERATIONS * (part + part / 4 + 1 / 16))}
-        variants.append(Way(group, "levels 1, the work of 3", "swarm", equal))
+        variants.append(Variant(group, "levels 1, the work of 3", "swarm", equal))
     return variants
 
 
@@ -97,13 +97,13 @@ def _captured(folder: Path, size: int) -> Subject:
     return Subject(folder.name, part, "principled", None if truth is None else truth[y : y + size, x : x + size])
 
 
-def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
+def solve(subject: Subject, variant: Variant, seed: int = 1) -> dict[str, Any]:
     """Return errors and cost of one recovery."""
     from irpso_addon.solver.engine.coarse_to_fine import Pyramid
     from irpso_addon.solver.views.pictures import image_psnr, image_rows
 
     context.ensure()
-    schedule = load_schedule(way.preset).replaced(**way.changes)
+    schedule = load_schedule(variant.preset).replaced(**variant.changes)
     held_out = list(range(HELD_OUT // 2, subject.domain.observations, HELD_OUT))
     fitted = [k for k in range(subject.domain.observations) if k not in held_out]
     start = time.process_time()
@@ -113,7 +113,7 @@ def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
     seconds = time.process_time() - start
     rows = image_rows(subject.domain, maps, held_out, [str(k) for k in held_out])
     result = {
-        "subject": subject.name, "texels": int(maps.covered.sum()), "group": way.group, "way": way.name,
+        "subject": subject.name, "texels": int(maps.covered.sum()), "group": variant.group, "variant": variant.name,
         "relit": float(np.mean([image_psnr(row) for row in rows])), "seconds": seconds,
         "evaluations": evaluations / max(int(maps.covered.sum()), 1),
     }  # fmt: skip
@@ -129,13 +129,13 @@ def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
 def measure(quick: bool) -> dict[str, Any]:
     """Solve all subjects by all variants, and a larger part of one by the variants of ``standard``."""
     small, large = (12, 16) if quick else (SMALL, LARGE)
-    chosen = ways()[:: 4 if quick else 1]
+    chosen = variants()[:: 4 if quick else 1]
     for subject in subjects_of(_TINY):
-        for way in chosen:
-            solve(subject, way)  # drivers compile at the first use
-    rows = [solve(subject, way) for subject in subjects_of(small) for way in chosen]
-    usual = [way for way in chosen if way.group == "standard"]
-    big = [solve(subject, way) for subject in subjects_of(large) if subject.name in _LARGE for way in usual]
+        for variant in chosen:
+            solve(subject, variant)  # drivers compile at the first use
+    rows = [solve(subject, variant) for subject in subjects_of(small) for variant in chosen]
+    usual = [variant for variant in chosen if variant.group == "standard"]
+    big = [solve(subject, variant) for subject in subjects_of(large) if subject.name in _LARGE for variant in usual]
     return {"size": small, "large": large, "rows": rows, "large_rows": big}
 
 
@@ -177,7 +177,7 @@ def _table(rows: list[dict]) -> list[str]:
     return report.table(
         header,
         [
-            [row["subject"], row["way"], *(report.short(row.get(name)) for name in ("normal", "median", "worst")),
+            [row["subject"], row["variant"], *(report.short(row.get(name)) for name in ("normal", "median", "worst")),
              f"{row['relit']:.2f}", f"{row['evaluations']:.0f}", f"{row['seconds']:.1f}"]
             for row in rows
         ],
@@ -187,7 +187,7 @@ def _table(rows: list[dict]) -> list[str]:
 def headline(data: dict[str, Any]) -> str:
     """Return the text of the index."""
     rows = [row for row in data["rows"] if row["group"] == "standard"]
-    means = [np.mean([row.get("normal", np.nan) for row in rows if row["way"] == f"levels {n}"
+    means = [np.mean([row.get("normal", np.nan) for row in rows if row["variant"] == f"levels {n}"
                       and "normal" in row]) for n in (1, 3)]  # fmt: skip
     return f"normals, mean of all subjects: {means[0]:.2f}° with 1 level, {means[1]:.2f}° with 3"
 

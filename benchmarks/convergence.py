@@ -15,7 +15,7 @@ from benchmarks.peers.problem import Sample
 from benchmarks.report import short
 from irpso_addon.gpu import context
 
-DIRTS = ("clean", "noisy", "dirty")
+DEGRADATIONS = ("clean", "noisy", "dirty")
 JOINT = ("paper", "constriction", "swarm", "standard", product.LM_ALONE, "DE")
 STAGED = ("paper", "constriction", "swarm")
 POINTS = 11  # samples of a recovery's trace
@@ -24,17 +24,17 @@ Trace = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run all methods for every seed and dirt; seeds outermost, so that other load affects all methods equally."""
+    """Run all methods for every seed and degradation; seeds outermost: other load affects all methods equally."""
     size, lights, seeds, evolved = (6, 20, 1, 1) if quick else (16, 100, 3, 6)
     runs: dict[str, dict[str, list[Trace]]] = {}
     for seed in range(seeds):
-        for dirt in DIRTS:
-            card = subjects.make_card(size, lights, subjects.DIRTS[dirt], seed)
+        for degradation in DEGRADATIONS:
+            card = subjects.make_card(size, lights, subjects.DEGRADATIONS[degradation], seed)
             for kind, names in (("joint", JOINT), ("staged", STAGED)):
                 for name in names:
                     trace = _de(card, evolved, seed, quick) if name == "DE" else _ours(card, kind, name, seed, quick)
-                    runs.setdefault(f"{dirt}/{kind}", {}).setdefault(name, []).append(trace)
-            report.say(f"convergence: seed {seed}, {dirt} done")
+                    runs.setdefault(f"{degradation}/{kind}", {}).setdefault(name, []).append(trace)
+            report.say(f"convergence: seed {seed}, {degradation} done")
     curves = {key: {name: _quartiles(traces) for name, traces in group.items()} for key, group in runs.items()}
     return {"size": size, "lights": lights, "seeds": seeds, "evolved": evolved, "curves": curves}
 
@@ -84,7 +84,7 @@ def _quartiles(traces: list[Trace]) -> dict[str, Any]:
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
-    """Return the page's lines, with two plots for each kind of dirt."""
+    """Return the page's lines, with two plots for each kind of degradation."""
     lines = [
         f"Cards of {data['size']}² texels under {data['lights']} lights, model `cook_torrance_two_lobe`, nothing"
         f" known. Errors are means over texels; lines are medians over {data['seeds']} seeds (of card, noise and"
@@ -98,15 +98,15 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " defines the disturbances of the cards.",
         "",
     ]
-    for dirt in DIRTS:
-        title = subjects.DIRTS[dirt].title
+    for degradation in DEGRADATIONS:
+        title = subjects.DEGRADATIONS[degradation].title
         lines += [f"## {title[0].upper()}{title[1:]}", ""]
         for kind, names in (("joint", JOINT), ("staged", STAGED)):
-            name = _draw(data["curves"], dirt, kind, names, title, folder)
+            name = _draw(data["curves"], degradation, kind, names, title, folder)
             lines += report.image(name, f"Error against evaluations, {kind}, {title}")
         lines += report.table(
             ["", "method", "evaluations a texel", *(f"{name} {subjects.unit_of(name)}" for name in NAMES)],
-            [_row(kind, name, data["curves"][f"{dirt}/{kind}"][name])
+            [_row(kind, name, data["curves"][f"{degradation}/{kind}"][name])
              for kind, names in (("joint", JOINT), ("staged", STAGED)) for name in names],
         )  # fmt: skip
     return lines
@@ -118,15 +118,15 @@ def _row(kind: str, name: str, curve: dict[str, Any]) -> list[str]:
     return [kind, name, short(curve["evaluations"][-1]), *last]
 
 
-def _draw(curves: dict, dirt: str, kind: str, names: tuple[str, ...], title: str, folder: Path) -> str:
+def _draw(curves: dict, degradation: str, kind: str, names: tuple[str, ...], title: str, folder: Path) -> str:
     """Draw one row of plots, a parameter each; return its name."""
-    name = f"convergence_{dirt}_{kind}"
+    name = f"convergence_{degradation}_{kind}"
     with report.plot(
         folder, name, f"{kind}, {title}: error against evaluations a texel", len(NAMES), figsize=(14, 3.1), sharex=True
     ) as axes:
         for axis, parameter in zip(axes[0], NAMES, strict=True):
             for method in names:
-                curve = curves[f"{dirt}/{kind}"][method]
+                curve = curves[f"{degradation}/{kind}"][method]
                 x, c = curve["evaluations"], curve[parameter]
                 low, middle, high = (np.maximum(c[q], 1e-5) for q in ("low", "median", "high"))
                 axis.plot(x, middle, color=_COLORS[method], linewidth=1.4, label=method)

@@ -141,7 +141,7 @@ def watched(command: list[str], out: Path) -> dict[str, Any]:
     reader = threading.Thread(target=progress, daemon=True)
     reader.start()
     while process.poll() is None:
-        look(process.pid, out, seen, time.perf_counter() - began)
+        update_usage(process.pid, out, seen, time.perf_counter() - began)
         time.sleep(_EVERY)
     reader.join()
     usage = os.times()
@@ -151,7 +151,7 @@ def watched(command: list[str], out: Path) -> dict[str, Any]:
     return {**seen, "seconds": time.perf_counter() - began, "work": work}
 
 
-def look(pid: int, out: Path, seen: dict[str, Any], now: float) -> None:
+def update_usage(pid: int, out: Path, seen: dict[str, Any], now: float) -> None:
     """Update ``seen`` from /proc and the output folder of a process; now: seconds since its start."""
     try:
         status = Path(f"/proc/{pid}/status").read_text().split()

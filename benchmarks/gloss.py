@@ -72,7 +72,7 @@ def measure(name: str, kind: str, subject: Subject, options: argparse.Namespace)
     pictures, as_seen = card_captures.relight(subject, maps, SHOOTINGS[kind].near, out / "relit")
     row = {"card": name, "capture": kind, **_how(options)}
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
-    row |= errors(maps, shot.truth, coverage > 0) | beyond(maps, shot.truth, coverage > 0, out)
+    row |= errors(maps, shot.truth, coverage > 0) | outlier_shares(maps, shot.truth, coverage > 0, out)
     row |= picture_errors(pictures, shot) | {"seconds": seconds}
     encode_png(options.out / f"{name}-{kind}.png", sheet(as_seen, pictures, shot), bits=8)
     if not options.keep:
@@ -117,7 +117,7 @@ def errors(maps: TrueMaps, truth: TrueMaps, seen: np.ndarray) -> Row:
     }
 
 
-def beyond(maps: TrueMaps, truth: TrueMaps, seen: np.ndarray, out: Path) -> Row:
+def outlier_shares(maps: TrueMaps, truth: TrueMaps, seen: np.ndarray, out: Path) -> Row:
     """Return, for each map, the share of the seen texels whose error exceeds three reported standard deviations.
 
     A colour counts if one of its channels does.

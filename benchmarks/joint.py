@@ -19,30 +19,30 @@ from irpso_addon.gpu import context
 NOISE, LEAST = 0.003, 0.02  # σ of the bound, and the bound, over the range, below which a parameter is identifiable
 DEGREES, PERCENT = 1.0, 1.0  # largest errors of a right texel
 METHODS = ("standard", product.LM_ALONE)
-DIRTS = ("clean", "noisy", "shadowed", "dirty", "patched")
+DEGRADATIONS = ("clean", "noisy", "shadowed", "dirty", "patched")
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """Recover cards of several seeds with every method, clean and dirty."""
     size, lights, seeds = (8, 30, 1) if quick else (48, 100, 4)
     rows = []
-    for dirt in DIRTS:
+    for degradation in DEGRADATIONS:
         for method in METHODS:
             schedule = product.schedule_of(method)
             pooled: dict[str, list[np.ndarray]] = {}
             identifiable, seconds, evaluations = [], 0.0, 0.0
             for seed in range(seeds):
-                card = subjects.make_card(size, lights, subjects.DIRTS[dirt], seed)
+                card = subjects.make_card(size, lights, subjects.DEGRADATIONS[degradation], seed)
                 run = product.recover(card.domain, card.model, schedule, seed)
                 for name, error in subjects.errors_of(card.model, run.values, card.truth).items():
                     pooled.setdefault(name, []).append(error)
                 identifiable.append(np.max(list(bounds(card, NOISE).values()), axis=0) < LEAST)
                 seconds, evaluations = seconds + run.seconds, evaluations + run.evaluations / seeds
             errors = {name: np.concatenate(parts) for name, parts in pooled.items()}
-            rows.append({"dirt": dirt, "method": method, "seconds": seconds, "evaluations": evaluations,
+            rows.append({"dirt": degradation, "method": method, "seconds": seconds, "evaluations": evaluations,
                          **_summary(errors, np.concatenate(identifiable))})  # fmt: skip
             right, degrees = rows[-1]["right"], rows[-1]["errors"]["normal"][0]
-            report.say(f"joint: {dirt}, {method}: {right:.4f} right, {degrees:.3f}°")
+            report.say(f"joint: {degradation}, {method}: {right:.4f} right, {degrees:.3f}°")
     return {"size": size, "lights": lights, "seeds": seeds, "rows": rows, "floor": _floors(size, lights, quick)}
 
 
@@ -62,7 +62,7 @@ def _summary(errors: dict[str, np.ndarray], identifiable: np.ndarray) -> dict[st
 
 
 def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
-    """Return dirt → mean normal error, with its interval, that interreflection alone leaves.
+    """Return degradation → mean normal error, with its interval, that interreflection alone leaves.
 
     scipy's least squares from the truth, without the samples in shadow, on some texels of the first card: the model's
     local minimum next to the truth.
@@ -72,15 +72,15 @@ def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
     from benchmarks.peers.problem import problem_of
 
     floors = {}
-    for dirt in ("shadowed", "dirty"):
-        card = subjects.make_card(size, lights, subjects.DIRTS[dirt], 0)
+    for degradation in ("shadowed", "dirty"):
+        card = subjects.make_card(size, lights, subjects.DEGRADATIONS[degradation], 0)
         whole = problem_of(card.domain, card.model, card.truth)
         chosen = subjects.sample(whole.count, 4 if quick else 150)
         lit = ~card.shadowed.reshape(lights, -1)
         fixed = replace(whole, weights=whole.weights * lit).subset(chosen)
         fit = scipy_least_squares(fixed, Loss(kind="linear", shadow=0.0), restarts=False, max_nfev=60)
         error = subjects.errors_of(card.model, fit.values, fixed.truth)["normal"]
-        floors[dirt] = list(report.mean_interval(error))
+        floors[degradation] = list(report.mean_interval(error))
     return floors
 
 
@@ -88,7 +88,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
     rows = data["rows"]
     names = list(rows[0]["errors"])
-    titles = {name: dirt.title for name, dirt in subjects.DIRTS.items()}
+    titles = {name: degradation.title for name, degradation in subjects.DEGRADATIONS.items()}
     clean, dirty, patched = (
         next(r for r in rows if r["dirt"] == d and r["method"] == "standard") for d in ("clean", "dirty", "patched")
     )
@@ -128,7 +128,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         floors = [
             f"{titles[d]}: {short(m)}° ({short(a)} to {short(b)})"
             for d, (m, a, b) in data["floor"].items()
-            if subjects.DIRTS[d].reach == 1
+            if subjects.DEGRADATIONS[d].reach == 1
         ]
         lines += [
             "Error that the disturbance itself leaves: the mean normal error, with its 95 % interval, of scipy's"

@@ -57,19 +57,19 @@ def measure(quick: bool) -> dict[str, Any]:
     sets = [("number", n, ("noisy", "dirty")) for n in COUNTS]
     sets += [(kind, v, ("noisy",)) for kind, values in (("cone", CONES), ("fan", FANS)) for v in values]
     rows = []
-    for kind, value, dirts in sets[:: 6 if quick else 1]:
+    for kind, value, degradations in sets[:: 6 if quick else 1]:
         lights = lights_of(kind, value)
         for model in MODELS:
-            for dirt in dirts:
-                rows.append({"kind": kind, "value": value, **_row(model, lights, dirt, size, seeds)})
+            for degradation in degradations:
+                rows.append({"kind": kind, "value": value, **_row(model, lights, degradation, size, seeds)})
             report.say(f"lights: {kind} {value}, {model}: {rows[-1]['failed']}")
     return {"size": size, "seeds": seeds, "rows": rows}
 
 
-def _row(model: str, lights: np.ndarray, dirt: str, size: int, seeds: int) -> dict[str, Any]:
+def _row(model: str, lights: np.ndarray, degradation: str, size: int, seeds: int) -> dict[str, Any]:
     pooled: dict[str, list[np.ndarray]] = {}
     for seed in range(seeds):
-        card = subjects.make_card(size, lights, subjects.DIRTS[dirt], seed, model)
+        card = subjects.make_card(size, lights, subjects.DEGRADATIONS[degradation], seed, model)
         run = product.recover(card.domain, model, product.schedule_of("standard"), seed)
         for name, error in subjects.errors_of(model, run.values, card.truth).items():
             pooled.setdefault(name, []).append(error)
@@ -80,12 +80,12 @@ def _row(model: str, lights: np.ndarray, dirt: str, size: int, seeds: int) -> di
         if all(name in bad for name in names):
             failed[goal] = float(np.any([bad[name] for name in names], axis=0).mean())
     return {
-        "model": model, "dirt": dirt, "failed": failed,
+        "model": model, "dirt": degradation, "failed": failed,
         "errors": {name: [float(e.mean()), float(np.median(e))] for name, e in errors.items()},
     }  # fmt: skip
 
 
-def spoken(lights: np.ndarray) -> tuple[str, list[str]]:
+def inspect_lights(lights: np.ndarray) -> tuple[str, list[str]]:
     """Return the goals for which ``inspect`` calls these lights enough, and its findings on them."""
     shades = np.random.default_rng(0).random((len(lights), 1)) + 1
     picture = np.ones((4, 4, 4), np.float32)
@@ -127,7 +127,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     # Inspected now: the stored measurement may be older than inspect's texts.
     cells = []
     for kind, value in dict.fromkeys((r["kind"], r["value"]) for r in rows):
-        enough_for, findings = spoken(lights_of(kind, value))
+        enough_for, findings = inspect_lights(lights_of(kind, value))
         cells.append([f"{_KINDS[kind]} {value:g}", enough_for, "<br>".join(findings)])
     return [*lines, *report.table(["lights", "enough for", "why not for the others"], cells)]
 
@@ -135,10 +135,10 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 def _outdated(rows: list[dict]) -> list[str]:
     """Return a warning line if the figures in inspect differ from the measured ones."""
     off = []
-    for kind, dirt, figures in (("number", "dirty", sufficiency.NUMBER), ("cone", "noisy", sufficiency.CONE),
+    for kind, degradation, figures in (("number", "dirty", sufficiency.NUMBER), ("cone", "noisy", sufficiency.CONE),
                                 ("fan", "noisy", sufficiency.ACROSS)):  # fmt: skip
         for figure in figures:
-            same = [r for r in rows if (r["kind"], r["dirt"], r["value"]) == (kind, dirt, figure.value)]
+            same = [r for r in rows if (r["kind"], r["dirt"], r["value"]) == (kind, degradation, figure.value)]
             for model, ask, at in (("principled", "normal", 0), ("principled", "roughness", 1),
                                    ("cook_torrance_two_lobe", "two lobes", 2)):  # fmt: skip
                 now = [r["failed"][ask] for r in same if r["model"] == model]
@@ -157,15 +157,15 @@ _KINDS = {"number": "number of lights", "cone": "half-angle of the cone, degrees
 def _draw(axis: Any, rows: list[dict], label: str, kind: str) -> None:
     styles = {"normal": 0, "roughness": 1, "two lobes": 2}
     for model in MODELS:
-        for dirt, dash in (("noisy", "-"), ("dirty", "--")):
-            chosen = [r for r in rows if r["model"] == model and r["dirt"] == dirt]
+        for degradation, dash in (("noisy", "-"), ("dirty", "--")):
+            chosen = [r for r in rows if r["model"] == model and r["dirt"] == degradation]
             for goal, color in styles.items():
                 if not chosen or goal not in chosen[0]["failed"]:
                     continue
                 if goal == "normal" and model != "principled":
                     continue
                 x, y = [r["value"] for r in chosen], [100 * r["failed"][goal] for r in chosen]
-                name = f"{goal}, {dirt}" if kind == "number" else goal
+                name = f"{goal}, {degradation}" if kind == "number" else goal
                 axis.plot(x, y, dash, marker="o", markersize=3, color=report.COLORS[color], label=name, linewidth=1.3)
     axis.set(xscale="log", xlabel=label, ylabel="texels that fail, %", ylim=(-3, 103))
     values = sorted({r["value"] for r in rows})
@@ -180,7 +180,7 @@ def _table(rows: list[dict], label: str) -> list[str]:
         lobes = r["failed"].get("roughness", r["failed"].get("two lobes"))
         failed = [f"{100 * x:.1f} %" for x in (r["failed"]["normal"], lobes, r["failed"]["any"])]
         errors = [f"{short(mean)} ({short(median)})" for mean, median in r["errors"].values()]
-        cells.append([f"{r['value']:g}", subjects.DIRTS[r["dirt"]].title, *errors, *failed])
+        cells.append([f"{r['value']:g}", subjects.DEGRADATIONS[r["dirt"]].title, *errors, *failed])
     return ["Errors: mean (median).", "", *report.table(header, cells)]
 
 

@@ -123,7 +123,7 @@ def _photograph(scene, size: Size, view, folder: Path) -> _Subject:
     bake = bake_uv(mesh, size.maps, size.maps)
 
     def camera_at(shot):
-        around.look(shot)
+        around.set_camera(shot)
         return camera_from_object(bpy.context.scene.camera, view.width, view.height)
 
     first = camera_at(around.shots(1, 1)[0])

@@ -47,7 +47,7 @@ class Subject:
 def subject(name: str, quick: bool) -> Subject:
     """Return a capture by name; the real one is in the folder IRPSO_DATA, or ../shared/data."""
     if name != BUNNY:
-        card = subjects.make_card(8 if quick else 64, 20 if quick else 100, subjects.DIRTS[name], seed=1)
+        card = subjects.make_card(8 if quick else 64, 20 if quick else 100, subjects.DEGRADATIONS[name], seed=1)
         return Subject(card.domain, card.model, card.truth)
     from irpso_addon.blender.images import decode
     from irpso_addon.capture import read_capture, read_exr

@@ -163,7 +163,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 def _about(capture: str, texels: int) -> str:
     if capture == peer_child.BUNNY:
         return f"{texels} texels, 50 lights, perspective camera, model `principled`; normals alone have a ground truth."
-    return f"{texels} texels, 100 lights, {subjects.DIRTS[capture].title}; all unknown."
+    return f"{texels} texels, 100 lights, {subjects.DEGRADATIONS[capture].title}; all unknown."
 
 
 def _interval(values: list[float]) -> str:

@@ -36,7 +36,7 @@ _RANGES = {"r1": (0.09, 0.16), "r2": (0.28, 0.4), "w": (0.3, 0.5), "roughness": 
 
 
 @dataclass(frozen=True)
-class Dirt:
+class Degradation:
     """noise: σ. shadow: share of a texel's lights. interreflection: a. reach: share of the lights with U = 1."""
 
     title: str
@@ -46,12 +46,14 @@ class Dirt:
     reach: float = 1.0
 
 
-CLEAN = Dirt("clean")
-NOISY = Dirt("noise 0.003", noise=0.003)
-DIRTY = Dirt("15 % cast shadow, 10 % interreflection, noise 0.003", 0.003, 0.15, 0.1)
-SHADOWED = Dirt("15 % cast shadow, noise 0.003", 0.003, 0.15)
-PATCHED = Dirt("15 % cast shadow, 30 % interreflection in 10 % of the samples, noise 0.003", 0.003, 0.15, 0.3, 0.1)
-DIRTS = {"clean": CLEAN, "noisy": NOISY, "dirty": DIRTY, "shadowed": SHADOWED, "patched": PATCHED}
+CLEAN = Degradation("clean")
+NOISY = Degradation("noise 0.003", noise=0.003)
+DIRTY = Degradation("15 % cast shadow, 10 % interreflection, noise 0.003", 0.003, 0.15, 0.1)
+SHADOWED = Degradation("15 % cast shadow, noise 0.003", 0.003, 0.15)
+PATCHED = Degradation(
+    "15 % cast shadow, 30 % interreflection in 10 % of the samples, noise 0.003", 0.003, 0.15, 0.3, 0.1
+)
+DEGRADATIONS = {"clean": CLEAN, "noisy": NOISY, "dirty": DIRTY, "shadowed": SHADOWED, "patched": PATCHED}
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Card:
     model: str
     truth: Mapping[str, np.ndarray]
     shadowed: np.ndarray
-    dirt: Dirt
+    degradation: Degradation
 
     def problem(self, count: int | None = None, seed: int = 0) -> Problem:
         """Return all texels, or a random ``count``, as the peers' problem; a smaller sample is part of a larger one."""
@@ -70,9 +72,9 @@ class Card:
         return whole if count is None or count >= whole.count else whole.subset(sample(whole.count, count, seed))
 
 
-def sample(count: int, wanted: int, seed: int = 0) -> np.ndarray:
-    """Return ``wanted`` random indices below ``count``; a smaller sample is the start of a larger one."""
-    return np.random.default_rng(seed).permutation(count)[:wanted]
+def sample(count: int, size: int, seed: int = 0) -> np.ndarray:
+    """Return ``size`` random indices below ``count``; a smaller sample is the start of a larger one."""
+    return np.random.default_rng(seed).permutation(count)[:size]
 
 
 def spiral_lights(count: int, lowest: float = _LOWEST) -> np.ndarray:
@@ -86,7 +88,7 @@ def spiral_lights(count: int, lowest: float = _LOWEST) -> np.ndarray:
 def make_card(
     size: int | tuple[int, int],
     lights: int | np.ndarray = 100,
-    dirt: Dirt = CLEAN,
+    degradation: Degradation = CLEAN,
     seed: int = 0,
     model: str = TWO_LOBES,
 ) -> Card:
@@ -97,14 +99,14 @@ def make_card(
     truth = _truth(shape, model, rng)
     domain = _domain(shape, directions)
     clean = _render(domain, model, truth)
-    shadowed = _patch(shape, directions, dirt.shadow, rng)
+    shadowed = _patch(shape, directions, degradation.shadow, rng)
     direct = seen = np.where(shadowed[..., None], 0, clean)
-    if dirt.interreflection:
-        reached = _patch(shape, directions, dirt.reach, rng) if dirt.reach < 1 else np.ones_like(shadowed)
-        seen = direct + dirt.interreflection * reached[..., None] * _blur(direct, BLUR * max(shape))
-    seen = np.maximum(seen + dirt.noise * rng.normal(size=seen.shape), 0)
+    if degradation.interreflection:
+        reached = _patch(shape, directions, degradation.reach, rng) if degradation.reach < 1 else np.ones_like(shadowed)
+        seen = direct + degradation.interreflection * reached[..., None] * _blur(direct, BLUR * max(shape))
+    seen = np.maximum(seen + degradation.noise * rng.normal(size=seen.shape), 0)
     stack = np.concatenate([seen, np.ones((*seen.shape[:3], 1))], axis=-1).astype(np.float32)
-    return Card(with_samples(domain, stack), model, truth, shadowed, dirt)
+    return Card(with_samples(domain, stack), model, truth, shadowed, degradation)
 
 
 def errors_of(model: str, values: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

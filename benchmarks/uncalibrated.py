@@ -106,13 +106,15 @@ def _lights(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return directions, np.mean([light.intensity for light in lights], axis=-1)
 
 
-def light_errors(given: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray]) -> dict[str, float]:
+def light_errors(
+    reference: tuple[np.ndarray, np.ndarray], estimated: tuple[np.ndarray, np.ndarray]
+) -> dict[str, float]:
     """Return mean errors of directions, degrees, without and with a common rotation, and of strengths, relative.
 
-    given, found: (K, 3) unit vectors and (K,) strengths, up to a common factor. The rotation is that of least squares
-    (Kabsch 1976).
+    reference, estimated: (K, 3) unit vectors and (K,) strengths, up to a common factor. The rotation is that of least
+    squares (Kabsch 1976).
     """
-    (true, strong), (other, strong_other) = given, found
+    (true, strong), (other, strong_other) = reference, estimated
     u, _, vt = np.linalg.svd(other.T @ true)
     turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     ratio = strong_other / strong

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from .objective import Loss, Objective
-from .per_texel import Way, run
+from .per_texel import Trace, run
 from .problem import PeerResult, Problem
 
 STEP = 1e-6  # of the box, of a central difference in float64
@@ -25,38 +25,38 @@ def scipy_least_squares(
     return run("scipy least_squares", problem, loss, solve_texel, restarts, workers, 0, **settings)
 
 
-def solve_texel(objective: Objective, t: int, starts: np.ndarray, seed: int, max_nfev: int, tolerance: float) -> Way:
+def solve_texel(objective: Objective, t: int, starts: np.ndarray, seed: int, max_nfev: int, tolerance: float) -> Trace:
     """Return one texel's trace.
 
     The Jacobian's central differences are one call of the model: a fit is 2.2 times faster than with scipy's two-point
     differences, one call a column.
     """
-    way, size = Way(), objective.box.size
+    trace, size = Trace(), objective.box.size
     steps = np.concatenate([np.eye(size), -np.eye(size)]) * STEP
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        way.evaluations += 1
+        trace.evaluations += 1
         return objective.residuals(x[None], t).ravel()
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        way.evaluations += 2 * size
+        trace.evaluations += 2 * size
         residual_pairs = objective.residuals(x + steps, t).reshape(2 * size, -1)
         return (residual_pairs[:size] - residual_pairs[size:]).T / (2 * STEP)
 
     def callback(intermediate_result) -> None:
-        way.saw(intermediate_result.x[None], np.array([intermediate_result.cost]))
-        way.evaluations -= 1  # residuals() has counted this render
+        trace.record(intermediate_result.x[None], np.array([intermediate_result.cost]))
+        trace.evaluations -= 1  # residuals() has counted this render
 
     for start in starts:
         start = np.clip(start, 1e-3, 1 - 1e-3)
-        way.saw(start[None], _half_cost(objective, start, t))
+        trace.record(start[None], _half_cost(objective, start, t))
         fit = least_squares(
             residuals, start, jacobian, bounds=(0, 1), method="trf", loss=objective.loss.kind, callback=callback,
             f_scale=objective.loss.delta if objective.loss.kind == "cauchy" else 1.0, max_nfev=max_nfev,
             ftol=tolerance, xtol=tolerance, gtol=tolerance,
         )  # fmt: skip
-        way.saw(fit.x[None], np.array([fit.cost]))
-    return way
+        trace.record(fit.x[None], np.array([fit.cost]))
+    return trace
 
 
 def _half_cost(objective: Objective, x: np.ndarray, t: int) -> np.ndarray:

@@ -16,10 +16,10 @@ from .problem import PeerResult, Problem, Sample, peak_memory_mb
 
 
 @dataclass
-class Way:
+class Trace:
     """Trace of one texel's search: rows of (seconds, evaluations, x), each better than the last.
 
-    Methods report their evaluations to ``saw``, at most once a generation.
+    Methods report their evaluations to ``record``, at most once a generation.
     """
 
     rows: list[tuple[float, int, np.ndarray]] = field(default_factory=list)
@@ -27,7 +27,7 @@ class Way:
     best: float = np.inf
     began: float = field(default_factory=time.perf_counter)
 
-    def saw(self, x: np.ndarray, costs: np.ndarray) -> None:
+    def record(self, x: np.ndarray, costs: np.ndarray) -> None:
         """Count S candidates x (S, size); add a row if one is the best so far."""
         self.evaluations += len(costs)
         at = int(np.argmin(costs))
@@ -36,7 +36,7 @@ class Way:
             self.rows.append((time.perf_counter() - self.began, self.evaluations, x[at].copy()))
 
 
-Solve = Callable[..., Way]  # (objective, texel, start (S, size), seed, **settings)
+Solve = Callable[..., Trace]  # (objective, texel, start (S, size), seed, **settings)
 
 
 def run(
@@ -59,10 +59,10 @@ def run(
             parts = list(pool.map(_solve_some, *zip(*jobs, strict=True)))
             seconds = time.perf_counter() - start
     objective = Objective(problem, loss)
-    ways = [way for part, _ in parts for way in part]
-    trace = _joint_trace(ways, objective, workers)
-    values = objective.box.ordered(objective.box.values(np, np.array([way.rows[-1][2] for way in ways])))
-    evaluations = np.array([way.evaluations for way in ways])
+    traces = [trace for part, _ in parts for trace in part]
+    trace = _joint_trace(traces, objective, workers)
+    values = objective.box.ordered(objective.box.values(np, np.array([trace.rows[-1][2] for trace in traces])))
+    evaluations = np.array([trace.evaluations for trace in traces])
     memory = max(memory for _, memory in parts)
     described = {"loss": loss, "restarts": restarts, "workers": workers, "seed": seed, **settings}
     return PeerResult(name, values, evaluations, seconds, memory, described, trace)
@@ -70,22 +70,22 @@ def run(
 
 def _solve_some(
     problem: Problem, loss: Loss, solve: Solve, restarts: bool, seed: int, settings: dict
-) -> tuple[list[Way], float]:
+) -> tuple[list[Trace], float]:
     objective = Objective(problem, loss)
     starts = np.stack(objective.starts(restarts), axis=1)
-    ways = [solve(objective, t, starts[t], seed + t, **settings) for t in range(problem.count)]
-    return ways, peak_memory_mb()
+    traces = [solve(objective, t, starts[t], seed + t, **settings) for t in range(problem.count)]
+    return traces, peak_memory_mb()
 
 
-def _joint_trace(ways: list[Way], objective: Objective, workers: int, points: int = 24) -> tuple[Sample, ...]:
+def _joint_trace(traces: list[Trace], objective: Objective, workers: int, points: int = 24) -> tuple[Sample, ...]:
     """Return the joint trace: the values of all texels after the same number of evaluations each."""
-    first = max(way.rows[0][1] for way in ways)
-    last = max(way.evaluations for way in ways)
+    first = max(trace.rows[0][1] for trace in traces)
+    last = max(trace.evaluations for trace in traces)
     samples = []
     for budget in np.unique(np.geomspace(first, max(last, first + 1), points).astype(int)):
-        rows = [[row for row in way.rows if row[1] <= budget][-1] for way in ways]
+        rows = [[row for row in trace.rows if row[1] <= budget][-1] for trace in traces]
         # A texel without a better row since then has gone on searching.
-        spent = [min(row[0] * budget / row[1], way.rows[-1][0]) for row, way in zip(rows, ways, strict=True)]
+        spent = [min(row[0] * budget / row[1], trace.rows[-1][0]) for row, trace in zip(rows, traces, strict=True)]
         values = objective.box.ordered(objective.box.values(np, np.array([row[2] for row in rows])))
         samples.append(Sample(float(np.sum(spent)) / workers, float(budget), values))
     return tuple(samples)

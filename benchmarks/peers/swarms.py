@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .objective import Loss, Objective
-from .per_texel import Way, run
+from .per_texel import Trace, run
 from .problem import PeerResult, Problem
 
 
@@ -47,11 +47,11 @@ def differential_evolution(
 def swarm_texel(
     objective: Objective, t: int, starts: np.ndarray, seed: int, particles: int, iterations: int, inertia: float,
     pull: float,
-) -> Way:  # fmt: skip
+) -> Trace:  # fmt: skip
     """Return one texel's trace. pyswarms draws from numpy's global generator, which is seeded here."""
     GlobalBestPSO = _global_best_class()
     np.random.seed(seed % 2**32)
-    way, size = Way(), objective.box.size
+    trace, size = Trace(), objective.box.size
     place = np.random.random((particles, size))
     near = starts[np.arange(particles // 2) % len(starts)]
     place[: particles // 2] = np.clip(near + np.random.normal(size=near.shape) * 0.05, 0, 1)
@@ -59,7 +59,7 @@ def swarm_texel(
 
     def cost(x: np.ndarray) -> np.ndarray:
         costs = objective.cost(x, t)
-        way.saw(x, costs)
+        trace.record(x, costs)
         return costs
 
     swarm = GlobalBestPSO(
@@ -67,28 +67,28 @@ def swarm_texel(
         bh_strategy="nearest", init_pos=place,
     )  # fmt: skip
     swarm.optimize(cost, iterations, verbose=False)
-    return way
+    return trace
 
 
 def evolve_texel(
     objective: Objective, t: int, starts: np.ndarray, seed: int, population: int, generations: int, polish: bool
-) -> Way:
+) -> Trace:
     """Return one texel's trace."""
     from scipy.optimize import differential_evolution as evolve
 
-    way, size = Way(), objective.box.size
+    trace, size = Trace(), objective.box.size
 
     def cost(x: np.ndarray) -> np.ndarray:
         tries = np.atleast_2d(x.T)
         costs = objective.cost(tries, t)
-        way.saw(tries, costs)
+        trace.record(tries, costs)
         return costs if x.ndim == 2 else costs[0]
 
     evolve(
         cost, [(0, 1)] * size, x0=starts[0], popsize=population, maxiter=generations, polish=polish, vectorized=True,
         updating="deferred", rng=seed, tol=1e-8, atol=0,
     )  # fmt: skip
-    return way
+    return trace
 
 
 @cache

@@ -60,11 +60,11 @@ def unseen_shots() -> list[Shot]:
 
 def pictures(folder: Path, shot: Shot) -> Iterator[np.ndarray]:
     """Yield (H, W, 3) radiance of the open scene from the shot's camera under each light; cached in the folder."""
-    look(shot)
+    set_camera(shot)
     yield from (render.photographs_near if shot.near else render.photographs)(folder / shot.name, shot.lights)
 
 
-def look(shot: Shot) -> None:
+def set_camera(shot: Shot) -> None:
     """Move the scene's camera to the shot's position, upright and toward the subject."""
     axis = Vector([float(v) for v in shot.camera])
     turn = Matrix([[float(v) for v in row] for row in _frame(shot.camera)]).to_4x4()
@@ -72,7 +72,7 @@ def look(shot: Shot) -> None:
     bpy.context.view_layer.update()
 
 
-def write(folder: Path, name: str, found: list[Shot], every: int, view: render.View) -> Path:
+def write(folder: Path, name: str, shots: list[Shot], every: int, view: render.View) -> Path:
     """Write a capture of every ``every``-th light of the shots into folder/name, unless it exists; return its path.
 
     Pictures are read from the folder, or rendered into it.
@@ -81,7 +81,7 @@ def write(folder: Path, name: str, found: list[Shot], every: int, view: render.V
     if target.exists():
         return target
     cameras, masks, observations = [], [], []
-    for number, shot in enumerate(found):
+    for number, shot in enumerate(shots):
         radiances = list(pictures(folder, shot))
         masks.append(render.truth(folder / shot.name)["coverage"] > 0.999)
         cameras.append(camera_from_object(bpy.context.scene.camera, view.width, view.height))

@@ -57,7 +57,7 @@ def _normals(maps: Maps) -> np.ndarray | None:
     if name is None or name not in maps.values:
         return None
     normals = np.broadcast_to(np.asarray(maps.values[name], np.float32), (*maps.covered.shape, 3))
-    return fill_margin(normals, maps.covered, far=FLAT_NORMAL, given=maps.margin)
+    return fill_margin(normals, maps.covered, far=FLAT_NORMAL, keep=maps.margin)
 
 
 def _baked(

@@ -99,7 +99,7 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 class Calibrated:
     """Calibrated lights. camera: index. shots: indices of the photographs in the spec. names: of the photographs.
 
-    request: the options. radius: of the balls, as given. found: all balls that the search found, used or not.
+    request: the options. radius: of the balls, as given. found_balls: all that the search found, used or not.
     """
 
     spec: CaptureSpec
@@ -110,7 +110,7 @@ class Calibrated:
     warnings: tuple[str, ...]
     request: Request
     radius: float | None = None
-    found: tuple[FoundBall, ...] = ()
+    found_balls: tuple[FoundBall, ...] = ()
 
     @property
     def card_distance(self) -> float:
@@ -173,7 +173,7 @@ def calibrate_steps(
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
-        *unknown_lens(spec.views[number], camera, balls), *_doubts(found), *contradictions,
+        *unknown_lens(spec.views[number], camera, balls), *_ball_warnings(found), *contradictions,
         *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
@@ -238,10 +238,10 @@ def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[
     ]
 
 
-def _doubts(found: Sequence[FoundBall]) -> list[str]:
+def _ball_warnings(balls: Sequence[FoundBall]) -> list[str]:
     """Return warnings about balls that the search found but that are unused, or without shadow."""
-    used, warnings = usable_balls(found) if found else [], []
-    for ball in found:
+    used, warnings = usable_balls(balls) if balls else [], []
+    for ball in balls:
         where = f"the {ball.kind} ball of radius {ball.radius:.0f} pixels that was found"
         if ball not in used:
             fault = "size" if ball.kind == used[0].kind else "kind"
@@ -252,11 +252,11 @@ def _doubts(found: Sequence[FoundBall]) -> list[str]:
     return warnings
 
 
-def near_lamps(found: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
+def near_lamps(balls: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
     """Return a warning if lights are output as distant, but fall off over the table like near ones."""
-    if result.near or not found or not usable_balls(found):
+    if result.near or not balls or not usable_balls(balls):
         return []
-    ball = usable_balls(found)[0]
+    ball = usable_balls(balls)[0]
     inverse, error = ball.inverse
     if inverse * camera.width / ball.radius < 1 / _FAR or inverse < _SIGNIFICANT * error:
         return []
@@ -353,7 +353,11 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
         **({"card_distance": round(calibrated.card_distance, 6)} if result.near else {}),
         "bounce": [round(float(v), 4) for v in result.bounce],
         "balls": balls,
-        **({"found": [_found_row(ball, calibrated) for ball in calibrated.found]} if calibrated.found else {}),
+        **(
+            {"found": [_found_row(ball, calibrated) for ball in calibrated.found_balls]}
+            if calibrated.found_balls
+            else {}
+        ),
         "lights": lights,
         "warnings": list(calibrated.warnings),
     }

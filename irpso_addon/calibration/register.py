@@ -16,7 +16,7 @@ import numpy as np
 
 from ..capture.inspect import three_images
 from ..capture.inspect.checks import edge_sizes, whitened
-from ..core.steps import at_once
+from ..core.steps import blocking
 
 _REACH, _SMALLEST = 32, 32  # pixels: search range to each side; least side of a frame
 _ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the other frames; pixels: change that ends them
@@ -69,7 +69,7 @@ def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None
     return Shifts(pixels, agreement, trusted)
 
 
-find_shifts = at_once("find_shifts", shift_steps)
+find_shifts = blocking("find_shifts", shift_steps)
 
 
 def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:

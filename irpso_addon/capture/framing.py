@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ..core.optional import present
-from ..core.steps import at_once
+from ..core.steps import blocking
 from .bounds import bounded, weight_and_clipped
 from .camera import Camera
 from .distortion import undistorted
@@ -93,7 +93,7 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
     )
 
 
-framed = at_once("framed", framed_steps)
+framed = blocking("framed", framed_steps)
 
 
 def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, None, tuple[Framing, DetectedCorners]]:
@@ -109,7 +109,7 @@ def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, N
     return replace(framing, corners=(first, second, third, fourth), card_width=width), result
 
 
-with_found_corners = at_once("with_found_corners", found_corner_steps)
+with_found_corners = blocking("with_found_corners", found_corner_steps)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.steps import at_once
+from ..core.steps import blocking
 from .camera import Camera
 from .errors import CaptureError, raise_all
 from .framing import Framing
@@ -117,7 +117,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
     )  # fmt: skip
 
 
-build_capture = at_once("build_capture", build_steps)
+build_capture = blocking("build_capture", build_steps)
 
 
 @dataclass(frozen=True)

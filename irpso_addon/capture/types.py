@@ -50,7 +50,7 @@ class Light:
         if self.cone is not None and not 0 < self.cone <= 180:
             raise CaptureError("a light's cone is a half-angle above 0 and up to 180 degrees")
 
-    def share(self, points: np.ndarray) -> np.ndarray:
+    def relative_intensity(self, points: np.ndarray) -> np.ndarray:
         """Return (…) the fraction 0…1 of the axial intensity in the direction of points (…, 3), without distance."""
         if self.axis is None:
             return np.ones(points.shape[:-1])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.files import new_folder
-from ..core.steps import at_once
+from ..core.steps import blocking
 from ..core.toml_text import toml_value
 from .bounds import without_bounds
 from .camera import Camera
@@ -62,7 +62,7 @@ def write_steps(
     return names if single_file else [f"{name}.exr" for name in names]
 
 
-write_capture = at_once("write_capture", write_steps)
+write_capture = blocking("write_capture", write_steps)
 
 
 def _channels(rgba: np.ndarray) -> dict[str, np.ndarray]:

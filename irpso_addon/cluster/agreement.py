@@ -18,7 +18,7 @@ from ..core.errors import InputError, IrpsoError
 from ..core.paths import ROOT
 from ..core.steps import available_cores
 from ..gpu.versions import versions
-from .transport import Agreed, Ranks
+from .transport import CollectiveError, Ranks
 
 _NODES = Path("/dev/dri/by-path")  # Linux's render devices, by their PCI addresses
 _SOURCES = ("irpso_addon/**/*.py", "shaders/**/*.glsl", "shaders/**/*.toml", "presets/*.toml", "blender_manifest.toml")
@@ -41,7 +41,7 @@ def choose_device(ranks: Ranks) -> int:
     core has none beside its own: with one more, a refinement's tests take 60 in place of 49 s.
     """
     cores = available_cores()
-    used_here = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
+    used_here = [used for host, used in ranks.allgather((ranks.host, sorted(cores))) if host == ranks.host]
     shared = sum(not cores.isdisjoint(used) for used in used_here)
     threads = len(cores) // shared
     os.environ.setdefault("LP_NUM_THREADS", str(threads if threads > 1 else 0))
@@ -50,12 +50,12 @@ def choose_device(ranks: Ranks) -> int:
         name = nodes[ranks.local % len(nodes)].name.removesuffix("-render")
         os.environ.setdefault("DRI_PRIME", name.replace(":", "_").replace(".", "_"))
     here = ranks.host, os.environ.get("DRI_PRIME")
-    return ranks.all(here).count(here)
+    return ranks.allgather(here).count(here)
 
 
 def check_alike(ranks: Ranks, options: Namespace, capture: Capture) -> None:
-    """Raise Agreed on all ranks, naming one that differs in program, packages, options or capture."""
-    facts = ranks.all((ranks.name, _about(options, capture)))
+    """Raise CollectiveError on all ranks, naming one that differs in program, packages, options or capture."""
+    facts = ranks.allgather((ranks.name, _about(options, capture)))
     ranks.agreed(lambda: _compare(facts))
 
 
@@ -78,7 +78,7 @@ def abort_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        if isinstance(error, Agreed) or not busy():
+        if isinstance(error, CollectiveError) or not busy():
             raise
         if isinstance(error, IrpsoError | KeyboardInterrupt | MemoryError):
             text = " ".join(str(error).splitlines()) or type(error).__name__

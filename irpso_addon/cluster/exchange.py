@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..solver.engine.halo import HaloOverlap, Place, cells_of, overlap_of
-from ..solver.engine.lockstep import Received, Value, taken
+from ..solver.engine.lockstep import Received, Value, overlap_values
 from .transport import Ranks
 
 
@@ -27,12 +27,14 @@ class RankTransport:
         self._size = 0
         self._received: list[Received] = []
 
-    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
         """Cut this rank's results to what others read; nothing in a stage solved in closed form."""
         # Across a seam a texel may read all of the halo, at any distance from the box.
         sent, read = self._between(None if self._seams else reach)
-        self._size = found.shape[-1]
-        self._outgoing = {rank: taken(overlap, found) for rank, overlap in sent.items()} if self._size else {}
+        self._size = results.shape[-1]
+        self._outgoing = (
+            {rank: overlap_values(overlap, results) for rank, overlap in sent.items()} if self._size else {}
+        )
         self._read = read if self._size else {}
 
     def exchange(self) -> None:
@@ -43,8 +45,8 @@ class RankTransport:
     def received(self, tile: int) -> Sequence[Received]:
         return self._received
 
-    def all(self, value: Value) -> list[Value]:
-        return self._team.all(value)
+    def allgather(self, value: Value) -> list[Value]:
+        return self._team.allgather(value)
 
     def _between(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
         """Return rank → overlap that this one sends, and reads. reach: of halos, in texels; None: all."""

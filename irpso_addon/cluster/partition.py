@@ -91,27 +91,27 @@ def split(coverage: np.ndarray, cost: Cost, ranks: int, borders: Borders | None 
     return Split((height, width), tiles, cost.reach, ranks, cost.observations, state)
 
 
-def check_gathered(found: Split, memory: Memory) -> None:
+def check_gathered(division: Split, memory: Memory) -> None:
     """Raise InputError where a checkpoint of all ranks does not fit the memory of rank 0's machine."""
-    if found.state > memory.host:
+    if division.state > memory.host:
         raise InputError(
-            f"--checkpoint-every: a checkpoint takes {amount(found.state)} on rank 0, where there are"
+            f"--checkpoint-every: a checkpoint takes {amount(division.state)} on rank 0, where there are"
             f" {amount(memory.host)} ({memory.host_from}); leave it out, or state the memory with --memory host=…"
         )
 
 
-def check_fits(found: Split, ranks: Ranks, memory: Memory, sharing: int) -> None:
+def check_fits(division: Split, ranks: Ranks, memory: Memory, sharing: int) -> None:
     """Raise InputError where this rank's texels do not fit its device.
 
     memory: of each of this machine's devices. sharing: how many ranks have this one's device.
     """
-    if ranks.rank >= len(found.tiles):
+    if ranks.rank >= len(division.tiles):
         return
-    tile = found.tiles[ranks.rank]
+    tile = division.tiles[ranks.rank]
     allowed = memory.device // sharing
     if tile.device > allowed:
         raise InputError(
-            f"{tile.texels} texels with a halo of {found.halo} take {amount(tile.device)} on the device, where there"
+            f"{tile.texels} texels with a halo of {division.halo} take {amount(tile.device)} on the device, where there"
             f" are {amount(allowed)} for each of {sharing} ranks ({memory.device_from}); start more ranks on more"
             " machines, or state the memory with --memory device=…"
         )

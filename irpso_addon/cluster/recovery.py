@@ -48,8 +48,8 @@ class Leader:
         call = methodcaller(order.__name__, *arguments, **named)
         self._dispatch(call, call)
 
-    def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """As ``Orders.deal``."""
+    def scatter(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
+        """As ``Orders.scatter``."""
         return self._dispatch(methodcaller(order.__name__, value), methodcaller(order.__name__, None))
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
@@ -99,7 +99,7 @@ class RankedRecovery(RecoveryEngine):
         if not isinstance(stack, RankedStack):
             raise TypeError("RankedRecovery: the domain's samples must lie on the ranks")
         if guess is not None:
-            leader.deal(Worker.take_guess, guess)
+            leader.scatter(Worker.take_guess, guess)
         extra_fixed = {name: value for name, value in fixed.items() if name not in leader.worker.fixed}
         samples = stack.observations.tolist(), stack.second
         self._separation: tuple[int, np.ndarray | None] | None = None  # stage, its separation
@@ -142,7 +142,7 @@ class RankedRecovery(RecoveryEngine):
         return self._leader.ask(Worker.state)
 
     def restore(self, saved: Checkpoint) -> None:
-        self._progress = self._leader.deal(Worker.restore, saved)
+        self._progress = self._leader.scatter(Worker.restore, saved)
 
     def close(self) -> None:
         if not self._leader.busy:  # else a rank has failed and the others wait for it

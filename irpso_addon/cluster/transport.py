@@ -23,8 +23,8 @@ _POLL_SECONDS = 5e-4  # between polls for an order: a waiting rank leaves its co
 Result = TypeVar("Result")
 
 
-class Agreed(Exception):
-    """An error that every rank raises. ``error``: for rank 0 to report."""
+class CollectiveError(Exception):
+    """An error that all ranks raise together. ``error``: for rank 0 to report."""
 
     def __init__(self, error: IrpsoError):
         super().__init__(str(error))
@@ -66,22 +66,22 @@ class Ranks:
         some = self._world.Split(0 if included else self._mpi.UNDEFINED, self.rank)
         return Ranks(self._mpi, some) if included else None
 
-    def all(self, value: Result) -> list[Result]:
+    def allgather(self, value: Result) -> list[Result]:
         """Return, on every rank, the values of all ranks in their order (MPI allgather)."""
         return self._world.allgather(value) if self._world else [value]
 
-    def given(self, value: Any = None, by: int = 0) -> Any:
-        """Return, on every rank, the value of rank ``by`` (MPI broadcast)."""
-        return self._world.bcast(value, root=by) if self._world else value
+    def broadcast(self, value: Any = None, root: int = 0) -> Any:
+        """Return, on every rank, the value of rank ``root`` (MPI broadcast)."""
+        return self._world.bcast(value, root=root) if self._world else value
 
     def agreed(self, work: Callable[[], Result]) -> Result:
-        """Return the result of ``work``; if it raises an IrpsoError on a rank, raise Agreed on all, naming it."""
+        """Return the result of ``work``; if a rank raises IrpsoError, raise CollectiveError, naming it, on all."""
         error: IrpsoError | None = None
         try:
             result = work()
         except IrpsoError as raised:
             error = raised
-        errors = self.all(None if error is None else (type(error), str(error), self.name))
+        errors = self.allgather(None if error is None else (type(error), str(error), self.name))
         failed = [each for each in errors if each is not None]
         if not failed:
             return result
@@ -89,7 +89,7 @@ class Ranks:
             kind, text, name = failed[0]
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             error = (GpuUnavailableError if kind is GpuUnavailableError else InputError)(f"{name}{more}: {text}")
-        raise Agreed(error)
+        raise CollectiveError(error)
 
     def order(self, order: Any) -> None:
         """Send every other rank an order."""
@@ -102,7 +102,7 @@ class Ranks:
             time.sleep(_POLL_SECONDS)
         return self._world.recv(source=0, tag=_COMMAND)
 
-    def collected(self, arrays: Mapping[str, np.ndarray] | None) -> Iterator[dict[str, np.ndarray] | None]:
+    def gathered(self, arrays: Mapping[str, np.ndarray] | None) -> Iterator[dict[str, np.ndarray] | None]:
         """Yield on rank 0 the arrays of each rank in their order, or None; on the others send ``arrays``.
 
         Rank 0 must take all of them.
@@ -113,7 +113,7 @@ class Ranks:
         own = None if arrays is None else dict(arrays)
         return itertools.chain([own], (self._receive_arrays(rank) for rank in range(1, self.size)))
 
-    def dealt(self, arrays: list[Mapping[str, np.ndarray] | None]) -> dict[str, np.ndarray] | None:
+    def scattered(self, arrays: list[Mapping[str, np.ndarray] | None]) -> dict[str, np.ndarray] | None:
         """Return, on each rank, its own of rank 0's arrays (MPI scatter); the other ranks' argument is ignored."""
         if not self.leads:
             return self._receive_arrays(0)

@@ -41,8 +41,8 @@ class Orders(Protocol):
     ) -> Result:
         """Have all ranks call the method with the same arguments; return rank 0's result."""
 
-    def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """Have rank 0 call the method with a large value, the other ranks with None; return rank 0's result."""
+    def scatter(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
+        """Have rank 0 call a method that scatters the value, the other ranks with None; return rank 0's result."""
 
 
 class Worker:
@@ -76,18 +76,18 @@ class Worker:
         """Make a second sample stack, of zeros."""
         self._second = None  # freed first
         photographs = self._stack(second=False)
-        self._second = None if photographs is None else photographs.another()
+        self._second = None if photographs is None else photographs.zeros_like()
 
-    def put(self, given: tuple[int, np.ndarray, bool] | None) -> None:
+    def put(self, sent: tuple[int, np.ndarray, bool] | None) -> None:
         """Replace the samples of one observation; rank 0 passes (number, (H, W, 4), second), the others None."""
-        observation, second = self.ranks.given(given and (given[0], given[2]))
-        part, stack = self._dealt(given and {"layer": given[1]}), self._stack(second)
+        observation, second = self.ranks.broadcast(sent and (sent[0], sent[2]))
+        part, stack = self._scattered(sent and {"layer": sent[1]}), self._stack(second)
         if part is not None and stack is not None:
             stack.put(observation, part["layer"])
 
     def take_guess(self, guess: Mapping[str, np.ndarray] | None) -> None:
         """Set the initial maps of the next recovery, name → (H, W, components); rank 0 passes them."""
-        self._guess = self._dealt(guess)
+        self._guess = self._scattered(guess)
 
     def layer(self, observation: int, second: bool) -> np.ndarray | None:
         """Return (H, W, 4) the samples of one observation."""
@@ -103,7 +103,7 @@ class Worker:
             values = samples.texels(rows[own] - y0, columns[own] - x0)[list(observations)]
             part = {"own": np.flatnonzero(own), "values": values}
         whole = np.zeros((len(observations), len(rows), 4), np.float32)
-        for each in self.ranks.collected(part):
+        for each in self.ranks.gathered(part):
             if each is not None:
                 whole[:, each["own"]] = each["values"]
         return whole
@@ -115,7 +115,7 @@ class Worker:
         if self._box is not None and window is not None and stack is not None:
             lit = stack.subset(np.asarray(observations, np.intp)).lit(window.bake.coverage)
             own = np.packbits(lit[_within(self._box, window)])
-        for box, bits in zip(self.partition.boxes, self.ranks.all(own), strict=True):
+        for box, bits in zip(self.partition.boxes, self.ranks.allgather(own), strict=True):
             if box is not None and bits is not None:
                 width, height = box[2:]
                 mask[part_of(box)] = np.unpackbits(bits, count=width * height).reshape(height, width).astype(bool)
@@ -149,7 +149,7 @@ class Worker:
         if box is not None and part is not None:
             self._pool = self._pool_of(box, part, brightness, (schedule, seed, entry), {**self.fixed, **held})
         self._guess = None
-        places = self.ranks.all(None if self._pool is None else self._pool.tiles[0].place)
+        places = self.ranks.allgather(None if self._pool is None else self._pool.tiles[0].place)
         self.places: dict[int, Place] = {rank: place for rank, place in enumerate(places) if place is not None}
         if self._pool is not None and team is not None:
             transport = RankTransport(self.ranks, team, self.places, self.domain.seams is not None)
@@ -194,14 +194,14 @@ class Worker:
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank."""
         own = None if self._pool is None else (self._pool.active.mean_error(), self._pool.tiles[0].solved)
-        errors = [each for each in self.ranks.all(own) if each is not None]
+        errors = [each for each in self.ranks.allgather(own) if each is not None]
         return float(np.average([error for error, _ in errors], weights=[max(1, solved) for _, solved in errors]))
 
     def state(self) -> Checkpoint | None:
         """Return the state of the whole domain."""
         own = None if self._pool is None else self._pool.active.state()
-        stage, iteration = self.ranks.given(own and (own.stage, own.iteration), self._first_working)
-        parts = self.ranks.collected(None if own is None else own.arrays)
+        stage, iteration = self.ranks.broadcast(own and (own.stage, own.iteration), self._first_working)
+        parts = self.ranks.gathered(None if own is None else own.arrays)
         if not self.ranks.leads:
             return None
         numbers = numbered(self.domain.solvable)
@@ -210,14 +210,14 @@ class Worker:
 
     def restore(self, saved: Checkpoint | None) -> Progress:
         """Continue from the state that ``state`` returned on rank 0; the others pass None."""
-        at = self.ranks.given(saved and (saved.stage, saved.iteration, saved.evaluations))
+        at = self.ranks.broadcast(saved and (saved.stage, saved.iteration, saved.evaluations))
         parts: list[Mapping[str, np.ndarray] | None] = []
         if saved is not None:
             numbers = numbered(self.domain.solvable)
             for place in map(self.places.get, range(self.ranks.size)):
                 indices = None if place is None else held_rows(numbers, place)
                 parts.append(None if indices is None else {name: rows[indices] for name, rows in saved.arrays.items()})
-        arrays = self.ranks.dealt(parts)
+        arrays = self.ranks.scattered(parts)
         if self._pool is not None and self._driver is not None and arrays is not None:
             stage, iteration, evaluations = at
             own, recovery = self._pool.tiles[0], self._pool.active
@@ -228,15 +228,16 @@ class Worker:
 
     def renderers(self) -> list[str]:
         """Return the names of all ranks' devices."""
-        return self.ranks.all(str(context.describe()["renderer"]))
+        return self.ranks.allgather(str(context.describe()["renderer"]))
 
     def sent(self) -> list[tuple[int, int]]:
         """Return the messages and bytes that each rank has sent as halos."""
-        return self.ranks.all(self.ranks.sent)
+        return self.ranks.allgather(self.ranks.sent)
 
     def digest(self) -> int:
         """Return the 64-bit digest of all solved texels' samples, for any division of the domain."""
-        return sum(self.ranks.all(0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain))) % 2**64
+        own = 0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain)
+        return sum(self.ranks.allgather(own)) % 2**64
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
@@ -275,7 +276,7 @@ class Worker:
             counted = np.zeros(part.shape, bool)
             counted[own_of(part)] = True
             own = prepare.brightness_sums(part, counted & part.solvable)
-        sums, counts = zip(*(each for each in self.ranks.all(own) if each is not None), strict=True)
+        sums, counts = zip(*(each for each in self.ranks.allgather(own) if each is not None), strict=True)
         return prepare.brightness_of(self.domain, np.sum(sums, axis=0), sum(counts))
 
     def _shared_progress(self) -> Progress:
@@ -285,7 +286,7 @@ class Worker:
             progress = self._pool.active.progress
             each = progress.evaluations // max(1, self._pool.tiles[0].solved)
             progress = replace(progress, evaluations=each * self._total)
-        self._progress = self.ranks.given(progress, self._first_working)
+        self._progress = self.ranks.broadcast(progress, self._first_working)
         return self._progress
 
     def _stack(self, second: bool) -> SampleStack | None:
@@ -301,19 +302,19 @@ class Worker:
             return None
         return stack.window(*_within(self._box, window))
 
-    def _dealt(self, maps: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray] | None:
+    def _scattered(self, maps: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray] | None:
         """Return, on each rank, its window of rank 0's name → (H, W, …); None on a rank without texels."""
         parts: list[Mapping[str, np.ndarray] | None] = []
         if maps is not None:
             shape, halo = self.partition.whole.shape, self.partition.halo
             windows = [box and part_of(around(shape, box, halo)) for box in self.partition.boxes]
             parts = [part and {name: value[part] for name, value in maps.items()} for part in windows]
-        return self.ranks.dealt(parts)
+        return self.ranks.scattered(parts)
 
     def _pasted(self, parts: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
         """Return, on rank 0, name → (H, W, …) joined from the ranks' own (h, w, …), 0 where there is none."""
         whole: dict[str, np.ndarray] = {}
-        for box, arrays in zip(self.partition.boxes, self.ranks.collected(parts), strict=False):
+        for box, arrays in zip(self.partition.boxes, self.ranks.gathered(parts), strict=False):
             if box is None or arrays is None:
                 continue
             for name, value in arrays.items():

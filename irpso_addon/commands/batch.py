@@ -20,7 +20,7 @@ from ..core.errors import CheckpointError, InputError
 from ..core.files import write_json
 from ..core.steps import run_steps
 from ..pipeline.drive import CHECKPOINT
-from ..pipeline.ranks import refused
+from ..pipeline.ranks import leave_with_error
 from ..results.report import plain
 from ..results.write import REPORT
 from . import recover
@@ -66,7 +66,7 @@ def run(options: Namespace) -> dict:
     ranks = joined()
     if ranks is not None:
         error = InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
-        return refused(ranks, options, error)
+        return leave_with_error(ranks, options, error)
     jobs = read_list(Path(options.list), options.parse)
     output = Path(options.output)
     if options.only is not None:

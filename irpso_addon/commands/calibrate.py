@@ -111,7 +111,7 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
     spec, keys = _photographs(options, keys, [])
     result = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
     kind = "near lights, with their positions," if result.near else "distant lights"
-    line = f"{len(result.lights)} {kind} by the shading of '{mesh.name}'; {_errors(result.found.degrees)}"
+    line = f"{len(result.lights)} {kind} by the shading of '{mesh.name}'; {_errors(result.fit.degrees)}"
     return _written_without_ball(options, spec, keys, result, line)
 
 
@@ -129,7 +129,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     card = {} if stated else {CARD_DISTANCE: result.capture.card_distance}
     line = (
         f"{len(result.lights)} near lights, with their positions, by their fall-off over a flat card;"
-        f" {_errors(result.found.degrees)}, and {result.distance_error:.0%} of their distance"
+        f" {_errors(result.fit.degrees)}, and {result.distance_error:.0%} of their distance"
     )
     return _written_without_ball(options, spec, keys, result, line, card)
 
@@ -228,7 +228,7 @@ def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
     errors = [light.error for light in result.lights if light.light is not None]
     camera = result.views[0].ball.camera
     lines = [f"{len(errors)} lights of {len(calibrated.names)} photographs, {result.how}", _errors(np.array(errors))]
-    for ball in calibrated.found:
+    for ball in calibrated.found_balls:
         x, y = ball.centre[0], camera.height - ball.centre[1]
         shadow_text = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
         lines.append(

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..blender.images import decode
 from ..calibration.developing.greys import AUTO
-from ..calibration.developing.measure import Output, SearchedCard, Wanted
+from ..calibration.developing.measure import MeasureOptions, Output, SearchedCard
 from ..calibration.developing.write import develop_steps
 from ..calibration.radiometry.frames import Patch
 from ..calibration.radiometry.source import Exposing, read_source
@@ -36,12 +36,12 @@ def run(options: Namespace) -> dict:
     """Develop all photographs into a new folder. Raises InputError and then writes nothing."""
     out = Path(options.output)
     check_unused(out)
-    wanted = _wanted(options)
-    exposing, colour_space = wanted.exposing, options.colour_space
-    source = read_source(options.capture, decode, exposing, colour_space, wanted.left_out, options.bursts)
+    measuring = _measure_options(options)
+    exposing, colour_space = measuring.exposing, options.colour_space
+    source = read_source(options.capture, decode, exposing, colour_space, measuring.left_out, options.bursts)
     bar = ProgressBar("develop", silent(options))
     settings = {k: v for k, v in vars(options).items() if k not in ("command", "json", "quiet") and v}
-    report = bar.run(develop_steps(ImageStore(decode), source, wanted, out, settings), tuple)
+    report = bar.run(develop_steps(ImageStore(decode), source, measuring, out, settings), tuple)
     warn(report["warnings"])
     summary = {key: report[key] for key in _SHOWN if key in report}
     if options.bursts and not silent(options):
@@ -56,13 +56,13 @@ def run(options: Namespace) -> dict:
     return {"output": options.output, **summary, "images": len(source.shots)}
 
 
-def _wanted(options: Namespace) -> Wanted:
-    """Return the options as ``Wanted``. Raises InputError naming the option."""
+def _measure_options(options: Namespace) -> MeasureOptions:
+    """Return the options as ``MeasureOptions``. Raises InputError naming the option."""
     corners: np.ndarray | str | None = None
     if options.colour_chart:
         auto = options.colour_chart == AUTO
         corners = AUTO if auto else corners_option("--colour-chart", options.colour_chart)
-    return Wanted(
+    return MeasureOptions(
         response=Path(options.response) if options.response else None,
         greys=greys_option(options.grey_card),
         chart=Path(options.chart) if options.chart else None,

@@ -38,13 +38,13 @@ def fill_margin(
     covered: np.ndarray,
     texels: int = MARGIN_TEXELS,
     far: tuple[float, ...] | None = None,
-    given: np.ndarray | None = None,
+    keep: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return ``values`` (H, W, C) float32 with every uncovered texel filled.
 
     Texels within ``texels`` (Euclidean) of a covered one take the value of the nearest; the others take ``far`` (C
     numbers), by default the mean of the covered ones, so that the smallest mip levels stay near the map's own colour.
-    covered: (H, W) bool. The former values of uncovered texels, NaN included, are ignored, except where ``given``,
+    covered: (H, W) bool. The former values of uncovered texels, NaN included, are ignored, except where ``keep``,
     (H, W) bool, is True: these texels keep theirs.
     """
     values = np.asarray(values, np.float32)
@@ -54,7 +54,7 @@ def fill_margin(
     result = np.where(covered[..., None], values, np.asarray(mean if far is None else far, np.float32))
     row, column, source_row, source_column = nearest_covered(covered, texels)
     result[row, column] = values[source_row, source_column]
-    return result if given is None else np.where(given[..., None], values, result)
+    return result if keep is None else np.where(keep[..., None], values, result)
 
 
 def nearest_covered(

@@ -23,7 +23,7 @@ def run_steps(steps: Generator[Step, None, T], each: Callable[[Step], object] = 
         each(step)
 
 
-def at_once(name: str, steps: Callable[P, Generator[Any, None, T]]) -> Callable[P, T]:
+def blocking(name: str, steps: Callable[P, Generator[Any, None, T]]) -> Callable[P, T]:
     """Return the function ``name`` that takes the arguments of ``steps``, runs them all and returns their result."""
 
     @functools.wraps(steps)

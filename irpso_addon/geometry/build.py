@@ -12,11 +12,11 @@ import numpy as np
 
 from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
+from ..capture.card import card_depth
 from ..capture.noise import NoiseEstimate
-from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
-from ..core.steps import at_once
+from ..core.steps import blocking
 from .domain import Domain, GeometryBake, domain_of, flat_bake
 from .light.light_shape import beam_correction
 from .light.shadows import ShadowCaster, texel_size
@@ -43,7 +43,7 @@ def card_steps(
     and origin equal those of ``tile``. Raises InputError for several cameras, near lights without the card's distance,
     images of another size or, without a window, no lit texel; ValueError where the window leaves the domain.
     """
-    yield from _settling(capture)
+    yield from _encoding_steps(capture)
     camera = capture.cameras[0]
     bake, noise = card_bake(capture), NoiseEstimate(capture)
     x0, y0, width, height = window or (0, 0, *bake.coverage.shape[::-1])
@@ -73,7 +73,7 @@ def card_steps(
     return replace(domain, origin=(x0, y0))
 
 
-domain_from_card = at_once("domain_from_card", card_steps)
+domain_from_card = blocking("domain_from_card", card_steps)
 
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
@@ -93,10 +93,10 @@ def card_lights(capture: Capture) -> np.ndarray:
     return np.array([_light(observation.light, inverse) for observation in capture.observations], np.float32)
 
 
-def _settling(capture: Capture) -> Generator[None, None, None]:
+def _encoding_steps(capture: Capture) -> Generator[None, None, None]:
     """Yield before each image that is read to determine the encoding of the files."""
     if capture.encoding is not None:
-        yield from capture.encoding.settling()
+        yield from capture.encoding.resolve_steps()
 
 
 def _at_origin(camera: Camera) -> Camera:
@@ -144,7 +144,7 @@ def mesh_steps(
     ValueError where the window leaves the domain.
     """
     _check_masks(capture)
-    yield from _settling(capture)
+    yield from _encoding_steps(capture)
     bake, seams = surface or mesh_surface(mesh, width, height, allow_overlap)
     texel = texel_size(mesh, bake)
     if window is not None:
@@ -166,7 +166,7 @@ def mesh_steps(
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
 
 
-domain_from_mesh = at_once("domain_from_mesh", mesh_steps)
+domain_from_mesh = blocking("domain_from_mesh", mesh_steps)
 
 
 def mesh_surface(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> Surface:

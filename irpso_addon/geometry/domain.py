@@ -37,7 +37,7 @@ class GeometryBake:
         bitangent = tangent[..., 3:] * np.cross(normal, tangent[..., :3])
         return np.stack([tangent[..., :3], bitangent, normal], axis=-2)
 
-    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> GeometryBake:
+    def map_arrays(self, change: Callable[[np.ndarray], np.ndarray]) -> GeometryBake:
         """Return the geometry with ``change`` applied to each array."""
         return GeometryBake(**{item.name: change(getattr(self, item.name)) for item in fields(GeometryBake)})
 
@@ -173,7 +173,7 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
         seams = tile_seams(seams, domain.solvable, *frames, domain.origin, box, halo)
     return replace(
         domain,
-        bake=domain.bake.each(lambda values: values[part]),
+        bake=domain.bake.map_arrays(lambda values: values[part]),
         stack=domain.stack.window(*part),
         solvable=domain.solvable[part],
         origin=(domain.origin[0] + x0 - left, domain.origin[1] + y0 - bottom),

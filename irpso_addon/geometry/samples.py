@@ -33,7 +33,7 @@ class SampleStack(Protocol):
     def layers(self) -> Iterator[np.ndarray]:
         """Yield the samples of every observation, as ``layer`` returns them."""
 
-    def another(self, scratch: Path | None = None) -> SampleStack:
+    def zeros_like(self, scratch: Path | None = None) -> SampleStack:
         """Return a stack of zeros with this shape and kind of store, to be filled by ``put``.
 
         scratch: folder of a mapped file, None for memory; a stack over ranks ignores it.
@@ -75,7 +75,7 @@ class ArrayStack:
         """Yield the samples of every observation."""
         return iter(self.values)
 
-    def another(self, scratch: Path | None = None) -> ArrayStack:
+    def zeros_like(self, scratch: Path | None = None) -> ArrayStack:
         """Return a stack of zeros with this shape, in memory or mapped from a file in the folder ``scratch``."""
         return new_stack(*self.shape, scratch)
 

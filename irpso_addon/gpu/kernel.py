@@ -44,8 +44,8 @@ class Kernel:
 
     The function is not called kernel because that is a keyword of Metal, into which Blender translates it on macOS.
     source: path under shaders/ or of the user's own. outputs: at most 6 textures, all of one size. samplers: name →
-    FLOAT_2D, FLOAT_2D_ARRAY or Packed. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. given:
-    name of an #include → its text (generated declarations) or the path of its file (a model).
+    FLOAT_2D, FLOAT_2D_ARRAY or Packed. constants: name → INT or FLOAT (128 bytes in all). defines: name → value.
+    includes: name of an #include → its text (generated declarations) or the path of its file (a model).
     """
 
     source: str | Path
@@ -53,7 +53,7 @@ class Kernel:
     samplers: Samplers
     constants: Mapping[str, str]
     defines: Defines
-    given: Includes = field(default_factory=dict)
+    includes: Includes = field(default_factory=dict)
 
     @property
     def targets(self) -> list[tuple[str, str]]:

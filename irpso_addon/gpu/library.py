@@ -12,15 +12,15 @@ from ..core.paths import SHADERS
 _INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"[ \t]*$', re.M)
 
 
-def read_source(path: str | Path, given: Mapping[str, str | Path] = {}) -> str:
+def read_source(path: str | Path, includes: Mapping[str, str | Path] = {}) -> str:
     """Return a GLSL file after the files it includes, each file once and whole, with #line marks.
 
     An include acts at the top of its file, wherever it stands: Blender's error messages use the last
-    ``#line 1 "file"``, so every file must be one piece. The search order of names is ``given`` (name → text, or the
+    ``#line 1 "file"``, so every file must be one piece. The search order of names is ``includes`` (name → text, or the
     path of another file), the including file's folder, the shipped shaders/.
     Raises ShaderError with file and line where a name is not found.
     """
-    return "\n".join(_expand(_find(str(path), None, given, "shader library", 0), given, set())) + "\n"
+    return "\n".join(_expand(_find(str(path), None, includes, "shader library", 0), includes, set())) + "\n"
 
 
 def defined(path: str, prefix: str = "") -> dict[str, int | float]:
@@ -29,7 +29,7 @@ def defined(path: str, prefix: str = "") -> dict[str, int | float]:
     return {name: float(value) if re.search("[.e]", value) else int(value) for name, value in found}
 
 
-def _expand(source: Path | tuple[str, str], given: Mapping[str, str | Path], seen: set) -> list[str]:
+def _expand(source: Path | tuple[str, str], includes: Mapping[str, str | Path], seen: set) -> list[str]:
     seen.add(source)
     if isinstance(source, Path):
         # A short label: quotes or backslashes of a full path would break #line.
@@ -40,17 +40,17 @@ def _expand(source: Path | tuple[str, str], given: Mapping[str, str | Path], see
         folder = None
     before: list[str] = []
     for match in _INCLUDE.finditer(text):
-        included = _find(match.group(1), folder, given, label, text.count("\n", 0, match.start()) + 1)
+        included = _find(match.group(1), folder, includes, label, text.count("\n", 0, match.start()) + 1)
         if included not in seen:
-            before += _expand(included, given, seen)
+            before += _expand(included, includes, seen)
     return [*before, f'#line 1 "{label}"', _INCLUDE.sub("", text).removesuffix("\n")]
 
 
 def _find(
-    name: str, folder: Path | None, given: Mapping[str, str | Path], label: str, line: int
+    name: str, folder: Path | None, includes: Mapping[str, str | Path], label: str, line: int
 ) -> Path | tuple[str, str]:
-    if name in given:
-        value = given[name]
+    if name in includes:
+        value = includes[name]
         return value.resolve() if isinstance(value, Path) else (name, value)
     for path in (Path(name) if folder is None else folder / name, SHADERS / name):
         if path.is_file():

@@ -76,7 +76,7 @@ class Pass:
             lambda: self.fence(targets), counted,
         )  # fmt: skip
 
-    def at_once(
+    def in_one_draw(
         self,
         bands: Bands,
         targets: Sequence[Texture],

@@ -115,7 +115,7 @@ def program_of(kernel: Kernel, entry: Entry) -> Program:
 
 def source_of(kernel: Kernel) -> str:
     """Return the GLSL of a kernel with its includes, without Blender's declarations and without an entry."""
-    source = read_source(kernel.source, kernel.given)
+    source = read_source(kernel.source, kernel.includes)
     return _packed_functions(kernel, source) + source
 
 

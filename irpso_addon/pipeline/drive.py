@@ -64,7 +64,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
                 # One iteration of a large domain may take minutes, so it is cut into bands; whole ones are faster.
                 budget = _SLICE_SECONDS if iterations == 1 else None
                 progress = recovery.step(history.until_next(iterations), budget)
-            history.look()
+            history.record_due()
             rate = (progress.evaluations - evaluations_before) / max(bar.seconds, 1e-9) / 1e6
             left = time_left.after(bar.seconds, progress)
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s", left)
@@ -104,7 +104,7 @@ class _Saver:
         """Write a checkpoint. Raises InputError where it cannot be written."""
         if self.turns:  # late tiles catch up; else the history misses a measurement after a resume
             self._recovery.step(0)
-            self._history.look()
+            self._history.record_due()
         more = self._recovery.save(path, {**self._history.notes, _ELAPSED: np.array(self.seconds)}, running)
         self._saved_stage = None if more else self._recovery.progress.stage
 

@@ -32,10 +32,10 @@ _UP = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class FlatCard:
-    """Near lights calibrated over a card. capture: with them and ``card_distance`` in their unit. found: the fit."""
+    """Near lights calibrated over a card. capture: with them and ``card_distance`` in their unit. fit: of the lamps."""
 
     capture: Capture
-    found: LampFit
+    fit: LampFit
     warnings: tuple[str, ...] = ()
 
     @property
@@ -46,7 +46,7 @@ class FlatCard:
     @property
     def distance_error(self) -> float:
         """Mean standard error of the lamps' distances, as a fraction."""
-        return float(self.found.distance_errors.mean())
+        return float(self.fit.distance_errors.mean())
 
     def report(self) -> dict[str, Any]:
         """Return the table of the report."""
@@ -55,8 +55,8 @@ class FlatCard:
             "near": True,
             "how": "by the fall-off of near lights over a flat card",
             "card_distance": self.capture.card_distance,
-            "misfit": round(self.found.misfit, 5),
-            "lights": light_rows(self.capture, self.found, near=True),
+            "misfit": round(self.fit.misfit, 5),
+            "lights": light_rows(self.capture, self.fit, near=True),
             "warnings": list(self.warnings),
         }
 

@@ -55,14 +55,14 @@ _BLACK_SHARE = 0.02  # of the 90th percentile of radiance: darker texels are bla
 
 @dataclass(frozen=True)
 class KnownShape:
-    """Lights calibrated over a mesh. capture: with these lights. found: their fit. near: whether they have positions.
+    """Lights calibrated over a mesh. capture: with these lights. fit: of the lamps. near: whether they have positions.
 
     determined: 0 to 1 (``linear_lamps``). mismatch: degrees, median angle between the mesh's normals and those that the
     photographs have under the lights. texels: their number in the fit.
     """
 
     capture: Capture
-    found: LampFit
+    fit: LampFit
     near: bool
     determined: float
     mismatch: float
@@ -76,30 +76,30 @@ class KnownShape:
 
     def report(self) -> dict[str, Any]:
         """Return the table of the report."""
-        rows = light_rows(self.capture, self.found, self.near)
+        rows = light_rows(self.capture, self.fit, self.near)
         return {
             "kind": "shape",
             "near": self.near,
             "how": "by the shading of the mesh",
             "texels": self.texels,
             "determined": round(self.determined, 4),
-            "misfit": round(self.found.misfit, 5),
+            "misfit": round(self.fit.misfit, 5),
             "normals_differ_degrees": round(self.mismatch, 3),
             "lights": rows,
             "warnings": list(self.warnings),
         }
 
 
-def light_rows(capture: Capture, found: LampFit, near: bool) -> list[dict[str, Any]]:
+def light_rows(capture: Capture, fit: LampFit, near: bool) -> list[dict[str, Any]]:
     """Return the report's row of each light, with its standard errors."""
     rows = []
-    strengths, distances = found.errors[:, 3], found.distance_errors
+    strengths, distances = fit.errors[:, 3], fit.distance_errors
     for number, shot in enumerate(capture.observations):
         row = {
             "name": shot.name,
             "position" if near else "direction": list(shot.light.vector),
             "intensity": list(shot.light.intensity),
-            "error_degrees": round(float(found.degrees[number]), 3),
+            "error_degrees": round(float(fit.degrees[number]), 3),
             "strength_error": round(float(strengths[number]), 4),
         }
         rows.append({**row, "distance_error": round(float(distances[number]), 4)} if near else row)
@@ -239,13 +239,13 @@ def _check_known(capture: Capture, mesh: MeshData, fit: LampFit, determined: flo
         )
 
 
-def check_explained(capture: Capture, found: LampFit, subject: str) -> None:
+def check_explained(capture: Capture, fit: LampFit, subject: str) -> None:
     """Raise InputError, naming the photograph, where the fit explains too little of its radiance."""
-    worst = int(found.explained.argmin())
-    if not found.explained[worst] >= _LEAST_EXPLAINED:
+    worst = int(fit.explained.argmin())
+    if not fit.explained[worst] >= _LEAST_EXPLAINED:
         raise InputError(
             f"'{capture.observations[worst].name}': matt shading of {subject} explains only"
-            f" {found.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
+            f" {fit.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"
         )
 
 

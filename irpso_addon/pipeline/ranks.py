@@ -16,7 +16,7 @@ from ..capture.inspect.damage import with_skip_remedy
 from ..cluster.agreement import abort_together, check_alike, choose_device
 from ..cluster.partition import Partition, Split, around, check_fits, check_gathered, split
 from ..cluster.recovery import Leader, RankedRecovery, serve
-from ..cluster.transport import Agreed, Ranks
+from ..cluster.transport import CollectiveError, Ranks
 from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError
 from ..core.optional import present
@@ -110,8 +110,8 @@ def run_on_ranks(
                 result = lead(run)
             else:
                 result = {"exit_code": _serve_orders(worker)}
-    except Agreed as agreed:
-        return refused(ranks, options, agreed.error)
+    except CollectiveError as collective:
+        return leave_with_error(ranks, options, collective.error)
     except BaseException as error:
         if leader is not None:  # the other ranks wait for an order
             leader.end(error.exit_code if isinstance(error, IrpsoError) else 130)
@@ -123,7 +123,7 @@ def run_on_ranks(
     return result
 
 
-def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
+def leave_with_error(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
     """Leave the MPI job after an error of all ranks: rank 0 raises it, the others return an exit code."""
     ranks.close()
     if ranks.leads:
@@ -150,7 +150,7 @@ def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worke
     ranks.agreed(context.ensure)
     # Rank 0 splits the geometry itself: devices may differ in texels at a border.
     surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
-    division = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
+    division = ranks.broadcast(ranks.agreed(lambda: _split(ranks, job, surface)))
     ranks.agreed(lambda: _check_fits(ranks, job, division, sharing, options.checkpoint_every is not None))
     if options.dry_run:
         return None, division
@@ -201,9 +201,9 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
     window = ranks.agreed(read)
     lights_only = None  # the lights and views of all ranks, with 0 × 0 texels
     if window is not None:
-        none = window.bake.each(lambda values: values[:0, :0])
+        none = window.bake.map_arrays(lambda values: values[:0, :0])
         lights_only = with_texels(window, none, np.zeros((window.observations, 0, 0, 4)))
-    of_all = ranks.given(lights_only)
+    of_all = ranks.broadcast(lights_only)
     whole = replace(of_all, bake=bake, seams=seams)
     return Partition(whole, division.boxes, division.halo, window)
 

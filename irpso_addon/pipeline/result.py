@@ -48,22 +48,22 @@ class ResultMaps:
     height: Height | None
 
 
-def result_maps(run: Run, maps: Maps, wanted: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
+def result_maps(run: Run, maps: Maps, extras: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
     """Return the last ``maps`` of the run, with derived maps. Raises InputError where one cannot be made."""
     job, domain = run.job, present(run.domain)
-    wanted.check(maps.model)
+    extras.check(maps.model)
     written = maps if job.mesh is None else blender_maps(maps, job.mesh, surface_bake(domain.bake), domain.seams)
-    derived, height = derived_maps(wanted, maps, written, domain.bake, job.mesh, job.capture.cameras[0])
+    derived, height = derived_maps(extras, maps, written, domain.bake, job.mesh, job.capture.cameras[0])
     if (share := run.indirect_share) is not None:
         derived.append(indirect_map(share, maps.covered))
     return ResultMaps(maps, written, derived, height)
 
 
 def report_of(
-    run: Run, found: ResultMaps, settings: Mapping[str, Any], seconds: float, warnings: list[str] | None = None
+    run: Run, recovered: ResultMaps, settings: Mapping[str, Any], seconds: float, warnings: list[str] | None = None
 ) -> dict[str, Any]:
     """Return the report. settings: the user's. seconds, warnings: of the search."""
-    job, maps, progress, domain = run.job, found.solver, present(run.progress), present(run.domain)
+    job, maps, progress, domain = run.job, recovered.solver, present(run.progress), present(run.domain)
     run.relight(maps)
     report = build_report(
         maps, settings={**settings, "preset": asdict(job.schedule), **run.settings}, seed=job.seed,
@@ -71,10 +71,10 @@ def report_of(
         seconds={**run.seconds, "solve": seconds}, ground_truth=run.truth, noise=domain.noise,
     )  # fmt: skip
     priors = job.schedule.fitness.priors
-    doubts = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
-    doubts += [*run.doubts, *_unseen_warnings(domain, maps)]
+    quality = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
+    quality += [*run.warnings, *_unseen_warnings(domain, maps)]
     faults = [*job.warnings, *capture_warnings(job.capture)]
-    report |= run.findings | run.relit[1] | {"warnings": [*doubts, *faults, *(warnings or [])]}
+    report |= run.findings | run.relit[1] | {"warnings": [*quality, *faults, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
     if priors and (shares := prior_shares(maps, job.fixed)):
@@ -84,7 +84,7 @@ def report_of(
     report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
     if run.lights is not None:
         report["lights"] = run.lights.report(job.numbers)
-    return report | ({} if found.height is None else {"height": found.height.described()})
+    return report | ({} if recovered.height is None else {"height": recovered.height.described()})
 
 
 def _unseen_warnings(domain: Domain, maps: Maps) -> list[str]:
@@ -123,12 +123,12 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     return [*warnings, text] if text else warnings
 
 
-def pictures_of(run: Run, found: ResultMaps) -> dict[str, np.ndarray]:
+def pictures_of(run: Run, recovered: ResultMaps) -> dict[str, np.ndarray]:
     """Return file stem → (H, W, 3) display values: renders beside photographs, confidence, held-out observations."""
-    run.relight(found.solver)
+    run.relight(recovered.solver)
     names = preview_names(run.job.capture, run.job.unseen)
-    preview = error_preview(present(run.domain), found.solver, run.truth, names, run.indirect)
-    return {"preview": preview} | confidence_preview(found.solver) | run.relit[0]
+    preview = error_preview(present(run.domain), recovered.solver, run.truth, names, run.indirect)
+    return {"preview": preview} | confidence_preview(recovered.solver) | run.relit[0]
 
 
 def subject_of(job: Job) -> Any:

@@ -65,7 +65,7 @@ class Run:
 
     domain, fitted, recovery: None before ``open`` and after ``close``. fixed, truth: the job's, in the frames of the
     domain's texels. lights: None where they stay as given. seconds: of each step. progress, settings, findings,
-    doubts: of the last ``maps``, for the report.
+    warnings: of the last ``maps``, for the report.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Run:
         self.progress: Progress | None = None
         self.settings: dict[str, Any] = {}
         self.findings: dict[str, Any] = {}
-        self.doubts: tuple[str, ...] = ()
+        self.warnings: tuple[str, ...] = ()
         self._plan: Plan | None = None
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
         self._unseen_indirect: Callable[[int], np.ndarray | float] = lambda held_out: 0.0
@@ -116,7 +116,7 @@ class Run:
         """Return the maps so far, in the solver's frames. confidence: as for a recovery."""
         recovery = present(self.recovery)
         self.progress, self.settings = recovery.progress, self._described(recovery)
-        self.findings, self.doubts = recovery.findings, recovery.warnings
+        self.findings, self.warnings = recovery.findings, recovery.warnings
         return with_modes(recovery.maps(confidence))
 
     def indirect(self, observation: int) -> np.ndarray | float:

@@ -39,7 +39,7 @@ def normal_maps(
     maps = []
     for space, vectors in spaces.items():
         flat = FLAT_NORMAL if space == "directx" else None
-        values = fill_margin(vectors, covered, far=flat, given=margin if space == "directx" else None)
+        values = fill_margin(vectors, covered, far=flat, keep=margin if space == "directx" else None)
         if space == "directx":
             encoded = encode_normal(values * np.array([1, -1, 1], np.float32))
             maps.append(DerivedMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))

@@ -78,7 +78,7 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
         for p in table.parameters
     ]
     far = FLAT_NORMAL if table.is_normal else None
-    return fill_margin(np.concatenate(values, axis=-1), maps.covered, far=far, given=maps.margin)
+    return fill_margin(np.concatenate(values, axis=-1), maps.covered, far=far, keep=maps.margin)
 
 
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:

@@ -62,15 +62,15 @@ def build_report(
     return report
 
 
-def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
-    """Return one line per linear weight, not in ``given``, that is at its upper limit on many texels.
+def limit_warnings(maps: Maps, fixed: Collection[str] = ()) -> list[str]:
+    """Return one line per linear weight, not in ``fixed``, that is at its upper limit on many texels.
 
     No surface reflects more than all light. A capture with missing or wrong intensities is often brighter than a white
     surface, which biases normals (by 37° in the mean at five times the brightness).
     """
     lines = []
     for parameter in maps.model.parameters:
-        if parameter.kind != "linear" or parameter.name in given or not maps.covered.any():
+        if parameter.kind != "linear" or parameter.name in fixed or not maps.covered.any():
             continue
         limit = parameter.range[1]
         share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= limit * (1 - _LIMIT_NEAR)).mean())
@@ -101,15 +101,15 @@ def mode_warnings(maps: Maps, priors: bool) -> list[str]:
     return lines
 
 
-def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
-    """Return, for each parameter with a prior and not in ``given``, the fraction of texels where the prior decided.
+def prior_shares(maps: Maps, fixed: Collection[str] = ()) -> dict[str, float]:
+    """Return, for each parameter with a prior and not in ``fixed``, the fraction of texels where the prior decided.
 
     A prior decides where its precision exceeds that of the samples. The maps' variance already contains a normal
     prior's precision: such a prior decides where more than half of its own variance remains.
     """
     model, shares = maps.model, {}
     for p in model.parameters:
-        if p.prior is None or p.name in given or maps.confidence is None or not maps.covered.any():
+        if p.prior is None or p.name in fixed or maps.confidence is None or not maps.covered.any():
             continue
         place = None
         if p.prior.vanishes_with:

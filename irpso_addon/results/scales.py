@@ -22,14 +22,14 @@ def round_down(value: float) -> float:
     return next(step * power for step in reversed(_ROUND) if step * power <= value * (1 + 1e-9))
 
 
-def steady_limit(wanted: float, former: float) -> float:
-    """Return a round limit near ``wanted``, or the former limit (0 for none) while that is close enough."""
-    if not (math.isfinite(wanted) and wanted > 0):
+def steady_limit(exact: float, former: float) -> float:
+    """Return a round limit near ``exact``, or the former limit (0 for none) while that is close enough."""
+    if not (math.isfinite(exact) and exact > 0):
         return former or 1.0
-    if former > 0 and _HOLD_BELOW * former <= wanted <= _HOLD_ABOVE * former:
+    if former > 0 and _HOLD_BELOW * former <= exact <= _HOLD_ABOVE * former:
         return former
-    below, above = round_down(wanted), round_up(wanted)
-    return below if wanted / below <= above / wanted else above
+    below, above = round_down(exact), round_up(exact)
+    return below if exact / below <= above / exact else above
 
 
 def linear_ticks(low: float, high: float, most: int) -> list[float]:

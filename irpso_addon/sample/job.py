@@ -67,7 +67,7 @@ def sample_steps(request: Request, folder: Path, samples: int = _SAMPLES) -> Gen
     cannot be written. The open file's scenes do not change. Same request, samples and machine: same bytes.
     """
     check_unused(folder)
-    arrangement = layout.arranged(request.size, request.photographs, request.seed)
+    arrangement = layout.make_layout(request.size, request.photographs, request.seed)
     steps = request.photographs + 2
     yield Step("building", 0.0)
     with new_folder(folder) as partial, table_top.own_scene(_SCENE) as scene:

@@ -47,7 +47,7 @@ class Layout:
         return math.degrees(2 * math.atan(self.camera.width / 2 / self.camera.scale[0]))
 
 
-def arranged(size: tuple[int, int], photographs: int, seed: int) -> Layout:
+def make_layout(size: tuple[int, int], photographs: int, seed: int) -> Layout:
     """Return the layout for a size in pixels and a number of photographs. seed: of the hand's deviations."""
     width, height = size
     focal = focal_in_pixels(FOCAL_35MM, width, height)

@@ -18,7 +18,7 @@ TRUTH, MAPS, MASK, PLACES, PAGE = "truth", "maps.exr", "tile.png", "places.toml"
 _WHOLE = 0.999  # coverage of a pixel that the tile fills
 
 
-def write_truth(folder: Path, found: layout.Layout, seen: Mapping[str, np.ndarray], names: Sequence[str]) -> None:
+def write_truth(folder: Path, arrangement: layout.Layout, seen: Mapping[str, np.ndarray], names: Sequence[str]) -> None:
     """Write the truth and the page into ``folder``. seen: maps in the camera's view, row 0 at the bottom.
 
     names: of the photographs. Maps are 0 in pixels that the tile does not fill.
@@ -33,9 +33,9 @@ def write_truth(folder: Path, found: layout.Layout, seen: Mapping[str, np.ndarra
         "metallic": {"Y": masked["metallic"]},
     })  # fmt: skip
     encode_png(folder / TRUTH / MASK, mask.astype(np.float64)[..., None], bits=8)
-    (folder / TRUTH / TABLE).write_text("\n".join(_table(found, names)) + "\n", encoding="utf-8")
-    (folder / TRUTH / PLACES).write_text("\n".join(_places(found)) + "\n", encoding="utf-8")
-    (folder / PAGE).write_text(_page(found, len(names)), encoding="utf-8")
+    (folder / TRUTH / TABLE).write_text("\n".join(_table(arrangement, names)) + "\n", encoding="utf-8")
+    (folder / TRUTH / PLACES).write_text("\n".join(_places(arrangement)) + "\n", encoding="utf-8")
+    (folder / PAGE).write_text(_page(arrangement, len(names)), encoding="utf-8")
 
 
 def _table(arrangement: layout.Layout, names: Sequence[str]) -> Iterator[str]:

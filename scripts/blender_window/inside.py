@@ -99,10 +99,10 @@ def button_under_mouse(area_type, region_type):
     return wm.clipboard
 
 
-def find_button(wanted, area_type, region_type="UI"):
+def find_button(call, area_type, region_type="UI"):
     """Move the mouse down a region, in columns, to a button; return its x and y on the screen.
 
-    wanted: a part of the operator's call in Python, or of the property's data path. Raises LookupError, with the
+    call: a part of the operator's call in Python, or of the property's data path. Raises LookupError, with the
     buttons in the region.
     """
     left, top, width, height = region_box(area_type, region_type)
@@ -114,8 +114,8 @@ def find_button(wanted, area_type, region_type="UI"):
             yield
             yield
             does = button_under_mouse(area_type, region_type)
-            if wanted in does:
+            if call in does:
                 return x, y
             seen[does] = None
             yield
-    raise LookupError(f"no button of {wanted!r} in {region_type} of {area_type}; there are: {', '.join(seen)}")
+    raise LookupError(f"no button of {call!r} in {region_type} of {area_type}; there are: {', '.join(seen)}")

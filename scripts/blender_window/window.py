@@ -130,13 +130,13 @@ class Window:
         self.key("Return")
         self.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
 
-    def find_button(self, wanted: str, area: str = "VIEW_3D", region: str = "UI") -> tuple[int, int]:
+    def find_button(self, call: str, area: str = "VIEW_3D", region: str = "UI") -> tuple[int, int]:
         """Return a pixel of a button in a region, found by moving the mouse over it (some seconds).
 
-        wanted: a part of the operator's call in Python (``irpso.recover``) or of the property's data path
+        call: a part of the operator's call in Python (``irpso.recover``) or of the property's data path
         (``irpso.resolution``). Raises FailedInside, naming the buttons in sight; greyed ones are found too.
         """
-        x, y = self.run(f"find_button({wanted!r}, {area!r}, {region!r})", area="", timeout=180)
+        x, y = self.run(f"find_button({call!r}, {area!r}, {region!r})", area="", timeout=180)
         return x, y
 
     def screenshot(self, name: str, box: Box | None = None) -> Path:

@@ -16,7 +16,7 @@ from .matte import Fit, fit_lights
 from .mirror import Sight, find_highlights
 from .near import SIGNIFICANT, Intersection, converge, meet
 from .shading import shading_of
-from .table import Table, gathered
+from .table import Table, radiance_from_table
 
 KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
@@ -120,7 +120,7 @@ def _by_shading(
     shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
     fits, bounce = fit_lights(shadings, centre, free, inverse)
     for tables in _tables(request.tables, bounce):
-        light = [gathered(*one) for one in zip(views, surroundings, tables, strict=True)]
+        light = [radiance_from_table(*one) for one in zip(views, surroundings, tables, strict=True)]
         shaded = [shading_of(views, photograph, light) for photograph in range(len(shadings))]
         other, albedo = fit_lights(shaded, centre, free, inverse)
         if _misfit(other) < _misfit(fits):
@@ -140,7 +140,7 @@ def _by_shading(
         sights = tuple(_brightest(view.ball, fit, intersection) for view in views)
         white = np.asarray(request.albedo) if request.albedo else first
         intensity = triple(np.maximum(fit.radiance / np.maximum(white, 1e-12), 0))
-        warnings = _doubts(fit)
+        warnings = _fit_warnings(fit)
         lights.append(_placed(intersection, sights, views[0].ball, centre, request, near, median, intensity, warnings))
     return Calibration("matte", near, how, _scaled(lights, request), tuple(views), bounce)
 
@@ -181,7 +181,7 @@ def _scaled(lights: list[FoundLight], request: Request) -> tuple[FoundLight, ...
     )
 
 
-def _doubts(fit: Fit) -> list[str]:
+def _fit_warnings(fit: Fit) -> list[str]:
     warnings = []
     if fit.lit < _LEAST_LIT:
         warnings.append(f"the light is behind the ball: it reaches {fit.lit:.0%} of the visible side")

@@ -22,7 +22,7 @@ class Table:
     height: float
 
 
-def gathered(view: BallView, around: Surroundings, table: Table) -> np.ndarray:
+def radiance_from_table(view: BallView, around: Surroundings, table: Table) -> np.ndarray:
     """Return the radiance (K, H, W, 3) of a white matte ball under the table's light alone; 0 outside the ball.
 
     Rays from each point of the ball are distributed as the cosine to its normal. Where a ray meets the table, the

@@ -11,7 +11,7 @@ from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
 from ...core.opencv import opencv
 from ..radiometry.colour_chart import COLUMNS, ROWS
-from ..radiometry.colour_fit import Chart, ColourFit, Mirrored, recognised
+from ..radiometry.colour_fit import Chart, ColourFit, Mirrored, orient_chart
 from .lattice import Lattice, lattices, windows
 from .quads import quads_of
 
@@ -47,7 +47,7 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
         candidates = lattices(quads_of(as_shown(small, exposure)))
         for corners in _corners_of(candidates[:_MOST_LATTICES], small):
             try:
-                ordered, _, fit = recognised(small, corners, where)
+                ordered, _, fit = orient_chart(small, corners, where)
             except Mirrored as error:
                 mirrored = error
                 continue
@@ -62,7 +62,7 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
         if mirrored is not None:
             raise mirrored
         return None
-    return FoundChart(*recognised(rgba, best[1] * factor, where))
+    return FoundChart(*orient_chart(rgba, best[1] * factor, where))
 
 
 def reduced(rgba: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:

@@ -100,7 +100,7 @@ def _lines(measured: Measured, photographs: Sequence[Photograph]) -> Iterator[st
     if corrections.matrix is not None:
         top["matrix"] = corrections.matrix
     if exposing is not None:
-        top["exposure"] = {"by": exposing.by, "merged": exposing.merged, "given": list(exposing.given)}
+        top["exposure"] = {"by": exposing.by, "merged": exposing.merged, "given": list(exposing.exposures)}
     if corrections.response is not None:
         top["response"] = _CURVE
     if corrections.flats[0] is not None:

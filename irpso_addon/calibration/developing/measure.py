@@ -16,7 +16,7 @@ from ...core.errors import InputError
 from ..charts.grey_card import find_grey_card
 from ..charts.search import find_chart
 from ..radiometry.brackets import exif_amount, name_amount
-from ..radiometry.colour_fit import chart_report, chart_warnings, recognised
+from ..radiometry.colour_fit import chart_report, chart_warnings, orient_chart
 from ..radiometry.curve_file import read_response
 from ..radiometry.develop import Corrections, Shot, developed
 from ..radiometry.frames import (
@@ -70,7 +70,7 @@ class SearchedCard:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MeasureOptions:
     """Options of the measurement. chart: photograph of the patches or the chart; None for those of the capture.
 
     greys: patches for the response curve, or "auto" for the grey row of the colour chart. white: a grey patch, a card
@@ -114,9 +114,9 @@ class Measured:
     colour_space: str = "auto"
 
 
-def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generator[Progress, None, Measured]:
+def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) -> Generator[Progress, None, Measured]:
     """Yield before each measurement; return the corrections. Raises InputError if one cannot be measured."""
-    work = _Work(store, source, wanted)
+    work = _Work(store, source, options)
     shots = source.shots
     cameras = 1 + max(shot.camera for shot in shots)
     amounts = [a for shot in shots for a in shot.amounts or ()]
@@ -124,48 +124,48 @@ def measure_steps(store: ImageStore, source: Source, wanted: Wanted) -> Generato
     corrections = Corrections(
         response=response,
         reference=min(amounts, default=1.0),
-        saturated=wanted.saturated,
-        align_brackets=wanted.output.register,
+        saturated=options.saturated,
+        align_brackets=options.output.register,
     )
     dark = flat = None
-    if wanted.darks:
+    if options.darks:
         yield Progress(0.0, "dark frames")
         dark = work.dark(corrections.response)
-    if wanted.flats:
+    if options.flats:
         yield Progress(0.1, "flat fields")
         flat = work.flat(corrections.response, dark)
     corrections = replace(corrections, darks=(dark,) * cameras, flats=(flat,) * cameras)
-    if wanted.white is not None:
-        gains = yield from work.gains(corrections, wanted.white)
+    if options.white is not None:
+        gains = yield from work.gains(corrections, options.white)
         corrections = replace(corrections, gains=gains)
-    if isinstance(wanted.colour_chart, str):
+    if isinstance(options.colour_chart, str):
         matrix = yield from work.searched(corrections)
         corrections = replace(corrections, matrix=matrix)
-    elif wanted.colour_chart is not None:
-        corrections = replace(corrections, matrix=work.matrix(corrections, wanted.colour_chart))
-    return Measured(corrections, work.figures, tuple(work.warnings), wanted.exposing, wanted.colour_space)
+    elif options.colour_chart is not None:
+        corrections = replace(corrections, matrix=work.matrix(corrections, options.colour_chart))
+    return Measured(corrections, work.figures, tuple(work.warnings), options.exposing, options.colour_space)
 
 
 class _Work:
     """The measurements of one source; each adds to ``figures`` and ``warnings``."""
 
-    def __init__(self, store: ImageStore, source: Source, wanted: Wanted):
-        self.store, self.source, self.wanted = store, source, wanted
+    def __init__(self, store: ImageStore, source: Source, options: MeasureOptions):
+        self.store, self.source, self.options = store, source, options
         self.figures: dict = {}
         self.warnings: list[str] = []
 
     def response(self) -> Generator[Progress, None, Response | None]:
-        if self.wanted.response is not None:
-            response = read_response(self.wanted.response)
-            self.figures["response"] = {"file": str(self.wanted.response), "residual": finite(response.residual)}
+        if self.options.response is not None:
+            response = read_response(self.options.response)
+            self.figures["response"] = {"file": str(self.options.response), "residual": finite(response.residual)}
             return response
-        if not self.wanted.greys:
+        if not self.options.greys:
             return None
-        if isinstance(self.wanted.greys, str):
+        if isinstance(self.options.greys, str):
             return (yield from self._grey_row())
         image = self._middle(self._shots("")[0])
-        response = patch_response(self.store, image, self.wanted.greys)
-        patches = [f"{patch}={patch.reflectance}" for patch in self.wanted.greys]
+        response = patch_response(self.store, image, self.options.greys)
+        patches = [f"{patch}={patch.reflectance}" for patch in self.options.greys]
         self.figures["response"] = {"chart": str(image), "patches": patches, "residual": finite(response.residual)}
         return response
 
@@ -185,15 +185,15 @@ class _Work:
         )
 
     def dark(self, response: Response | None) -> Dark:
-        files, size = self.wanted.darks, self.source.shots[0].size
+        files, size = self.options.darks, self.source.shots[0].size
         frames = ((self._amount(p), read_frame(self.store, self._ref(p), response, size).rgb) for p in files)
-        dark = mean_dark(frames, self.wanted.scale_dark)
+        dark = mean_dark(frames, self.options.scale_dark)
         self.figures["dark"] = {"files": [str(p) for p in files],
                                 "mean": [round(float(level.mean()), 7) for _, level in dark.levels]}  # fmt: skip
         return dark
 
     def flat(self, response: Response | None, dark: Dark | None) -> Flat:
-        files, size = self.wanted.flats, self.source.shots[0].size
+        files, size = self.options.flats, self.source.shots[0].size
         read = ((p, read_frame(self.store, self._ref(p), response, size)) for p in files)
         if dark is not None:
             read = ((p, without_dark(frame, dark.of(self._amount(p), str(p)), str(p))) for p, frame in read)
@@ -249,7 +249,7 @@ class _Work:
         """Return the colour matrix by a chart at given corners; it includes white balance and scale."""
         shot = self._chart_shot(True, "give one that has it, as the other photographs do")
         where = f"--colour-chart: {shot.images[0]}"
-        order, chart, fit = recognised(developed(self.store, shot, corrections).rgba, corners, where)
+        order, chart, fit = orient_chart(developed(self.store, shot, corrections).rgba, corners, where)
         self.figures["colour_chart"] = {"file": str(shot.images[0]), **chart_report(order, chart, fit)}
         self.warnings += chart_warnings(where, corners, order, chart, fit)
         return fit.matrix
@@ -282,31 +282,31 @@ class _Work:
 
     def _shots(self, remedy: str) -> list[Shot]:
         """Return ``chart`` as a shot, or all shots. remedy: in the error if ``chart`` lacks a needed exposure."""
-        return [self._chart_shot(bool(remedy), remedy)] if self.wanted.chart else list(self.source.shots)
+        return [self._chart_shot(bool(remedy), remedy)] if self.options.chart else list(self.source.shots)
 
     @staticmethod
     def _middle(shot: Shot) -> ImageRef:
         return shot.images[len(shot.images) // 2]
 
     def _ref(self, path: Path) -> ImageRef:
-        return ImageRef(path, colour_space=self.wanted.colour_space)
+        return ImageRef(path, colour_space=self.options.colour_space)
 
     def _amount(self, path: Path) -> float | None:
         """Return the exposure of a file that is not a shot; None if it has none or exposures are not used."""
-        exposing = self.wanted.exposing
+        exposing = self.options.exposing
         if exposing is None:
             return None
         if exposing.by == "exif":
             return exif_amount(path) if exposure_of(read_bytes(path)) else None
-        parsed = None if exposing.given else name_amount(path.stem)
+        parsed = None if exposing.exposures else name_amount(path.stem)
         return parsed[1] if parsed else None
 
     def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
-        first, chart = self.source.shots[0], self.wanted.chart
+        first, chart = self.source.shots[0], self.options.chart
         if chart is None:
             return first
         amount = self._amount(chart)
-        if scaled and self.wanted.exposing is not None and amount is None:
+        if scaled and self.options.exposing is not None and amount is None:
             raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
         return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)

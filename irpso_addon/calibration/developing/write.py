@@ -21,22 +21,22 @@ from ..radiometry.develop import developed, registration_steps
 from ..radiometry.source import Source
 from ..register import SMALLEST_MOVE, moved_back
 from .corrections_file import FOLDER, photograph_of, write_corrections
-from .measure import Measured, Output, Progress, Wanted, finite, measure_steps
+from .measure import Measured, MeasureOptions, Output, Progress, finite, measure_steps
 
 _FILENAMES = "filenames.txt"
 _MEASURED, _REGISTERED = 0.2, 0.5  # fraction of the work at the end of each step
 
 
 def develop_steps(
-    store: ImageStore, source: Source, wanted: Wanted, out: Path, settings: dict[str, Any]
+    store: ImageStore, source: Source, options: MeasureOptions, out: Path, settings: dict[str, Any]
 ) -> Generator[Progress, None, dict]:
     """Measure the corrections of a source, develop its photographs into a new folder, and return the report.
 
     settings: for the report. Writes nothing if it raises InputError.
     """
     check_unused(out)
-    measured = yield from measure_steps(store, source, wanted)
-    return (yield from write_developed_steps(store, source, measured, out, settings, wanted.output))
+    measured = yield from measure_steps(store, source, options)
+    return (yield from write_developed_steps(store, source, measured, out, settings, options.output))
 
 
 def write_developed_steps(

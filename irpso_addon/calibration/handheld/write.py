@@ -15,16 +15,16 @@ from ..photographs import relative_path
 from .job import Handheld
 
 
-def table_text(spec: CaptureSpec, found: Handheld, folder: Path) -> str:
+def table_text(spec: CaptureSpec, handheld: Handheld, folder: Path) -> str:
     """Return the text of a capture.toml in ``folder``; image paths become relative to it."""
     lines = [f"format = {FORMAT}", f"name = {toml_value(spec.name)}"]
-    for camera, number in zip(found.cameras, found.numbers, strict=True):
+    for camera, number in zip(handheld.cameras, handheld.numbers, strict=True):
         lines += ["", "[[camera]]", f"name = {toml_value(spec.observations[number].name)}"]
         lines += [f"width = {camera.width}", f"height = {camera.height}"]
         lines += [f"matrix = {toml_value(camera.matrix.round(9).ravel())}", f"focal_length_px = {camera.scale[0]:.9g}"]
         lines += [f"distortion = {toml_value(list(camera.distortion))}"] if camera.distortion else []
     for position, camera, number, intensity in zip(
-        found.lamps, found.cameras, found.numbers, found.intensities.tolist(), strict=True
+        handheld.lamps, handheld.cameras, handheld.numbers, handheld.intensities.tolist(), strict=True
     ):
         shot = spec.observations[number]
         lines += ["", "[[observation]]", f"image = {toml_value(relative_path(shot.image.path, folder))}"]
@@ -32,31 +32,31 @@ def table_text(spec: CaptureSpec, found: Handheld, folder: Path) -> str:
             lines.append(f"colour_space = {toml_value(shot.image.colour_space)}")
         lines += [f"camera = {toml_value(shot.name)}", f"light_position = {toml_value(position.round(9))}"]
         lines += [f"light_intensity = {intensity:.9g}", f"light_axis = {toml_value((-camera.backward).round(9))}"]
-        lines.append(f"light_cosine = {found.flash.beam:.4g}")
+        lines.append(f"light_cosine = {handheld.flash.beam:.4g}")
     return "\n".join(lines) + "\n"
 
 
-def report_of(spec: CaptureSpec, found: Handheld) -> dict[str, Any]:
+def report_of(spec: CaptureSpec, handheld: Handheld) -> dict[str, Any]:
     """Return the report. The unit of length is the millimetre with a board, else the width of the recovered area."""
-    used = [spec.observations[number].name for number in found.numbers]
-    camera = found.cameras[0]
+    used = [spec.observations[number].name for number in handheld.numbers]
+    camera = handheld.cameras[0]
     return {
         "photographs": len(used),
         "left_out": [shot.name for shot in spec.observations if shot.name not in used],
-        "markers": None if found.board is None else found.board.name,
-        "error_px": round(found.error, 4),
-        "views_degrees": round(found.views, 2),
+        "markers": None if handheld.board is None else handheld.board.name,
+        "error_px": round(handheld.error, 4),
+        "views_degrees": round(handheld.views, 2),
         "fov_degrees": round(float(np.degrees(2 * np.arctan(camera.width / 2 / camera.scale[0]))), 3),
         "radial": round(camera.distortion[0], 5) if camera.distortion else 0.0,
-        "field": [round(value, 5) for value in found.field],
-        "flash_offset": found.flash.offset.round(5).tolist(),
-        "flash_error": found.flash.error.round(5).tolist(),
-        "beam_power": round(found.flash.beam, 3),
-        "strengths": (found.intensities / np.exp(np.log(found.intensities).mean())).round(4).tolist(),
-        "warnings": list(found.warnings),
+        "field": [round(value, 5) for value in handheld.field],
+        "flash_offset": handheld.flash.offset.round(5).tolist(),
+        "flash_error": handheld.flash.error.round(5).tolist(),
+        "beam_power": round(handheld.flash.beam, 3),
+        "strengths": (handheld.intensities / np.exp(np.log(handheld.intensities).mean())).round(4).tolist(),
+        "warnings": list(handheld.warnings),
     }
 
 
-def report_text(spec: CaptureSpec, found: Handheld) -> str:
+def report_text(spec: CaptureSpec, handheld: Handheld) -> str:
     """Return the report as JSON."""
-    return json.dumps(report_of(spec, found), indent=1) + "\n"
+    return json.dumps(report_of(spec, handheld), indent=1) + "\n"

@@ -111,7 +111,7 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
     return Chart(values, usable, left_out, places)
 
 
-def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
+def orient_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
     """Try all eight orders of the corners; return them (4, 2) in the chart's order, its patches and their fit.
 
     Raises InputError if no order gives a chart or too few patches are usable, Mirrored if the photograph shows the
@@ -211,9 +211,9 @@ def chart_report(corners: np.ndarray, chart: Chart, fit: ColourFit) -> dict:
             "left_out": {reason: names for reason, names in chart.left_out.items() if names}}  # fmt: skip
 
 
-def chart_warnings(where: str, given: np.ndarray, corners: np.ndarray, chart: Chart, fit: ColourFit) -> Iterator[str]:
+def chart_warnings(where: str, stated: np.ndarray, corners: np.ndarray, chart: Chart, fit: ColourFit) -> Iterator[str]:
     """Yield warnings: corrected order of the corners, patches left out, gloss, a poor fit."""
-    if not np.array_equal(given, corners):
+    if not np.array_equal(stated, corners):
         first = ",".join(f"{value:g}" for value in corners[0])
         yield f"{where}: the corners were not given clockwise from the dark skin patch, which is at {first}: corrected"
     if not chart.usable.all():

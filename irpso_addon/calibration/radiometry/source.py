@@ -31,12 +31,12 @@ _SAME_LIGHT_DEGREES = 0.01
 class Exposing:
     """Source of exposures. by: "exif" or "names". merged: photographs of one light form a bracket.
 
-    given: exposures, indexed by the numbers at the end of names.
+    exposures: indexed by the numbers at the end of names.
     """
 
     by: str
     merged: bool
-    given: tuple[float, ...] = ()
+    exposures: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tupl
     if exposing is None:
         return [Bracket(path.stem, (path,), (1.0,)) for path in paths], []
     if exposing.merged:
-        return brackets_of(paths, exposing.by, exposing.given)
-    amounts = amounts_of(paths, exposing.by, exposing.given)
+        return brackets_of(paths, exposing.by, exposing.exposures)
+    amounts = amounts_of(paths, exposing.by, exposing.exposures)
     return [Bracket(p.stem, (p,), (amount,)) for p, (_, amount) in zip(paths, amounts, strict=True)], []
 
 
@@ -158,7 +158,7 @@ def _unlisted(spec: CaptureSpec, exposing: Exposing | None, excluded: set[Path])
         return unlisted
     if exposing.by == "exif":
         return [path for path in unlisted if exposure_of(read_bytes(path))]
-    return [path for path in unlisted if name_amount(path.stem, exposing.given)]
+    return [path for path in unlisted if name_amount(path.stem, exposing.exposures)]
 
 
 def _same_light(spec: CaptureSpec, indices: Sequence[int]) -> None:

@@ -58,13 +58,13 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
 
 
 def check_photographs(
-    rig: Rig, shots: Sequence[Shot], taken: Sequence[Photograph], lamps: Sequence[int], store: ImageStore
+    rig: Rig, shots: Sequence[Shot], sources: Sequence[Photograph], lamps: Sequence[int], store: ImageStore
 ) -> None:
     """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's.
 
-    taken: the source of each shot.
+    sources: the source of each shot.
     """
-    for shot, source, lamp in zip(shots, taken, lamps, strict=True):
+    for shot, source, lamp in zip(shots, sources, lamps, strict=True):
         path, expected = shot.images[0].path, rig.photographs[lamp]
         view, size = rig.spec.views[rig.spec.observations[lamp].camera], store.size(shot.images[0])
         if view.size is not None and size != view.size:
@@ -85,9 +85,9 @@ def check_photographs(
                 )
 
 
-def check_exposures(rig: Rig, shots: Sequence[Shot], taken: Sequence[Photograph], lamps: Sequence[int]) -> None:
+def check_exposures(rig: Rig, shots: Sequence[Shot], sources: Sequence[Photograph], lamps: Sequence[int]) -> None:
     """Raise InputError for the first photograph whose exposure, by EXIF, is not that of the rig's."""
-    for shot, photograph, lamp in zip(shots, taken, lamps, strict=True):
+    for shot, photograph, lamp in zip(shots, sources, lamps, strict=True):
         expected, actual = rig.photographs[lamp].exposure, photograph.exposure
         if expected is None or actual is None:
             continue

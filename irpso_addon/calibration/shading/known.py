@@ -165,14 +165,14 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAR
     return LampFit(lamps, equations.errors(lamps, weight, width), width / _WIDTH, weight, explained)
 
 
-def free_normals(samples: Samples, found: LampFit) -> np.ndarray:
+def free_normals(samples: Samples, fit: LampFit) -> np.ndarray:
     """Return the angles (T,), degrees, between the known normals and normals fitted to the samples under the lamps.
 
     NaN where fewer than four samples have weight.
     """
     samples = samples.scaled()
-    vectors = found.lamps.vectors(samples.points)
-    initial = (found.weight > 0.01).astype(np.float64)
+    vectors = fit.lamps.vectors(samples.points)
+    initial = (fit.weight > 0.01).astype(np.float64)
     weight = initial
     for _ in range(8):
         gram = np.einsum("kt,kti,ktj->tij", weight, vectors, vectors, optimize=True)
@@ -186,10 +186,10 @@ def free_normals(samples: Samples, found: LampFit) -> np.ndarray:
     return np.where((initial > 0).sum(axis=0) >= 4, angle, np.nan)
 
 
-def free_scale(samples: Samples, found: LampFit) -> float:
+def free_scale(samples: Samples, fit: LampFit) -> float:
     """Return the factor of the lamps' strengths for which the brightest texels have the albedo WHITE."""
-    shading, _ = found.lamps.shading(samples.points, samples.normals)
-    top, bottom = ((found.weight * shading * other).sum(axis=0) for other in (samples.values, shading))
+    shading, _ = fit.lamps.shading(samples.points, samples.normals)
+    top, bottom = ((fit.weight * shading * other).sum(axis=0) for other in (samples.values, shading))
     known = bottom > 0
     return (float(np.percentile(top[known] / bottom[known], _BRIGHT)) if known.any() else 1.0) / WHITE
 

@@ -10,7 +10,7 @@ from itertools import count
 import numpy as np
 
 from ...core.encode import srgb_from_linear
-from ...core.steps import at_once, map_steps
+from ...core.steps import blocking, map_steps
 from ..bounds import without_bounds
 from ..errors import CaptureError
 from ..types import Capture
@@ -84,7 +84,7 @@ def corner_steps(capture: Capture) -> Generator[float, None, DetectedCorners]:
     return result
 
 
-find_corners = at_once("find_corners", corner_steps)
+find_corners = blocking("find_corners", corner_steps)
 
 
 def display_codes(radiance: np.ndarray) -> np.ndarray:

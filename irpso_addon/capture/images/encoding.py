@@ -33,28 +33,28 @@ class LitImage:
 class Encoding:
     """The encoding of one camera's images, as stated in their files or as measured from the fall-off of light.
 
-    images: all with the same stated encoding, or all without. mask: (H, W) bool. store: reads them. taken_as: "linear"
+    images: all with the same stated encoding, or all without. mask: (H, W) bool. store: reads them. assumed: "linear"
     or "srgb", the encoding before the test, which can change it only if ``known_by`` is "guess".
     """
 
     images: tuple[LitImage, ...]
     mask: np.ndarray
     store: ImageStore
-    taken_as: str
+    assumed: str
     known_by: KnownBy
     _test: EncodingTest | None = field(default=None, init=False)
 
     @property
     def test(self) -> EncodingTest:
         """Result of the test. The first access reads at most 24 images."""
-        return run_steps(self.testing())
+        return run_steps(self.test_steps())
 
     @property
     def is_tested(self) -> bool:
         """Whether the test is done, so that ``message`` reads no image."""
         return self._test is not None
 
-    def testing(self) -> Generator[None, None, EncodingTest]:
+    def test_steps(self) -> Generator[None, None, EncodingTest]:
         """Return the result of the test; yield before each image is read."""
         if self._test is None:
             chosen = np.unique(np.linspace(0, len(self.images) - 1, _IMAGES).round().astype(int))
@@ -70,20 +70,20 @@ class Encoding:
             self._test = _test(samples)
         return self._test
 
-    def settling(self) -> Generator[None, None, None]:
+    def resolve_steps(self) -> Generator[None, None, None]:
         """Run the test if the files state no encoding; yield before each image is read."""
         if self.known_by == "guess":
-            yield from self.testing()
+            yield from self.test_steps()
 
     @property
     def colour_space(self) -> str:
         """The encoding in use, "linear" or "srgb"."""
-        return (self.test.sure if self.known_by == "guess" else "") or self.taken_as
+        return (self.test.sure if self.known_by == "guess" else "") or self.assumed
 
     def message(self) -> str:
         """Return a warning about the encoding, "" for none."""
         likely, linear, srgb = self.test.likely, self.test.linear, self.test.srgb
-        if not likely or likely == self.taken_as or not linear or not srgb:
+        if not likely or likely == self.assumed or not linear or not srgb:
             return ""
         first = f"{self.images[0].image}: this and the other images"
         exponents = (
@@ -93,10 +93,10 @@ class Encoding:
         if self.colour_space == likely:
             return (
                 f"{first} do not state their encoding and are read as {_WORDS[likely]}: {exponents}; if that is wrong,"
-                f" set --colour-space {self.taken_as} (Color Space)"
+                f" set --colour-space {self.assumed} (Color Space)"
             )
         return (
-            f"{first} are read as {_WORDS[self.taken_as]} and {'' if self.test.sure else 'may '}hold {_WORDS[likely]}:"
+            f"{first} are read as {_WORDS[self.assumed]} and {'' if self.test.sure else 'may '}hold {_WORDS[likely]}:"
             f" {exponents}; if so, set --colour-space {likely} (Color Space)"
         )
 
@@ -108,8 +108,8 @@ def encoding_of(images: Sequence[LitImage], masks: Sequence[np.ndarray], store: 
         groups[one.camera, *store.encoding(one.image)].append(one)
     if not groups:
         return None
-    (camera, taken_as, known_by), group = max(groups.items(), key=lambda item: len(item[1]))
-    return Encoding(tuple(group), masks[camera], store, taken_as, known_by)
+    (camera, assumed, known_by), group = max(groups.items(), key=lambda item: len(item[1]))
+    return Encoding(tuple(group), masks[camera], store, assumed, known_by)
 
 
 def _test(samples: Sequence[tuple[LitImage, np.ndarray]]) -> EncodingTest:

@@ -167,7 +167,7 @@ def mirror_agreement(normals: np.ndarray, mask: np.ndarray) -> tuple[float, int]
     return (float(np.sign(p_y[whole] * q_x[whole]).mean()) if count else 0.0), count
 
 
-def outwardness(normals: np.ndarray, mask: np.ndarray) -> tuple[float, float, int]:
+def outward_components(normals: np.ndarray, mask: np.ndarray) -> tuple[float, float, int]:
     """Return (x, y, count): mean components along x and y of border normals in the direction out of the mask.
 
     The surface of a solid turns away at its outline, so both are above 0; a negative one means a mirrored axis.

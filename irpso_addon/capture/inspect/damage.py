@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ...core.steps import at_once
+from ...core.steps import blocking
 from ..errors import CaptureError
 from ..images.image import ImageRef, ImageStore
 from ..images.linearise import Samples
@@ -64,12 +64,12 @@ def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[Non
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 
-without_damaged = at_once("without_damaged", without_damaged_steps)
+without_damaged = blocking("without_damaged", without_damaged_steps)
 
 
-def check_numbers(image: ImageRef | str, found: Samples) -> None:
+def check_numbers(image: ImageRef | str, samples: Samples) -> None:
     """Raise CaptureError if no pixel of an image is a number."""
-    if found.not_finite.all():
+    if samples.not_finite.all():
         raise CaptureError(f"{image}: none of its pixels is a number; render or export it again", "image_nan")
 
 

@@ -60,15 +60,15 @@ def frames_of(capture: Capture, index: int) -> Frames:
     return Frames(mask, factors, checks.middle_window(mask, min(_CROP, affordable)), [], [], [], [], [])
 
 
-def add_frame(frames: Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
+def add_frame(frames: Frames, index: int, name: str, samples: Samples) -> Iterator[Finding]:
     """Add one frame's thumbnail and crop to ``frames``; yield the findings of this frame alone."""
-    grey, mask = found.rgba[..., :3].mean(axis=-1), frames.mask
+    grey, mask = samples.rgba[..., :3].mean(axis=-1), frames.mask
     frames.names.append(name)
     frames.indices.append(index)
     frames.thumbnails.append(shrunk(grey, frames.factors))
     frames.crops.append(grey[frames.window].copy())
-    frames.clipped.append(float(found.clipped[mask].mean()))
-    bad, negative = int(found.not_finite[mask].sum()), int(found.negative[mask].sum())
+    frames.clipped.append(float(samples.clipped[mask].mean()))
+    bad, negative = int(samples.not_finite[mask].sum()), int(samples.negative[mask].sum())
     if bad:
         message = f"{name}: {counted(bad, 'pixel is', 'pixels are')} not a number; they get weight 0, render it again"
         yield Finding("not_finite", message)

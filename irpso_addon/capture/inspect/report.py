@@ -11,8 +11,8 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from ...core.steps import at_once, map_steps
-from .. import places
+from ...core.steps import blocking, map_steps
+from ..card import card_size, lights_at_card, near_lights
 from ..errors import CaptureError
 from ..frame.find import DetectedCorners
 from ..framing import AUTO, found_corner_steps, framed
@@ -23,13 +23,13 @@ from ..noise import images_read, noise_of
 from ..read import read_spec
 from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
 from ..types import Capture
-from . import checks, room_light, sufficiency
+from . import checks, room_light, sufficiency, units
 from .damage import without_damaged_steps
 from .frames import Finding, Frames, add_frame, brightest, brightness, counted, frame_steps, frames_of, shrunk
 
 _T = TypeVar("_T")
 _FLAT = 0.05  # flatness: a noise of 1 % becomes about 20 % perpendicular to the plane
-_MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness: below, an axis counts as mirrored
+_MIRRORED, _TURNED = -0.1, -0.1  # of ``mirror_agreement`` and ``outward_components``: below, an axis is mirrored
 _ENOUGH = 500  # fewest squares, or border texels, for either finding
 
 
@@ -117,7 +117,7 @@ def inspect_steps(
     except CaptureError as error:
         findings += _errors(error)
     if capture.encoding is not None:
-        yield from _numbered("Testing the encoding", 0, capture.encoding.testing())
+        yield from _numbered("Testing the encoding", 0, capture.encoding.test_steps())
         facts.append(("encoding", _encoding(capture.encoding)))
         if message := capture.encoding.message():
             findings.append(Finding("encoding", message))
@@ -128,7 +128,7 @@ def inspect_steps(
     return Report(path, tuple(facts), tuple(findings), len(capture.observations), texels, corners)
 
 
-inspect_capture = at_once("inspect_capture", inspect_steps)
+inspect_capture = blocking("inspect_capture", inspect_steps)
 
 
 def _image_steps(
@@ -202,7 +202,7 @@ def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str
         if used is not camera:
             facts.append(("used", f"{used.width}×{used.height} of that"))
     if part.card_distance is not None and len(part.cameras) == 1:
-        width, height = places.card_size(part.cameras[0], part.card_distance)
+        width, height = card_size(part.cameras[0], part.card_distance)
         facts.append(("card", f"{part.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
     return facts
 
@@ -279,13 +279,13 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
     if len(observations) < 3 or not (on_card or all(observation.light.distant for observation in observations)):
         return
     part = replace(capture, observations=tuple(observations), cameras=(capture.cameras[index],))
-    directions, power = places.lights_at_card(part)
+    directions, power = lights_at_card(part)
     where = spec.observations[frames.indices[0]].where
     if (directions[:, 2] < 0).mean() > 0.5:
         message = (
             f"{where}: most lights are behind the subject; directions must point toward the light, z to the camera"
         )
-        if not places.near_lights(capture):  # else places.card_problems reports them
+        if not near_lights(capture):  # else units.card_problems reports them
             yield Finding("lights_reversed", message)
         return
     if checks.flatness(directions) < sufficiency.FLAT_USELESS:
@@ -293,7 +293,7 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
     agreement, count = checks.mirror_agreement(normals, mask)
-    out_x, out_y, border = checks.outwardness(normals, mask)
+    out_x, out_y, border = checks.outward_components(normals, mask)
     if count >= _ENOUGH and agreement < _MIRRORED:
         axis = "x" if border >= _ENOUGH / 5 and out_x < out_y else "y"
         yield Finding(
@@ -309,19 +309,19 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
 def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iterator[Finding]:
     """Yield findings of lengths in different units. frames: of the first camera."""
     for view, camera in zip(spec.views, capture.cameras, strict=True):
-        for code, message in places.lens_problems(camera):
+        for code, message in units.lens_problems(camera):
             yield Finding(code, f"{view.where}: {message}")
-    if not places.near_lights(capture):
+    if not near_lights(capture):
         return
     for view in spec.views:
         if not view.lens:
             message = "has no lens and is assumed 2 units of the light positions wide; give fov_degrees or world_width"
             yield Finding("lens", f"{view.where}: {message}")
-    problems: list[places.Problem] = []
+    problems: list[units.Problem] = []
     if len(capture.cameras) > 1:
-        problems += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
+        problems += units.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
     elif capture.card_distance is not None:
-        problems += [*places.card_problems(capture), *places.strength_problems(capture, brightest(frames, capture))]
+        problems += [*units.card_problems(capture), *units.strength_problems(capture, brightest(frames, capture))]
     elif not spec.views[0].placed:
         message = "near lights on a flat card need its distance from the camera, in the unit of their places; add"
         problems.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))

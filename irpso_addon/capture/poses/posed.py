@@ -30,30 +30,31 @@ class PoseFile:
     cameras: Mapping[str, Camera]
     unusable: Mapping[str, str]
 
-    def name_of(self, wanted: str, where: str) -> str:
+    def name_of(self, image_name: str, where: str) -> str:
         """Return the name of an image's camera: equal, else equal in the last part, else without suffix and case.
 
         Raises CaptureError, beginning with ``where``, for none or several.
         """
-        names = self._matches(wanted, self.cameras)
+        names = self._matches(image_name, self.cameras)
         if len(names) == 1:
             return names[0]
         if names:
             raise CaptureError(
-                f"{where}: '{wanted}' may be any of {_some(names)} of {self.path}; give camera its whole name", "camera"
+                f"{where}: '{image_name}' may be any of {_some(names)} of {self.path}; give camera its whole name",
+                "camera",
             )
-        if unusable := self._matches(wanted, self.unusable):
+        if unusable := self._matches(image_name, self.unusable):
             why = f"its '{unusable[0]}' {self.unusable[unusable[0]]}"
         else:
-            why = f"it has no '{wanted}'; set camera to one that it has: {_some(list(self.cameras))}"
+            why = f"it has no '{image_name}'; set camera to one that it has: {_some(list(self.cameras))}"
         raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
 
     @staticmethod
-    def _matches(wanted: str, names: Mapping[str, object]) -> list[str]:
-        if wanted in names:
-            return [wanted]
+    def _matches(image_name: str, names: Mapping[str, object]) -> list[str]:
+        if image_name in names:
+            return [image_name]
         for key in (_last, lambda name: _last(name).lower(), lambda name: PurePosixPath(_last(name).lower()).stem):
-            if matches := [name for name in names if key(name) == key(wanted)]:
+            if matches := [name for name in names if key(name) == key(image_name)]:
                 return matches
         return []
 

@@ -200,9 +200,9 @@ def _fragment(model: ReflectanceModel) -> str:
     return _source("web/page.glsl", includes)
 
 
-def _source(path: str, given: dict[str, Any] | None = None) -> str:
+def _source(path: str, includes: dict[str, Any] | None = None) -> str:
     """Return a shader's text. WebGL's #line takes numbers of files only, so names become comments."""
-    return re.sub(r'^#line 1 "(.*)"$', r"// \1", read_source(path, given or {}), flags=re.M)
+    return re.sub(r'^#line 1 "(.*)"$', r"// \1", read_source(path, includes or {}), flags=re.M)
 
 
 def _webp(picture: np.ndarray) -> str:

@@ -21,7 +21,7 @@ def beam_correction(light: Light, points: np.ndarray) -> tuple[np.ndarray, np.nd
     points: (N, 3) world. Radiance is divided by the share of the intensity that reaches the texel; this scales its
     noise too, so the weight is multiplied by the share squared. Both are 0 where the share is under LEAST_SHARE.
     """
-    share = light.share(points)
+    share = light.relative_intensity(points)
     usable = share >= LEAST_SHARE
     gain = np.where(usable, 1 / np.where(usable, share, 1), 0)
     return gain.astype(np.float32), np.where(usable, share**2, 0).astype(np.float32)

@@ -85,8 +85,8 @@ def _distance(place: np.ndarray, edge: np.ndarray, edges: SeamEdges) -> tuple[np
     return cost, (away * edges.outward[edge]).sum(axis=-1) > -_INSIDE
 
 
-def texel_at(at: np.ndarray, wanted: np.ndarray, island: np.ndarray) -> np.ndarray:
-    """Return (N,) flat indices of the wanted island's texel whose centre is nearest to a place, −1 for none.
+def texel_at(at: np.ndarray, target_island: np.ndarray, island: np.ndarray) -> np.ndarray:
+    """Return (N,) flat indices of the target island's texel whose centre is nearest to a place, −1 for none.
 
     Candidates are the texel that contains the place and the eight around it.
     """
@@ -97,7 +97,9 @@ def texel_at(at: np.ndarray, wanted: np.ndarray, island: np.ndarray) -> np.ndarr
     for offset in _AROUND:
         texel = middle + offset
         x, y = np.clip(texel, 0, (width - 1, height - 1)).T
-        there = (texel == np.stack([x, y], axis=-1)).all(axis=1) & (wanted >= 0) & (island[y, x] == wanted)
+        there = (
+            (texel == np.stack([x, y], axis=-1)).all(axis=1) & (target_island >= 0) & (island[y, x] == target_island)
+        )
         distance = ((texel + 0.5 - at) ** 2).sum(axis=-1)
         better = there & (distance < least)
         result[better], least[better] = (y * width + x)[better], distance[better]

@@ -16,7 +16,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
-from .reconfigure import given
+from .reconfigure import warm_started
 from .recovery import Recovery
 from .successive import Successive
 
@@ -111,7 +111,7 @@ def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
     part = schedule.level_iterations
     stages = tuple(replace(stage, iterations=_shortened(stage.iterations, part)) for stage in first.stages)
     prefit = replace(first.prefit, iterations=_shortened(first.prefit.iterations, part))
-    finer = replace(given(first.replaced(prefit=prefit)), stages=stages)
+    finer = replace(warm_started(first.replaced(prefit=prefit)), stages=stages)
     return (first, *[finer] * (schedule.levels - 1))
 
 

@@ -25,7 +25,7 @@ from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
 from ..views.indirect import IndirectLight
 from .engine import RecoveryEngine
-from .reconfigure import given
+from .reconfigure import warm_started
 from .recovery import Recovery
 from .successive import Successive
 
@@ -293,7 +293,7 @@ class InterreflectionRounds(Successive):
                 if first:
                     self._set_share(np.zeros(domain.shape))
                 return None
-            samples = self._samples = self._samples or domain.stack.another(self._scratch)
+            samples = self._samples = self._samples or domain.stack.zeros_like(self._scratch)
             subtracted, shown = np.zeros((2, int(covered.sum())))
             for observation, (layer, of_elements) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
                 sample = (layer if first else samples.layer(observation)).copy()
@@ -333,4 +333,4 @@ class InterreflectionRounds(Successive):
 def _schedules(schedule: Schedule, warm: bool) -> tuple[Schedule, ...]:
     """Return the schedule of each recovery. warm: whether the last starts from earlier estimates."""
     single = schedule.replaced(interreflection_rounds=0)
-    return (*(single,) * schedule.interreflection.rounds, given(single) if warm else single)
+    return (*(single,) * schedule.interreflection.rounds, warm_started(single) if warm else single)

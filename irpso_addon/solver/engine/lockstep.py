@@ -20,12 +20,12 @@ Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): o
 class HaloTransport(Protocol):
     """Sends results of a tile's own texels to the tiles that have these texels in their halo or as ghosts.
 
-    Tiles are numbered in their process. All processes call ``exchange``, ``all`` and ``publish`` in the same order.
+    Tiles are numbered in their process. All processes call ``exchange``, ``allgather``, ``publish`` in the same order.
     """
 
     connected: bool  # whether any tile reads another
 
-    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
         """Publish (H, W, n) results of a tile's texels. reach: width of the halos that the next iteration reads."""
 
     def exchange(self) -> None:
@@ -34,7 +34,7 @@ class HaloTransport(Protocol):
     def received(self, tile: int) -> Sequence[Received]:
         """Return the results that other tiles have published for the texels that a tile reads."""
 
-    def all(self, value: Value) -> list[Value]:
+    def allgather(self, value: Value) -> list[Value]:
         """Return the value of each process."""
 
 
@@ -47,9 +47,9 @@ class LocalTransport:
         self._arriving: list[dict[int, Received]] = [{} for _ in places]
         self._held: list[dict[int, Received]] = [{} for _ in places]
 
-    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
         for overlap in self._overlaps[tile]:
-            self._arriving[overlap.other][tile] = overlap, taken(overlap, found)
+            self._arriving[overlap.other][tile] = overlap, overlap_values(overlap, results)
 
     def exchange(self) -> None:
         self._held, self._arriving = self._arriving, [{} for _ in self._held]
@@ -57,7 +57,7 @@ class LocalTransport:
     def received(self, tile: int) -> Sequence[Received]:
         return list(self._held[tile].values())
 
-    def all(self, value: Value) -> list[Value]:
+    def allgather(self, value: Value) -> list[Value]:
         return [value]
 
 
@@ -154,7 +154,7 @@ class LockStep:
         self._iterations_made = count or 0
         self._exchange()
         reached = all(tile.reached for tile in self._pool.tiles)
-        if self._pool.active.looks_at_threshold and all(self._transport.all(reached)):
+        if self._pool.active.looks_at_threshold and all(self._transport.allgather(reached)):
             yield from self._finish_stage()
 
     def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
@@ -164,11 +164,11 @@ class LockStep:
             tile.progress = recovery.progress
             yield
         tile.progress = recovery.progress
-        tile.look()
+        tile.record_due()
 
     def _reached(self, recovery: TileRecovery) -> bool:
         """Return whether the first tile of any process has reached the threshold."""
-        return recovery.looks_at_threshold and any(self._transport.all(recovery.reached))
+        return recovery.looks_at_threshold and any(self._transport.allgather(recovery.reached))
 
     def _finish_stage(self) -> Iterator[None]:
         """Begin the next stage on all tiles: the whole domain has reached the threshold."""
@@ -178,8 +178,8 @@ class LockStep:
             recovery.finish_stage()
             tile.progress, tile.reached, tile.round_maps = recovery.progress, False, None
             if tile.watch is not None and recovery.progress.iteration_in_all != before:
-                tile.watch.forget(before)  # an untiled recovery would not have recorded it
-            tile.look()
+                tile.watch.discard(before)  # an untiled recovery would not have recorded it
+            tile.record_due()
             self._publish(number)
             yield
         self._exchange()
@@ -199,7 +199,9 @@ class LockStep:
     def _exchange(self) -> None:
         self._published = bool(self._pool.active.reach)
         samples, self._samples = self._samples, []
-        self._sample = merged([each for part in self._transport.all(samples) for each in part]) if samples else None
+        self._sample = (
+            merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
+        )
         if self._published and self._transport.connected:
             self._transport.exchange()
 
@@ -222,6 +224,6 @@ class LockStep:
             recovery.set_halo(values, ghosts)
 
 
-def taken(overlap: HaloOverlap, found: np.ndarray) -> np.ndarray:
+def overlap_values(overlap: HaloOverlap, results: np.ndarray) -> np.ndarray:
     """Return (n, channels) of a tile's results (H, W, channels): at texels of another's halo, then at its ghosts."""
-    return np.concatenate([found[overlap.here].reshape(cells_of(overlap), found.shape[-1]), found[overlap.seen]])
+    return np.concatenate([results[overlap.here].reshape(cells_of(overlap), results.shape[-1]), results[overlap.seen]])

@@ -38,7 +38,7 @@ class Begin:
 
 
 @dataclass(frozen=True)
-class Kept:
+class Reuse:
     """The parts of a recovery that continue under another schedule.
 
     index: of the stage that it begins with. phase: the current phase continues. swarms: the phase whose swarms the next
@@ -76,7 +76,7 @@ def samples_of(
     return held, prepared.stack, prepared.guess
 
 
-def kept(
+def reusable(
     before: Schedule,
     after: Schedule,
     old: Sequence[Resolved],
@@ -84,17 +84,17 @@ def kept(
     running: int,
     phase: Phase | None,
     model: ReflectanceModel,
-) -> Kept:
+) -> Reuse:
     """Return the parts that continue. old, stages: of the schedules before and after. running: index of the stage."""
     index = finished_alike(old[:running], stages)
     phase_continues, swarms = False, None
     if index < len(stages) and index == running:
         phase_continues = _settings_of(before, old[running]) == _settings_of(after, stages[index])
         swarms = None if phase_continues else _same_swarms(phase, model, before, after, stages[index])
-    return Kept(index, phase_continues, swarms, not _samples_differ(before.fitness, after.fitness))
+    return Reuse(index, phase_continues, swarms, not _samples_differ(before.fitness, after.fitness))
 
 
-def given(schedule: Schedule) -> Schedule:
+def warm_started(schedule: Schedule) -> Schedule:
     """Return a schedule whose swarms begin around the current estimates, closer than around a first guess."""
     swarm = schedule.swarm
     return schedule.replaced(

@@ -37,7 +37,7 @@ from .confidence import deviation_pass
 from .diagnostics import Diagnostics
 from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
-from .reconfigure import Begin, first_begin, given, kept, samples_of
+from .reconfigure import Begin, first_begin, reusable, samples_of, warm_started
 from .watch import Note
 
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
@@ -257,7 +257,7 @@ class Recovery(RecoveryEngine):
         _check(schedule, seed)
         stages = resolve(schedule, self.model, set(self.fixed), self.domain.observations)
         self._finish_iteration()
-        goes_on = kept(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
+        goes_on = reusable(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
         held, stack = self._textures, self._stack
         if not goes_on.samples:
             held, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
@@ -270,7 +270,7 @@ class Recovery(RecoveryEngine):
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):
             found = goes_on.index < self._index or (self._phase is not None and self._phase.placed)
-            new._phase = new._begin(goes_on.index, given(schedule) if found else schedule)
+            new._phase = new._begin(goes_on.index, warm_started(schedule) if found else schedule)
             if goes_on.swarms is not None and isinstance(new._phase, SwarmPhase):
                 new._phase.inherit(goes_on.swarms)
         return new

@@ -70,10 +70,10 @@ class Tile:
         """Its place in the whole domain."""
         return place_of(self.box, self.domain)
 
-    def look(self) -> None:
+    def record_due(self) -> None:
         """Record a note of the watched texels if one is due."""
         if self.watch is not None and self.recovery is not None:
-            self.watch.look(self.recovery.progress, self.recovery.note)
+            self.watch.record_due(self.recovery.progress, self.recovery.note)
 
 
 class TilePool:

@@ -40,13 +40,13 @@ class Watch:
     notes: list[Note] = field(default_factory=list)
     last: int = 0  # iteration of the last note: the placing of a stage's swarms is no new one
 
-    def look(self, progress: Progress, note: Callable[[np.ndarray, np.ndarray], Note]) -> None:
+    def record_due(self, progress: Progress, note: Callable[[np.ndarray, np.ndarray], Note]) -> None:
         """Record a note if one is due. progress, note: of the texels' recovery."""
         if progress.iteration_in_all != self.last and self.due(progress):
             self.last = progress.iteration_in_all
             self.notes.append(note(self.rows, self.columns))
 
-    def forget(self, iteration: int) -> None:
+    def discard(self, iteration: int) -> None:
         """Remove the note of an iteration that was the last of its stage."""
         self.notes = [note for note in self.notes if note.iteration != iteration]
 

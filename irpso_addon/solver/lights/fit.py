@@ -181,7 +181,7 @@ class _Renders:
         stacked = {
             p.name: np.concatenate([{**values, **change}[p.name] for change in changed]) for p in model.parameters
         }
-        bake = domain.bake.each(lambda array: np.tile(array, (len(changed), *(1,) * (array.ndim - 1))))
+        bake = domain.bake.map_arrays(lambda array: np.tile(array, (len(changed), *(1,) * (array.ndim - 1))))
         self._stepped = Renderer(bake, model, stacked, domain.lights, domain.intensities, domain.views, domain.card)
         self._moved = None
         if moving is not None:

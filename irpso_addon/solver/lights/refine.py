@@ -11,7 +11,7 @@ import numpy as np
 
 from ...capture.inspect.checks import NARROW, flatness
 from ...core.errors import InputError
-from ...core.steps import at_once, map_steps, run_steps
+from ...core.steps import blocking, map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...gpu.kernel import EntryChoice
 from ...gpu.program import ProgramCache
@@ -89,10 +89,10 @@ class Lights:
             "last_change": round(self.change, 6),
         }
 
-    def warnings(self, asked: bool = True) -> list[str]:
-        """Return one line per warning. asked: whether the user requested intensities."""
+    def warnings(self, requested: bool = True) -> list[str]:
+        """Return one line per warning. requested: whether the user requested intensities."""
         lines = []
-        if not asked and (self.factors != 1).any():
+        if not requested and (self.factors != 1).any():
             lines.append(
                 "the images contradict the lights' intensities, all given as 1, so they were estimated:"
                 f" {self.summary()}; --intensities given (Light Strengths) keeps them"
@@ -149,7 +149,7 @@ def light_steps(
     return search.result(domain, step)
 
 
-estimate_lights = at_once("estimate_lights", light_steps)
+estimate_lights = blocking("estimate_lights", light_steps)
 
 
 def chosen_steps(

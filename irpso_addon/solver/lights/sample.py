@@ -96,7 +96,7 @@ def evenly_facing(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _gathered(domain: Domain, stack: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> Domain:
     width = min(_WIDTH, max(len(rows), 1))
     shape = -(-max(len(rows), 1) // width), width
-    bake = domain.bake.each(lambda values: _grid(values[rows, columns], shape))
+    bake = domain.bake.map_arrays(lambda values: _grid(values[rows, columns], shape))
     layers = np.stack([_grid(layer, shape) for layer in stack])
     return with_texels(domain, bake, layers)
 

@@ -123,7 +123,7 @@ class PrefitPhase(Phase):
         if self._resolved.sheen:
             self._estimates.accept()  # this swap and that of the caller cancel
             return
-        yield from self._adopt.at_once(bands, self._estimates.resolved, self._inputs(self.own.resolved))
+        yield from self._adopt.in_one_draw(bands, self._estimates.resolved, self._inputs(self.own.resolved))
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the normals so far into other textures."""
@@ -286,7 +286,7 @@ def adopt_where(
     normals = np.where(chosen[..., None], normals, normals_of(estimates, model))
     uploaded = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
     inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": uploaded}
-    yield from adopt.at_once(bands, estimates.resolved, inputs)
+    yield from adopt.in_one_draw(bands, estimates.resolved, inputs)
 
 
 def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:

@@ -215,7 +215,7 @@ class RefinementPhase(TexturePhase):
     def _run(
         self, bands: Bands, work: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
     ) -> Iterator[None]:
-        return work.at_once(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
+        return work.in_one_draw(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
 
     def _in_bands(
         self,

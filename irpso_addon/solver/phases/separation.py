@@ -160,8 +160,8 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
         "LEAST_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",
     }  # fmt: skip
     outputs = tuple(Output(name) for name in ("o_low", "o_middle", "o_high"))
-    constants, given = {"u_observations": "INT"}, kernels.model_includes(model)
-    return Pass(Kernel("prefit/shadow_light.glsl", outputs, samplers, constants, defines, given), entry)
+    constants, includes = {"u_observations": "INT"}, kernels.model_includes(model)
+    return Pass(Kernel("prefit/shadow_light.glsl", outputs, samplers, constants, defines, includes), entry)
 
 
 def shadow_light_steps(

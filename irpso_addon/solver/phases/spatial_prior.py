@@ -105,7 +105,7 @@ class SpatialPriorPhase(TexturePhase):
 
     def _copy(self, bands: Bands, sources: Sequence[Texture], targets: Sequence[Texture]) -> Iterator[None]:
         for source, target in zip(sources, targets, strict=True):
-            yield from self.passes.copy.at_once(bands, [target], {"u_source": source})
+            yield from self.passes.copy.in_one_draw(bands, [target], {"u_source": source})
 
     def _in_bands(
         self,

@@ -88,7 +88,7 @@ class SwarmPhase(TexturePhase):
         """Write the global bests into the resolved estimates, in one band: it is a short pass."""
         yield from self.textures.make()
         targets = self.estimates.resolved
-        yield from self.passes.resolve.at_once(bands, targets, self._inputs(), self.constants())
+        yield from self.passes.resolve.in_one_draw(bands, targets, self._inputs(), self.constants())
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the global bests into other textures."""

@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...core.steps import at_once, available_cores, run_steps
+from ...core.steps import available_cores, blocking, run_steps
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -157,7 +157,7 @@ def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.
     return scale
 
 
-texel_scale = at_once("texel_scale", scale_steps)
+texel_scale = blocking("texel_scale", scale_steps)
 
 
 def drop_shadow(
@@ -199,7 +199,7 @@ def lambert_steps(domain: Domain) -> Generator[float, None, tuple[np.ndarray, np
     return normal, albedo
 
 
-lambert_seed = at_once("lambert_seed", lambert_steps)
+lambert_seed = blocking("lambert_seed", lambert_steps)
 
 
 def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarray]:

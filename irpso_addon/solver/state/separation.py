@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.optional import present
-from ...core.steps import at_once
+from ...core.steps import blocking
 from ...geometry.domain import Domain, subset, with_lights
 from ...geometry.samples import SampleStack
 from ...gpu.library import defined
@@ -106,15 +106,15 @@ def separation_steps(
     return result
 
 
-separation_of = at_once("separation_of", separation_steps)
+separation_of = blocking("separation_of", separation_steps)
 
 
-def by_shadows(found: np.ndarray) -> np.ndarray:
-    """Return the separation (H, W, SEPARATED) float32 from the output of shadow_light.glsl, ``found`` (H, W, 12).
+def by_shadows(output: np.ndarray) -> np.ndarray:
+    """Return the separation (H, W, SEPARATED) float32 from the output of shadow_light.glsl, ``output`` (H, W, 12).
 
     Red and green of the indirect light's chroma, zeros in place of a second one, its share, and the coefficients.
     """
-    coefficients, chroma, share = found[..., :HARMONICS], found[..., HARMONICS:-1], found[..., -1:]
+    coefficients, chroma, share = output[..., :HARMONICS], output[..., HARMONICS:-1], output[..., -1:]
     ends = np.where(share > 0, np.maximum(chroma, 1e-6), 0), np.zeros((*share.shape[:-1], 2))
     return np.concatenate([*ends, share, coefficients], axis=-1, dtype=np.float32)
 
@@ -153,9 +153,9 @@ class SeparatedStack:
         """Yield the samples of every observation."""
         return (self.layer(observation) for observation in range(self.shape[0]))
 
-    def another(self, scratch: Path | None = None) -> SampleStack:
+    def zeros_like(self, scratch: Path | None = None) -> SampleStack:
         """Return a stack of zeros of its shape, in a store of its kind."""
-        return self.domain.stack.another(scratch)
+        return self.domain.stack.zeros_like(scratch)
 
     def put(self, observation: int, layer: np.ndarray) -> None:
         """Raise TypeError: the stack is a read-only view."""
@@ -174,7 +174,9 @@ class SeparatedStack:
         """Return the texels of a window."""
         part = rows, columns
         domain = replace(
-            self.domain, bake=self.domain.bake.each(lambda values: values[part]), stack=self.domain.stack.window(*part)
+            self.domain,
+            bake=self.domain.bake.map_arrays(lambda values: values[part]),
+            stack=self.domain.stack.window(*part),
         )
         return SeparatedStack(domain, self.separation[part])
 

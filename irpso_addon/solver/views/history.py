@@ -42,7 +42,7 @@ class History:
         self._errors: dict[str, list[np.ndarray]] = {}
 
     def until_next(self, most: int | None) -> int | None:
-        """Return how many iterations may run before the next ``look``, at most ``most``; None for any number.
+        """Return how many iterations may run before the next ``record_due``, at most ``most``; None for any number.
 
         Their end does not depend on the slicing of the run.
         """
@@ -52,7 +52,7 @@ class History:
         left = _interval(progress) - progress.iteration_in_all % _interval(progress)
         return left if most is None else min(most, left)
 
-    def look(self) -> None:
+    def record_due(self) -> None:
         """Record the errors if a measurement is due, or the errors of the notes that the recovery has taken."""
         if self._watches:
             for note in self._recovery.notes():

@@ -69,7 +69,7 @@ class IndirectLight:
             own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
             self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
-        bake = domain.bake.each(lambda flat: self._grid(_flat(flat)[exchange.texels]))
+        bake = domain.bake.map_arrays(lambda flat: self._grid(_flat(flat)[exchange.texels]))
         materials = {name: self._grid(value) for name, value in lighting.items()}
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)

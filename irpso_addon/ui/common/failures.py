@@ -42,7 +42,7 @@ def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> 
     return text
 
 
-def refused(
+def report_and_cancel(
     operator: bpy.types.Operator, error: Exception, names: Mapping[str, str] = MappingProxyType({})
 ) -> set[str]:
     """Report an IrpsoError or a MemoryError of an operator; return {"CANCELLED"}. names: see ``words``."""

@@ -78,7 +78,7 @@ class SlicedOperator:
             if self._timer is not None:  # the report's popup closes when the mouse moves
                 failures.report(self.doing, error, self.names)
             self._leave(context, set())
-            return failures.refused(self, error, self.names)
+            return failures.report_and_cancel(self, error, self.names)
         if self._timer is not None:
             context.workspace.status_text_set(
                 iface("{doing}: {part:.0%}. Esc cancels", doing=iface(self.doing), part=fraction)

@@ -55,7 +55,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
         try:
             self._read(context)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         self._circles += np.reshape(self.moves, (_MOST, 3))[: len(self._circles)]
         self._dropped = set(self.dropped.splitlines())
         return self._find_lights()
@@ -67,7 +67,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
         try:
             self._read(context)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         return self.begin(context, _MOST_SHOWN)
 
     def _read(self, context) -> None:
@@ -104,7 +104,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
             places["spot", number] = self._place_of(*spot)
         return places
 
-    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+    def clicked(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
         """Grab a middle or a rim; drop a highlight, or restore a dropped one."""
         if isinstance(handle, tuple) and handle[0] == "spot":
             self._dropped ^= {self._highlights[handle[1]][0]}

@@ -68,7 +68,7 @@ class _CornerMarking(Marking):
         """Return the places of the corners."""
         return dict(enumerate(self._points))
 
-    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+    def clicked(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
         """Grab a corner, or add a new one."""
         if handle is None and len(self._points) < 4:
             self._points.append(place)
@@ -171,10 +171,10 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
         """Yield the fraction done (0…1); return the corners. Raises InputError."""
         return (yield from corner_steps(build_capture(spec_of(settings), decode)))
 
-    def finished(self, context, found: DetectedCorners) -> set[str]:
+    def finished(self, context, detected: DetectedCorners) -> set[str]:
         """Store the corners, and the width of a printed marker board's field."""
-        keep_corners(context.scene.irpso, found)
-        self.report({"INFO"}, rpt("Corners: {found}", found=found))
+        keep_corners(context.scene.irpso, detected)
+        self.report({"INFO"}, rpt("Corners: {found}", found=detected))
         return {"FINISHED"}
 
 

@@ -45,7 +45,7 @@ class Marking:
         """Return handle → place (2,) of the points that a click can grab."""
         raise NotImplementedError
 
-    def taken(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
+    def clicked(self, handle: Hashable | None, place: np.ndarray) -> Hashable | None:
         """Handle a click on a handle, None beside all; return the handle to drag with the mouse, None for none."""
         raise NotImplementedError
 
@@ -73,7 +73,7 @@ class Marking:
         try:
             picture, self._size = _make_picture(self.radiances(context.scene.irpso, readers))
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         self._area = _show_in_editor(context, picture)
         if self._area is None:
             self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")
@@ -122,7 +122,7 @@ class Marking:
         distances = {key: float(np.linalg.norm(self.pixel(place) - clicked)) for key, place in self.handles().items()}
         closest = min(distances, key=lambda key: distances[key], default=None)
         reached = closest is not None and distances[closest] <= _GRAB_RADIUS * context.preferences.system.ui_scale
-        self._grabbed = self.taken(closest if reached else None, np.clip(self._place(event), 0, 1))
+        self._grabbed = self.clicked(closest if reached else None, np.clip(self._place(event), 0, 1))
         return self._redraw()
 
     def _redraw(self):

@@ -55,7 +55,7 @@ class IRPSO_OT_save_asset(bpy.types.Operator):
     def invoke(self, context, event):
         """Open the dialog with the subject's name."""
         if not context.preferences.filepaths.asset_libraries:
-            return failures.refused(self, InputError(_NO_LIBRARY))
+            return failures.report_and_cancel(self, InputError(_NO_LIBRARY))
         self.asset_name = recovered_slot(context.object)[TAG]
         return context.window_manager.invoke_props_dialog(self, width=380)
 
@@ -77,7 +77,7 @@ class IRPSO_OT_save_asset(bpy.types.Operator):
             name = self.asset_name.strip() or recovered_slot(context.object)[TAG]
             path = write_to_shelf(shelf, context.object, name)
         except InputError as error:
-            return failures.refused(self, error, {"--asset-name": "Name"})
+            return failures.report_and_cancel(self, error, {"--asset-name": "Name"})
         self.report({"INFO"}, rpt("{file} is in the library {library}", file=path.name, library=library.name))
         return {"FINISHED"}
 

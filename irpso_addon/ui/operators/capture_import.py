@@ -19,10 +19,10 @@ from ...blender.images import decode
 from ...blender.scenes.scene import middle_of
 from ...blender.scenes.scene_capture import wide_lights
 from ...calibration.photographs import is_photograph
+from ...capture.card import card_depth, card_middle
 from ...capture.inspect import sufficiency
 from ...capture.inspect.frames import Finding
 from ...capture.inspect.report import Report, inspect_steps
-from ...capture.places import card_depth, card_middle
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec
 from ...capture.types import Capture

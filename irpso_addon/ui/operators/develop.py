@@ -10,7 +10,7 @@ import numpy as np
 from bpy.props import EnumProperty, StringProperty
 
 from ...blender.images import decode
-from ...calibration.developing.measure import Progress, SearchedCard, Wanted
+from ...calibration.developing.measure import MeasureOptions, Progress, SearchedCard
 from ...calibration.developing.write import develop_steps
 from ...calibration.radiometry.source import images_in, read_source
 from ...capture.images.image import ImageStore
@@ -39,13 +39,13 @@ def free_folder(source: Path, word: str) -> Path:
     return first_free(home.parent, f"{home.name}_{word}")
 
 
-def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], found: str) -> set[str]:
-    """Import a new capture and report its first warning, and ``found``; return the operator's result."""
+def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], written: str) -> set[str]:
+    """Import a new capture and report its first warning, and ``written``; return the operator's result."""
     bpy.ops.irpso.import_capture(directory=str(capture))
     if warnings:
         more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
         operator.report({"WARNING"}, failures.words(InputError(warnings[0])) + more)
-    operator.report({"INFO"}, rpt("{found} written to {name}", found=found, name=capture.name))
+    operator.report({"INFO"}, rpt("{found} written to {name}", found=written, name=capture.name))
     return {"FINISHED"}
 
 
@@ -109,7 +109,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
         report = yield from develop_steps(ImageStore(decode), shots, options, out, {"capture": str(source)})
         return out, report
 
-    def _options(self, settings) -> Wanted:
+    def _options(self, settings) -> MeasureOptions:
         """Return the dialog's options. Raises InputError."""
         corners: np.ndarray | str | None = None
         if self.colours == "MARKED":
@@ -119,7 +119,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
         elif self.colours == "AUTO":
             corners = "auto"
         chart = settings.chart_photograph if self.colours != "NONE" else ""
-        return Wanted(
+        return MeasureOptions(
             response=absolute(self.response, "Response") if self.response else None,
             chart=absolute(chart, "Chart") if chart else None,
             darks=tuple(_files(self.dark, "Dark Frames")),

@@ -108,7 +108,7 @@ class ChoosePhotographs(bpy.types.Operator):
         try:
             chosen = absolute(self.filepath or self.directory, "Photographs")
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         if is_video(chosen):
             bpy.ops.irpso.photographs_of_video(filepath=str(chosen))
         else:

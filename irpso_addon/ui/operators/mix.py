@@ -84,7 +84,7 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
             mixed = self._mixed(first, second)
             apply_material(obj, mixed)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         self.report({"INFO"}, rpt("Material '{name}' on '{object}'", name=mixed.name, object=obj.name))
         if displaced := [one.name for one in (first, second) if _displaces(one)]:
             self.report({"WARNING"}, rpt("The mix has no displacement, unlike '{name}'", name=displaced[0]))

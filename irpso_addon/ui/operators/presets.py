@@ -130,7 +130,7 @@ class IRPSO_OT_preset_choose(bpy.types.Operator):
         try:
             load_schedule(self.name)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         settings.preset, settings.own = self.name, ""
         return {"FINISHED"}
 
@@ -150,7 +150,7 @@ class IRPSO_OT_preset_load(bpy.types.Operator):
         try:
             name, schedule = read_preset(self.filepath)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         settings.preset = name
         fill(settings, schedule)
         _store_own(settings, self.filepath)
@@ -191,7 +191,7 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
             schedule_of(settings)
             return super().execute(context)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
 
     def add(self, context, filepath: str) -> None:
         """Write the file."""

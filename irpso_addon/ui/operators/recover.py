@@ -17,7 +17,7 @@ from ..properties.recipe import schedule_recipe
 from ..properties.schedule_settings import schedule_of
 from ..session import session, unkept
 from ..session.job import make_job, missing
-from .restore import follow
+from .restore import run_in_window
 
 _TIMER_SECONDS = 1 / 60
 _SLICE_SECONDS = 0.04  # work between events: 25 slices a second, half of the delay that users notice
@@ -47,7 +47,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
             session.begin(make_job(context)).run()
         except (IrpsoError, MemoryError) as error:
             session.end()
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         return _keep(self)
 
     def invoke(self, context, event):
@@ -57,10 +57,10 @@ class IRPSO_OT_recover(bpy.types.Operator):
         try:
             started = session.begin(make_job(context))
         except IrpsoError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         if gpu_context.on_software_vulkan():
             self.report({"WARNING"}, SOFTWARE_VULKAN)
-        follow(context, started)
+        run_in_window(context, started)
         return {"FINISHED"}
 
 
@@ -179,7 +179,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
             running.resume(schedule_of(scene.irpso.schedule))
             running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
         except IrpsoError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         if context.window is not None:
             bpy.ops.irpso.run("INVOKE_DEFAULT")
         return {"FINISHED"}
@@ -228,7 +228,7 @@ class IRPSO_OT_cancel(bpy.types.Operator):
 
     def execute(self, context):
         """End the session and delete its stored checkpoint."""
-        unkept.forget(session.current().job.resumed)
+        unkept.delete(session.current().job.resumed)
         session.end()
         handlers.redraw()
         return {"FINISHED"}

@@ -33,14 +33,14 @@ def draw_unkept(layout, context) -> None:
         row.operator("irpso.forget", icon="X").path = str(stored.path)
 
 
-def restored_job(context, found: unkept.StoredRecovery) -> SceneJob:
+def restored_job(context, stored: unkept.StoredRecovery) -> SceneJob:
     """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
-    identity = glance(found.path, {})
+    identity = glance(stored.path, {})
     try:
-        apply_recipe(context.scene.irpso, found.recipe)
-        return replace(make_job(context), entry=identity["entry"], resumed=found.path)
+        apply_recipe(context.scene.irpso, stored.recipe)
+        return replace(make_job(context), entry=identity["entry"], resumed=stored.path)
     except InputError as error:
-        where = f" (it was in {found.file})" if found.file and found.file != bpy.data.filepath else ""
+        where = f" (it was in {stored.file})" if stored.file and stored.file != bpy.data.filepath else ""
         raise InputError(f"{error}{where}") from error
 
 
@@ -71,9 +71,9 @@ class IRPSO_OT_restore(_OfStored, bpy.types.Operator):
         try:
             started = session.begin(restored_job(context, self._stored()))
         except IrpsoError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         if not bpy.app.background:
-            follow(context, started)
+            run_in_window(context, started)
         return {"FINISHED"}
 
 
@@ -86,14 +86,14 @@ class IRPSO_OT_forget(_OfStored, bpy.types.Operator):
     def execute(self, context):
         """Delete its checkpoint."""
         try:
-            unkept.forget(self._stored().path)
+            unkept.delete(self._stored().path)
         except IrpsoError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
 
 
-def follow(context, begun: session.Session) -> None:
+def run_in_window(context, begun: session.Session) -> None:
     """Show a session's card, mark the file as changed, and run the session by the window's timer."""
     if begun.mesh is None:
         height, width = begun.job.capture.masks[0].shape

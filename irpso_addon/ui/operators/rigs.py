@@ -53,7 +53,7 @@ class IRPSO_OT_save_rig(bpy.types.Operator):
         try:
             self.filepath = str(free_folder(capture_path(context.scene.irpso), "rig"))
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -64,7 +64,7 @@ class IRPSO_OT_save_rig(bpy.types.Operator):
             out = absolute(self.filepath, "Rig") if self.filepath else free_folder(capture_path(settings), "rig")
             rig = save_rig(read_spec(capture_path(settings), settings.colour_space), out, decode)
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         count = len(rig.photographs)
         if rig.measured is not None:
             text = rpt("{name}: {count} lamps, with corrections", name=out.name, count=count)

@@ -87,9 +87,9 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
         path, size = result
         if bpy.ops.irpso.import_capture(filepath=str(path)) != {"FINISHED"}:
             return {"CANCELLED"}
-        settings, arranged = context.scene.irpso, layout.arranged(size, 1, 0)
-        settings.framing, settings.crop = "CROP", layout.tile_crop(arranged.camera)
-        settings.card_distance = arranged.card_distance
+        settings, made = context.scene.irpso, layout.make_layout(size, 1, 0)
+        settings.framing, settings.crop = "CROP", layout.tile_crop(made.camera)
+        settings.card_distance = made.card_distance
         begin_check(context.scene)  # again: the check of the import did not know the distance
         self.report({"INFO"}, rpt("The sample is open; {file} says what is in it", file=path.parents[1] / PAGE))
         return {"FINISHED"}

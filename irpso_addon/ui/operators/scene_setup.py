@@ -19,12 +19,12 @@ from ...blender.scenes.scene_capture import ASPECT, CAPTURE, lights_in_order, ph
 from ...blender.scenes.scene_lights import LIGHT_TYPES
 from ...blender.scenes.scene_objects import RESOLUTION, set_camera, set_light
 from ...capture.camera import Camera
+from ...capture.card import card_depth, card_middle, card_size
 from ...capture.framing import framed
 from ...capture.images.headers import read_header
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.raw import is_raw
 from ...capture.inspect.damage import with_skip_remedy
-from ...capture.places import card_depth, card_middle, card_size
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
@@ -277,7 +277,7 @@ class CreateScene(bpy.types.Operator):
             part = framed(capture, spec.framing)
             depth = card_depth(part) if on_card else None
         except InputError as error:
-            return failures.refused(self, error)
+            return failures.report_and_cancel(self, error)
         lights = create_scene(scene, spec, capture)
         if on_card:
             settings.card_distance = capture.card_distance or 0.0  # so that This Scene gives the same capture

@@ -220,7 +220,7 @@ class SessionOverlay:
             if np.isfinite(state.error) and (not probe.curve or probe.curve[-1][0] < iteration):
                 probe.curve.append((iteration, state.error))
             if probe in watched:
-                self._trails.setdefault(probe.slot, swarm.Trail()).follow(state.particles, (probe.row, probe.column))
+                self._trails.setdefault(probe.slot, swarm.Trail()).update(state.particles, (probe.row, probe.column))
         return True
 
     def _placement(self, subject) -> Placement:
@@ -281,7 +281,7 @@ class SessionOverlay:
         if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has its own labels
             return None
         names = [one.name for one in job.capture.observations]
-        text = legend.words(item, job.model, names, job.numbers)
+        text = legend.caption(item, job.model, names, job.numbers)
         area = free.corner(*painter.chip_size(text))
         painter.chip(text, area.x, area.y)
         return area

@@ -52,7 +52,7 @@ class Trail:
         self.live = False
         self._texel: object = None
 
-    def follow(self, particles: Particles | None, of: object) -> None:
+    def update(self, particles: Particles | None, of: object) -> None:
         """Add the particles read last, None if no swarm is searching. of: identity of the texel.
 
         Another texel, or particles with other components, clear the trail.

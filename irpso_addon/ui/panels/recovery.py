@@ -125,7 +125,7 @@ def draw_result(layout, context, running: session.Session) -> None:
             _draw_warning(layout, context, text)
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    for text in (*running.doubts, *capture_warnings(running.job.capture, reads=False)):
+    for text in (*running.warnings, *capture_warnings(running.job.capture, reads=False)):
         _draw_warning(layout, context, text)
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")

@@ -13,10 +13,10 @@ def is_checked(settings) -> bool:
     return settings.source == "SCENE" or settings.checked_path == settings.capture_path
 
 
-def keep(settings, found: Iterable[Finding], known: str = "") -> None:
+def keep(settings, new: Iterable[Finding], known: str = "") -> None:
     """Store findings in the settings. known: a prefix removed from their paths, because a panel is narrow."""
     settings.findings.clear()
-    for finding in found:
+    for finding in new:
         item = settings.findings.add()
         item.severity, item.code, item.goal = finding.severity, finding.code, finding.goal
         item.message = finding.message.replace(known, "") if known else finding.message

@@ -32,7 +32,7 @@ _report: dict[str, str] = {}  # facts of the last report on this machine; not sa
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PreferenceValues:
     """Values of the preferences. memory: as for --memory, None for the machine's free memory.
 
     entry: "auto", "fragment" or "compute". display_rate: pictures per second, 1…60. output_folder: for the maps' image
@@ -49,13 +49,13 @@ class Wanted:
         return absolute(self.output_folder, "Output Folder") if self.output_folder else None
 
 
-def current(context) -> Wanted:
+def current(context) -> PreferenceValues:
     """Return the preferences; the defaults if the add-on is registered but not enabled."""
     addon = context.preferences.addons.get(BASE_PACKAGE)
     if addon is None or addon.preferences is None:
-        return Wanted()
+        return PreferenceValues()
     chosen = addon.preferences
-    return Wanted(chosen.memory.strip() or None, chosen.entry, chosen.display_rate, chosen.output_folder)
+    return PreferenceValues(chosen.memory.strip() or None, chosen.entry, chosen.display_rate, chosen.output_folder)
 
 
 def picture_seconds(context) -> float:

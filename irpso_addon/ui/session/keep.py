@@ -26,12 +26,12 @@ NOTHING = n_("Nothing has been recovered yet: press Recover")
 _STANDARD = "Standard"
 
 
-def current_maps(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
-    """Return the current maps. wanted: derived maps to add. Raises InputError if one cannot be made."""
-    return result_maps(running.work, running.maps(confidence), wanted)
+def current_maps(running: session.Session, confidence: bool, extras: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
+    """Return the current maps. extras: derived maps to add. Raises InputError if one cannot be made."""
+    return result_maps(running.work, running.maps(confidence), extras)
 
 
-def report_of(running: session.Session, found: ResultMaps) -> dict[str, Any]:
+def report_of(running: session.Session, recovered: ResultMaps) -> dict[str, Any]:
     """Return the report of the current maps, in the form that the command line writes."""
     job, model = running.job, running.job.model
     settings = {
@@ -42,14 +42,14 @@ def report_of(running: session.Session, found: ResultMaps) -> dict[str, Any]:
         "hold_out": "auto" if job.held_out else None,
         "done": running.progress.done,
     }
-    running.relight(found.solver)
-    return result.report_of(running.work, found, settings, running.seconds)
+    running.relight(recovered.solver)
+    return result.report_of(running.work, recovered, settings, running.seconds)
 
 
-def pictures_of(running: session.Session, found: ResultMaps) -> dict[str, np.ndarray]:
+def pictures_of(running: session.Session, recovered: ResultMaps) -> dict[str, np.ndarray]:
     """Return the pictures of a result: file stem → (H, W, 3) display values; convergence if there is a history."""
-    running.relight(found.solver)
-    pictures, maps = result.pictures_of(running.work, found), found.solver
+    running.relight(recovered.solver)
+    pictures, maps = result.pictures_of(running.work, recovered), recovered.solver
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:
@@ -95,7 +95,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running.pause()
         try:
             text = _keep(context, running)
-            unkept.forget(running.job.resumed)
+            unkept.delete(running.job.resumed)
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}

@@ -42,7 +42,7 @@ class Session:
 
     state: "loading", "preparing", "running" (also while held-out photographs are relit), "paused" or "done". title: the
     current step, for the panel. history: (iteration, mean error) pairs. error: the last mean error, a fraction of
-    white. seconds: search time. longest_stall_s: the longest tick. doubts: warnings of a finished recovery. failure:
+    white. seconds: search time. longest_stall_s: the longest tick. warnings: of a finished recovery. failure:
     the error that ended the session, "" for none.
 
     data: results of the previous run, for reuse. changed: called with the session for every redraw and by ``close``.
@@ -57,7 +57,7 @@ class Session:
         self.probes = Probes(self._notify)
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
-        self.doubts: tuple[str, ...] = ()
+        self.warnings: tuple[str, ...] = ()
         self.seconds = 0.0
         self.longest_stall_s = 0.0
         self.closed = False
@@ -223,7 +223,7 @@ class Session:
             self._notify()
             return
         self._end_relighting()
-        self.state, self.doubts = "done", self.recovery.warnings
+        self.state, self.warnings = "done", self.recovery.warnings
         self.title = n_("Stopped") if self.stopped else n_("Done")
         self._notify()
 

@@ -85,12 +85,12 @@ def is_marked(settings) -> bool:
     return marks is None or any(marks)
 
 
-def keep_corners(settings, found: DetectedCorners) -> None:
+def keep_corners(settings, detected: DetectedCorners) -> None:
     """Make detected corners the frame, and a marker board's width the card's if near lights need a distance."""
-    settings.framing, settings.corners = "CORNERS", np.ravel(found.corners).tolist()
-    settings.crop = crop_around(np.array(found.corners))
-    if found.width and settings.near_lights and not knows_distance(settings):
-        settings.card_width = found.width
+    settings.framing, settings.corners = "CORNERS", np.ravel(detected.corners).tolist()
+    settings.crop = crop_around(np.array(detected.corners))
+    if detected.width and settings.near_lights and not knows_distance(settings):
+        settings.card_width = detected.width
 
 
 def crop_around(corners: np.ndarray) -> list[int]:

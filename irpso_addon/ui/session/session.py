@@ -59,7 +59,7 @@ def _notify() -> None:
         listener()
 
 
-def forget() -> None:
+def reset() -> None:
     """Before the file changes: store unkept maps, close the session, and delete its data."""
     if _current is not None:
         unkept.store(_current)
@@ -68,17 +68,17 @@ def forget() -> None:
 
 
 def register() -> None:
-    """Add the handler that calls ``forget`` before another file is loaded."""
+    """Add the handler that calls ``reset`` before another file is loaded."""
     bpy.app.handlers.load_pre.append(_on_load)
 
 
 def unregister() -> None:
     """End the session and remove the handler."""
-    forget()
+    reset()
     bpy.app.handlers.load_pre.remove(_on_load)
 
 
 @persistent
 @failures.reported(n_("Leaving the file"))
 def _on_load(*_: object) -> None:
-    forget()
+    reset()

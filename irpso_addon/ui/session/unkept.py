@@ -61,17 +61,17 @@ def store(running: Any) -> None:
         running.recovery.save(job.resumed or directory / f"{file_stem(job.name)}-{digest}.npz", notes, running=True)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
-    look()
+    refresh()
 
 
 def listed() -> list[StoredRecovery]:
     """Return the stored recoveries, the newest first."""
     if _listed is None:
-        look()
+        refresh()
     return _listed or []
 
 
-def look() -> None:
+def refresh() -> None:
     """Read the folder again; skips unreadable files and other files."""
     global _listed
     directory = folder()
@@ -83,7 +83,7 @@ def look() -> None:
     _listed = [stored for path in newest if (stored := _read(path)) is not None]
 
 
-def forget(path: Path | None) -> None:
+def delete(path: Path | None) -> None:
     """Delete a stored recovery; do nothing for None."""
     if path is None:
         return
@@ -91,7 +91,7 @@ def forget(path: Path | None) -> None:
         path.unlink(missing_ok=True)
     except OSError:
         _log.exception("%s could not be deleted", path)
-    look()
+    refresh()
 
 
 def _read(path: Path) -> StoredRecovery | None:

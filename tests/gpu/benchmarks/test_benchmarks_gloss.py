@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("scipy", reason="the cards are made with scipy")
 
-from benchmarks.gloss import beyond  # noqa: E402
+from benchmarks.gloss import outlier_shares  # noqa: E402
 from irpso_addon.blender.scenes.true_surface import TrueMaps  # noqa: E402
 from irpso_addon.capture.images.exr import write_exr  # noqa: E402
 
@@ -24,8 +24,8 @@ def test_colour_errors_use_their_own_channels_deviation_at_seen_texels_only(tmp_
     seen[0, :2] = True
     half = np.where(np.arange(4) < 1, small, large)  # of the seen texels the first is wrong beyond its deviation
     write_exr(tmp_path / "confidence.exr", {"confidence_base_color": {"R": half, "G": small, "B": large}})
-    shares = beyond(maps(0.5), maps(0.0), seen, tmp_path)
+    shares = outlier_shares(maps(0.5), maps(0.0), seen, tmp_path)
     assert shares["beyond_base_color"] == 0.5
     assert shares["beyond_roughness"] is None
     write_exr(tmp_path / "confidence.exr", {"confidence_base_color": {"R": large, "G": small, "B": small}})
-    assert beyond(maps(0.5), maps(0.0), seen, tmp_path)["beyond_base_color"] == 0
+    assert outlier_shares(maps(0.5), maps(0.0), seen, tmp_path)["beyond_base_color"] == 0

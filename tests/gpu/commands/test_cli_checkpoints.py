@@ -114,7 +114,7 @@ class NoHistory:
     def until_next(self, most):
         return 1
 
-    def look(self):
+    def record_due(self):
         pass
 
     def take(self, notes):

@@ -35,7 +35,7 @@ def sample(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found():
-    return layout.arranged(SIZE, COUNT, 5)
+    return layout.make_layout(SIZE, COUNT, 5)
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ def turns_of(domain, schedule):
 
 def driven(recovery, history, budget=None):
     while not recovery.step(history.until_next(None), budget).done:
-        history.look()
-    history.look()
+        history.record_due()
+    history.record_due()
     return history.notes
 
 
@@ -60,7 +60,7 @@ def test_notes_continue_from_a_checkpoint(stop, tmp_path):
     with turns_of(domain, STAGES) as recovery:
         history = History(recovery, truth)
         recovery.step(stop)
-        history.look()
+        history.record_due()
         recovery.save(tmp_path / "run.npz", history.notes)
     with turns_of(domain, STAGES) as recovery:
         history = History(recovery, truth)

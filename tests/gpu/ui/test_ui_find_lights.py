@@ -244,9 +244,9 @@ def test_the_rim_of_a_ball_and_its_highlights_are_where_the_mouse_takes_hold_of_
     inside = np.argwhere(trace(CAMERA, CENTRE, RADIUS)[3])[:, ::-1] + 0.5
     np.testing.assert_allclose(handles["middle", 0] * marks._size, inside.mean(axis=0), atol=0.5)
     assert handles["rim", 0][0] * CAMERA.width == pytest.approx(inside[:, 0].max() + 0.5, abs=1)
-    assert operator.taken(marks, ("spot", 1), np.zeros(2)) is None and marks._dropped == {"1.exr"}
-    operator.taken(marks, ("spot", 1), np.zeros(2))
-    assert marks._dropped == set() and operator.taken(marks, ("rim", 0), np.zeros(2)) == ("rim", 0)
+    assert operator.clicked(marks, ("spot", 1), np.zeros(2)) is None and marks._dropped == {"1.exr"}
+    operator.clicked(marks, ("spot", 1), np.zeros(2))
+    assert marks._dropped == set() and operator.clicked(marks, ("rim", 0), np.zeros(2)) == ("rim", 0)
     operator.moved(marks, ("rim", 0), handles["middle", 0] + (0.1, 0))
     assert marks._circles[0, 2] == pytest.approx(0.1 * CAMERA.width)
     operator.moved(marks, ("middle", 0), np.array([0.25, 0.75]))

@@ -91,7 +91,7 @@ def test_a_card_removed_from_the_scene_is_linked_again(recovered):
 def test_maps_go_into_the_folder_of_the_preferences(recovered, tmp_path, monkeypatch):
     from irpso_addon.ui.properties import preferences
 
-    wanted = preferences.Wanted(output_folder=str(tmp_path / "maps"))
+    wanted = preferences.PreferenceValues(output_folder=str(tmp_path / "maps"))
     monkeypatch.setattr(preferences, "current", lambda context: wanted)
     bpy.ops.irpso.keep()
     assert sorted(path.name for path in (tmp_path / "maps").iterdir()) == [f"IRPSO_leaf_{name}.png" for name in MAPS]
@@ -102,7 +102,7 @@ def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made
     from irpso_addon.ui.properties import preferences
     from irpso_addon.ui.session.job import make_job
 
-    wanted = preferences.Wanted(output_folder="//irpso test maps/")
+    wanted = preferences.PreferenceValues(output_folder="//irpso test maps/")
     monkeypatch.setattr(preferences, "current", lambda context: wanted)
     assert "Output Folder: //irpso test maps/ lies beside the .blend file, which is not saved" in refusal(
         bpy.ops.irpso.keep

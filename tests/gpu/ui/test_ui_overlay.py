@@ -126,13 +126,13 @@ def test_lights_over_the_subject_are_distinguished_from_those_around_it():
 def test_observations_are_counted_from_one_in_the_legend():
     model = load_model("lambert")
     shown = surface.Shown("reference", observation=2)
-    assert legend.words(shown, model, ("a", "b", "c"), (0, 2, 1)) == "Photograph 2: c"
+    assert legend.caption(shown, model, ("a", "b", "c"), (0, 2, 1)) == "Photograph 2: c"
 
 
 def test_the_legend_of_the_indirect_light_is_in_percent_of_the_light():
     shown, model = surface.Shown("indirect", limit=0.5), load_model("lambert")
     assert legend.scale_of(shown, model) == legend.Scale("Indirect", "% of the light", 50)
-    assert legend.words(shown, model, ("a",), (0,)) == "Indirect light"
+    assert legend.caption(shown, model, ("a",), (0,)) == "Indirect light"
 
 
 @pytest.mark.parametrize(
@@ -339,17 +339,17 @@ def swarm_of(positions):
 def test_a_trail_keeps_the_last_positions_and_begins_anew_with_another_texel():
     trail = Trail()
     for i in range(20):
-        trail.follow(swarm_of(np.full((4, 2), float(i))), (1, 2))
+        trail.update(swarm_of(np.full((4, 2), float(i))), (1, 2))
     assert [positions[0, 0] for positions in trail.positions] == list(range(8, 20))
-    trail.follow(swarm_of(np.full((4, 2), 19.0)), (1, 2))
+    trail.update(swarm_of(np.full((4, 2), 19.0)), (1, 2))
     assert len(trail.positions) == 12
-    trail.follow(swarm_of(np.full((4, 2), 5.0)), (1, 3))
+    trail.update(swarm_of(np.full((4, 2), 5.0)), (1, 3))
     assert len(trail.positions) == 1
-    trail.follow(swarm_of(np.full((5, 2), 5.0)), (1, 3))
+    trail.update(swarm_of(np.full((5, 2), 5.0)), (1, 3))
     assert len(trail.positions) == 1
-    trail.follow(None, (1, 3))
+    trail.update(None, (1, 3))
     assert (len(trail.positions), trail.live) == (1, False)
-    trail.follow(None, (9, 9))
+    trail.update(None, (9, 9))
     assert (len(trail.positions), trail.particles) == (0, None)
 
 

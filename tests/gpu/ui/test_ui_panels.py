@@ -301,7 +301,7 @@ def test_the_panels_show_rounds_of_interreflection_and_what_they_found(settings,
         running.tick(0.01)
     assert not any("first round" in text for text in drawn().texts)
     running.run()
-    running.doubts = ("they are explained worse than before",)
+    running.warnings = ("they are explained worse than before",)
     texts = drawn().texts
     found = running.recovery.findings["interreflection"]
     assert texts[texts.index("Rounds") + 1] == "1" and "They are explained worse than before" in texts

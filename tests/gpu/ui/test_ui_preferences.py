@@ -30,15 +30,17 @@ def found():
 
 @pytest.mark.bpy_only
 def test_without_preferences_there_are_defaults():
-    assert preferences.current(bpy.context) == preferences.Wanted(None, "auto", 10, "")
+    assert preferences.current(bpy.context) == preferences.PreferenceValues(None, "auto", 10, "")
 
 
 @pytest.mark.bpy_only
 def test_preferences_start_with_defaults_and_keep_changes(enabled, tmp_path):
-    assert preferences.current(bpy.context) == preferences.Wanted()
+    assert preferences.current(bpy.context) == preferences.PreferenceValues()
     enabled.memory, enabled.entry, enabled.display_rate = " device=4G,host=8G ", "compute", 99
     enabled.output_folder = str(tmp_path)
-    assert preferences.current(bpy.context) == preferences.Wanted("device=4G,host=8G", "compute", 60, str(tmp_path))
+    assert preferences.current(bpy.context) == preferences.PreferenceValues(
+        "device=4G,host=8G", "compute", 60, str(tmp_path)
+    )
 
 
 @pytest.mark.bpy_only

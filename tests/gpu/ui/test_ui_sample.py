@@ -29,7 +29,7 @@ def test_the_sample_is_rendered_once_and_opens_with_its_lights_and_its_tile(monk
     small(monkeypatch)
     folder = tmp_path / "sample"
     assert bpy.ops.irpso.open_sample(folder=str(folder)) == {"FINISHED"}
-    settings, found = bpy.context.scene.irpso, layout.arranged(SIZE, COUNT, 0)
+    settings, found = bpy.context.scene.irpso, layout.make_layout(SIZE, COUNT, 0)
     assert settings.framing == "CROP" and tuple(settings.crop) == layout.tile_crop(found.camera)
     assert settings.card_distance == pytest.approx(found.card_distance)
     assert not [item for item in settings.findings if "distance" in item.message]

@@ -296,7 +296,7 @@ def test_errors_use_blenders_setting_names(job, monkeypatch):
     from irpso_addon.ui.properties import preferences
     from irpso_addon.ui.session import session
 
-    monkeypatch.setattr(preferences, "current", lambda context: preferences.Wanted(memory="device=1K"))
+    monkeypatch.setattr(preferences, "current", lambda context: preferences.PreferenceValues(memory="device=1K"))
     running = session.begin(job())
     while running.active:
         running.tick(0.05)

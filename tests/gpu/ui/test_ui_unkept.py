@@ -17,10 +17,10 @@ def folder(tmp_path, monkeypatch):
     from irpso_addon.ui.session import unkept
 
     monkeypatch.setattr(unkept, "folder", lambda: tmp_path / "unkept")
-    unkept.look()
+    unkept.refresh()
     yield tmp_path / "unkept"
     monkeypatch.undo()
-    unkept.look()
+    unkept.refresh()
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def stored(plane, folder):
     running.history[:] = [(1, 0.5), (3, 0.25)]
     fraction = running.fraction
     assert 0 < fraction < 1
-    session.forget()
+    session.reset()
     assert session.current() is None
     (found,) = unkept.listed()
     assert (found.name, found.fraction) == ("Plane skin", fraction)
@@ -113,7 +113,7 @@ def test_occluders_come_back_with_their_recovery(plane, folder):
     while running.recovery is None:
         running.tick(0.05)
     running.recovery.step(3)
-    session.forget()
+    session.reset()
     (found,) = unkept.listed()
     plane.occluders = None
     assert make_job(bpy.context).source != job.source
@@ -131,10 +131,10 @@ def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
 
     session.begin(make_job(bpy.context)).run()
     bpy.ops.irpso.keep()
-    session.forget()
+    session.reset()
     session.begin(make_job(bpy.context)).run()
     bpy.ops.irpso.cancel()
-    session.forget()
+    session.reset()
     assert unkept.listed() == [] and not folder.exists()
 
 
@@ -180,7 +180,7 @@ def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, 
 
     folder.write_text("in the way")
     session.begin(make_job(bpy.context)).run()
-    session.forget()
+    session.reset()
     assert session.current() is None and unkept.listed() == []
     assert folder.read_text() == "in the way" and "Plane skin could not be stored" in caplog.text
 

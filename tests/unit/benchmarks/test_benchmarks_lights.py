@@ -47,7 +47,7 @@ def test_the_page_says_when_inspects_figures_are_not_those_measured():
 @pytest.mark.parametrize("figure", sufficiency.NUMBER, ids=lambda figure: f"{figure.value} lights")
 def test_inspect_calls_lights_enough_where_few_of_the_measured_texels_failed(figure):
     # Spread over the whole sphere, so that nothing but their number speaks against them.
-    fact, findings = lights.spoken(lights.lights_of("number", figure.value))
+    fact, findings = lights.inspect_lights(lights.lights_of("number", figure.value))
     # Five lights did worse than three by chance: nothing is enough below what was not.
     failed = np.array([f.failed for f in sufficiency.NUMBER if f.value >= figure.value]).max(axis=0)
     wanted = [goal for goal, part in zip(sufficiency.GOALS, failed, strict=True) if part <= sufficiency.FEW]

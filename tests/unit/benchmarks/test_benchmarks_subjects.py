@@ -47,8 +47,8 @@ def test_cast_shadow_takes_a_connected_part_of_the_lights_of_every_texel():
 
 
 def test_interreflection_adds_its_part_of_the_blurred_surroundings():
-    dirt = subjects.Dirt("", 0.0, 0.15, 0.1)
-    card = subjects.make_card((20, 25), 12, dirt, seed=5)
+    degradation = subjects.Degradation("", 0.0, 0.15, 0.1)
+    card = subjects.make_card((20, 25), 12, degradation, seed=5)
     direct = confidence_oracle.radiance(card.domain, card.model, card.truth)
     direct[card.shadowed] = 0
     wide = 25 * subjects.BLUR
@@ -57,7 +57,7 @@ def test_interreflection_adds_its_part_of_the_blurred_surroundings():
 
 
 def test_noise_has_its_deviation_and_no_sample_is_negative():
-    clean, noisy = (subjects.make_card(24, 50, dirt, seed=6).domain.stack.values[..., :3] for dirt in (
+    clean, noisy = (subjects.make_card(24, 50, degradation, seed=6).domain.stack.values[..., :3] for degradation in (
         subjects.CLEAN, replace(subjects.CLEAN, noise=0.01)))  # fmt: skip
     lit = clean > 0.1
     assert (noisy - clean)[lit].std() == pytest.approx(0.01, rel=0.02) and noisy.min() == 0

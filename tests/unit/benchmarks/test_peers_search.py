@@ -5,7 +5,7 @@ import pytest
 from test_peers_models import problem
 
 from benchmarks.peers.objective import Loss, Objective
-from benchmarks.peers.per_texel import Way, _joint_trace
+from benchmarks.peers.per_texel import Trace, _joint_trace
 from benchmarks.peers.problem import angles
 
 pytest.importorskip("scipy.optimize", reason="scipy is not installed: its searches cannot be run")
@@ -77,8 +77,8 @@ def test_a_trace_shows_every_texel_at_the_same_number_of_evaluations():
     objective = Objective(p, Loss())
     size = objective.box.size
     ways = [
-        Way([(0.1, 10, np.full(size, 0.1)), (0.4, 40, np.full(size, 0.4))], 100, began=0),
-        Way([(0.2, 20, np.full(size, 0.2)), (1.0, 100, np.full(size, 0.9))], 100, began=0),
+        Trace([(0.1, 10, np.full(size, 0.1)), (0.4, 40, np.full(size, 0.4))], 100, began=0),
+        Trace([(0.2, 20, np.full(size, 0.2)), (1.0, 100, np.full(size, 0.9))], 100, began=0),
     ]
     trace = _joint_trace(ways, objective, workers=1)
     assert trace[0].evaluations == 20 and trace[-1].evaluations == 100
@@ -88,8 +88,8 @@ def test_a_trace_shows_every_texel_at_the_same_number_of_evaluations():
 
 
 def test_a_way_keeps_only_what_is_better():
-    way = Way()
-    way.saw(np.array([[0.1], [0.2]]), np.array([3.0, 2.0]))
-    way.saw(np.array([[0.3]]), np.array([2.5]))
-    way.saw(np.array([[0.4]]), np.array([1.0]))
-    assert [(row[1], row[2][0]) for row in way.rows] == [(2, 0.2), (4, 0.4)]
+    trace = Trace()
+    trace.record(np.array([[0.1], [0.2]]), np.array([3.0, 2.0]))
+    trace.record(np.array([[0.3]]), np.array([2.5]))
+    trace.record(np.array([[0.4]]), np.array([1.0]))
+    assert [(row[1], row[2][0]) for row in trace.rows] == [(2, 0.2), (4, 0.4)]

@@ -12,7 +12,7 @@ from irpso_addon.calibration.balls.detect.rim import on_rim
 from irpso_addon.calibration.balls.matte import fit_lights
 from irpso_addon.calibration.balls.mirror import Sight, find_highlights, reflected
 from irpso_addon.calibration.balls.shading import shading_of
-from irpso_addon.calibration.balls.table import Table, gathered
+from irpso_addon.calibration.balls.table import Table, radiance_from_table
 from irpso_addon.capture.camera import Camera
 from irpso_addon.core.steps import run_steps
 from tests.builders.ball_scenes import Scene, Sphere, photographs, place
@@ -43,7 +43,7 @@ def test_a_lit_plane_gives_a_ball_the_share_of_the_hemisphere_below_it():
     ball, _ = outline_ball()
     view = view_of(ball, np.zeros((1, CAMERA.height, CAMERA.width, 3)))
     around = Surroundings(np.full((1, CAMERA.height, CAMERA.width, 3), 0.7, np.float32), np.zeros(2), 1)
-    light = gathered(view, around, TABLE)
+    light = radiance_from_table(view, around, TABLE)
     normals = ball.surface(view.pixels)[1]
     np.testing.assert_allclose(light[0, view.inside, 0], 0.35 * (1 - normals @ UP)[view.inside], atol=0.04)
     assert not light[0, ~view.inside].any()
@@ -54,7 +54,7 @@ def test_the_dark_half_of_a_table_darkens_the_side_of_the_ball_that_faces_it():
     view = view_of(ball, np.zeros((1, CAMERA.height, CAMERA.width, 3)))
     dark = np.full((1, CAMERA.height, CAMERA.width, 3), 0.7, np.float32)
     dark[:, :, : int(middle[0])] = 0
-    light = gathered(view, Surroundings(dark, np.zeros(2), 1), TABLE)[0, :, :, 0]
+    light = radiance_from_table(view, Surroundings(dark, np.zeros(2), 1), TABLE)[0, :, :, 0]
     row, reach = int(middle[1]), int(0.9 * ball.radius_px)
     assert light[row, int(middle[0]) - reach] < 0.25 * light[row, int(middle[0]) + reach]
 
@@ -66,7 +66,7 @@ def test_a_matte_ball_on_a_patterned_table_gives_its_lights_where_the_tables_lig
     shape = (len(LIGHTS), CAMERA.height, CAMERA.width, 3)
     pattern = np.broadcast_to(np.linspace(0.0, 1.2, CAMERA.width)[:, None], shape).astype(np.float32)
     normals = ball.surface(view_of(ball, np.zeros(shape)).pixels)[1]
-    light = gathered(view_of(ball, np.zeros(shape)), Surroundings(pattern, np.zeros(2), 1), TABLE)
+    light = radiance_from_table(view_of(ball, np.zeros(shape)), Surroundings(pattern, np.zeros(2), 1), TABLE)
     direct = np.maximum(normals @ LIGHTS.T, 0).transpose(2, 0, 1)[..., None]
     rng = np.random.default_rng(0)
     view = view_of(ball, 0.6 * direct + 0.5 * light + 0.02 + 0.004 * rng.normal(size=shape))

@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.calibration.radiometry.colour_chart import patch_colours
 from irpso_addon.calibration.radiometry.colour_difference import delta_e_2000, lab_of_linear
-from irpso_addon.calibration.radiometry.colour_fit import NAMES, chart_warnings, fitted, recognised, sample_chart
+from irpso_addon.calibration.radiometry.colour_fit import NAMES, chart_warnings, fitted, orient_chart, sample_chart
 from irpso_addon.capture import read_exr
 from irpso_addon.commands import develop
 from irpso_addon.core.encode import linear_from_srgb, srgb_from_linear
@@ -39,7 +39,7 @@ def differences(matrix, camera, tint, exposure):
 
 def test_a_noiseless_chart_gives_the_inverse_of_camera_and_lamp():
     light = chart.photographed(exposure=0.7)
-    _, found, fit = recognised(chart.whole(light), CORNERS, "x")
+    _, found, fit = orient_chart(chart.whole(light), CORNERS, "x")
     assert found.usable.all()
     expected = true_matrix(chart.CAMERA, chart.TINT, 0.7)
     np.testing.assert_allclose(fit.matrix, expected, atol=0.01 * np.abs(expected).max())
@@ -53,7 +53,7 @@ def test_random_cameras_lamps_and_gradients_in_8_bits_come_out_below_2(seed):
     camera, tint = chart.random_camera(rng), np.exp(rng.uniform(-0.7, 0, 3))
     shading, off = rng.uniform(-0.35, 0.35, 2), rng.uniform(-2, 2, (4, 2))
     light = chart.photographed(camera=camera, tint=tint, shading=shading, exposure=0.75, noise=0.005, seed=seed)
-    _, found, fit = recognised(chart.whole(encoded(light)), CORNERS + off, "x")
+    _, found, fit = orient_chart(chart.whole(encoded(light)), CORNERS + off, "x")
     assert np.nanmean(fit.after) < 2 and np.nanmean(fit.after) < 0.5 * np.nanmean(fit.before)
     left = differences(fit.matrix, camera, tint, 0.75)  # of the truth, which the fit does not know
     assert left.mean() < 2
@@ -68,15 +68,15 @@ def test_the_shine_of_a_varnish_stays_out_of_the_matrix(seed):
     shown = {"camera": camera, "tint": tint, "shading": rng.uniform(-0.35, 0.35, 2), "noise": 0.005, "seed": seed}
     # Fresnel's 4 % at roughness 0.7 under a lamp in front add 0.027 to every reflectance, in the lamp's colour.
     light = chart.photographed(patches=patch_colours() + 0.027, **shown)
-    _, _, fit = recognised(chart.whole(encoded(light)), CORNERS, "x")
+    _, _, fit = orient_chart(chart.whole(encoded(light)), CORNERS, "x")
     assert differences(fit.matrix, camera, tint, 0.7).mean() < 1 and abs(fit.gloss - 0.027) < 0.005  # was 3.4
-    _, _, matt = recognised(chart.whole(encoded(chart.photographed(**shown))), CORNERS, "x")
+    _, _, matt = orient_chart(chart.whole(encoded(chart.photographed(**shown))), CORNERS, "x")
     assert matt.gloss == 0
 
 
 def test_a_chart_that_shines_too_much_is_warned_of():
     rgba = chart.whole(chart.photographed(patches=patch_colours() + 0.12))
-    order, found, fit = recognised(rgba, CORNERS, "x")
+    order, found, fit = orient_chart(rgba, CORNERS, "x")
     assert "the chart shines (10% of white)" in " ".join(chart_warnings("x", CORNERS, order, found, fit))
 
 
@@ -94,7 +94,7 @@ def test_greys_stay_neutral_whatever_the_colours_say():
 @pytest.mark.parametrize("backward", (False, True))
 def test_corners_in_any_order_are_recognised(first, backward):
     given = np.roll(CORNERS[::-1] if backward else CORNERS, first, axis=0)
-    order, _, fit = recognised(chart.whole(chart.photographed()), given, "x")
+    order, _, fit = orient_chart(chart.whole(chart.photographed()), given, "x")
     np.testing.assert_array_equal(order, CORNERS)
     assert np.nanmean(fit.after) < 0.3
 
@@ -103,19 +103,19 @@ def test_a_mirrored_photograph_is_refused():
     rgba = chart.whole(chart.photographed())[:, ::-1]
     given = CORNERS * (-1, 1) + (chart.SIZE[0], 0)
     with pytest.raises(InputError, match="shows the chart mirrored"):
-        recognised(rgba, given, "x")
+        orient_chart(rgba, given, "x")
 
 
 def test_another_chart_is_refused_though_its_grey_row_is_right():
     patches = patch_colours()
     patches[:3] = np.random.default_rng(0).permutation(patches[:3].reshape(-1, 3)).reshape(3, -1, 3)
     with pytest.raises(InputError, match="enclose no 24-patch chart"):
-        recognised(chart.whole(chart.photographed(patches=patches)), CORNERS, "x")
+        orient_chart(chart.whole(chart.photographed(patches=patches)), CORNERS, "x")
 
 
 def test_a_clipped_patch_is_left_out_and_named():
     light = chart.photographed(exposure=1.2, tint=np.ones(3), shading=(0, 0))
-    _, found, fit = recognised(chart.whole(light), CORNERS, "x")
+    _, found, fit = orient_chart(chart.whole(light), CORNERS, "x")
     assert found.left_out["clipped"] == ["white"] and np.isnan(fit.after[NAMES.index("white")])
     assert np.nanmax(fit.after) < 0.5
 

@@ -106,11 +106,11 @@ def test_a_spot_gives_nothing_outside_its_cone_and_a_flat_lamp_falls_with_the_co
     place, down = (0.0, 0.0, 2.0), (0.0, 0.0, -1.0)
     angles = np.radians([0, 29.9, 30, 30.1, 60, 89, 91, 180])
     points = np.array(place) + 3 * np.stack([np.sin(angles), 0 * angles, -np.cos(angles)], axis=-1)
-    assert Light(place, distant=False).share(points).tolist() == [1] * 8
-    assert Light(place, (1, 1, 1), False, down, 30.0).share(points).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
-    flat = Light(place, (1, 1, 1), False, down, None, True).share(points)
+    assert Light(place, distant=False).relative_intensity(points).tolist() == [1] * 8
+    assert Light(place, (1, 1, 1), False, down, 30.0).relative_intensity(points).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
+    flat = Light(place, (1, 1, 1), False, down, None, True).relative_intensity(points)
     np.testing.assert_allclose(flat, np.maximum(np.cos(angles), 0), atol=1e-15)
-    flash = Light(place, (1, 1, 1), False, down, None, 2.5).share(points)
+    flash = Light(place, (1, 1, 1), False, down, None, 2.5).relative_intensity(points)
     np.testing.assert_allclose(flash, np.maximum(np.cos(angles), 0) ** 2.5, atol=1e-15)
 
 

@@ -307,9 +307,9 @@ def test_the_mirror_test_follows_the_mixed_derivative():
 
 
 def test_ball_normals_point_outward():
-    x, y, count = checks.outwardness(NORMALS, MASK)
+    x, y, count = checks.outward_components(NORMALS, MASK)
     assert count > 100 and 0.2 < x < 0.6 and y == pytest.approx(x, rel=0.05)
-    assert checks.outwardness(NORMALS * [-1, 1, 1], MASK)[0] == pytest.approx(-x)
+    assert checks.outward_components(NORMALS * [-1, 1, 1], MASK)[0] == pytest.approx(-x)
 
 
 def test_checks_use_each_cameras_own_axes(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from irpso_addon.cluster import agreement as job
 from irpso_addon.cluster.partition import around, check_fits, check_gathered, split
 from irpso_addon.cluster.samples import RankedStack
-from irpso_addon.cluster.transport import Agreed, Ranks, joined
+from irpso_addon.cluster.transport import CollectiveError, Ranks, joined
 from irpso_addon.cluster.worker import Worker
 from irpso_addon.core.errors import GpuUnavailableError, InputError
 from irpso_addon.geometry.domain import subset, tile
@@ -25,14 +25,14 @@ from tests.builders.domains import make_domain
 NEED = recovery_cost(load_model("lambert"), load_schedule("swarm"), (), 12)
 
 
-class Told(Ranks):
-    """A rank that hears what a test has the others say."""
+class FakeRanks(Ranks):
+    """A rank without MPI: ``allgather`` returns the values that a test gives for the others."""
 
     def __init__(self, others, rank=0, size=2):
         super().__init__()
         self._others, self.rank, self.size, self.locals = others, rank, size, size
 
-    def all(self, value):
+    def allgather(self, value):
         return [value, *self._others]
 
 
@@ -61,10 +61,10 @@ def test_ranks_without_texels_have_no_box():
 def test_a_rank_whose_texels_do_not_fit_its_share_of_the_device_says_so():
     found = split(np.ones((256, 256), bool), NEED, 2)
     size = found.tiles[0].device
-    check_fits(found, Told([]), Memory(2 * size, 1 << 30), sharing=2)
-    check_fits(found, Told([]), Memory(size, 1 << 30), sharing=1)
+    check_fits(found, FakeRanks([]), Memory(2 * size, 1 << 30), sharing=2)
+    check_fits(found, FakeRanks([]), Memory(size, 1 << 30), sharing=1)
     with pytest.raises(InputError, match="start more ranks on more machines"):
-        check_fits(found, Told([]), Memory(2 * size - 2, 1 << 30), sharing=2)
+        check_fits(found, FakeRanks([]), Memory(2 * size - 2, 1 << 30), sharing=2)
 
 
 def test_a_checkpoint_too_large_for_rank_0_is_refused_before_gathering():
@@ -110,7 +110,7 @@ def test_distributed_samples_read_like_those_in_memory():
     def ask(order, *arguments):
         asked.append(order)
         if order is Worker.make_second:
-            return stacks.append(stack.another())
+            return stacks.append(stack.zeros_like())
         *arguments, second = arguments
         read = stacks[second]
         if order is Worker.layer:
@@ -120,12 +120,12 @@ def test_distributed_samples_read_like_those_in_memory():
         observations, rows, columns = arguments
         return read.texels(rows, columns)[observations]
 
-    def deal(order, value):
+    def scatter(order, value):
         observation, layer, second = value
         assert order is Worker.put
         stacks[second].put(observation, layer)
 
-    shared = RankedStack(SimpleNamespace(ask=ask, deal=deal), range(7), (slice(0, 6), slice(0, 5)))
+    shared = RankedStack(SimpleNamespace(ask=ask, scatter=scatter), range(7), (slice(0, 6), slice(0, 5)))
     texels = np.array([0, 5, 2]), np.array([4, 0, 2])
     assert shared.shape == stack.shape
     for _ in range(2):
@@ -139,7 +139,7 @@ def test_distributed_samples_read_like_those_in_memory():
     some = np.array([1, 0]), np.array([2, 1])
     np.testing.assert_array_equal(part.stack.texels(*some), wanted.stack.texels(*some))
     fitted = shared.subset(np.array([2, 5]))
-    second = fitted.another()
+    second = fitted.zeros_like()
     assert second.shape == fitted.shape and not second.layer(1).any()
     second.put(1, 0.5 * stack.layer(5))
     np.testing.assert_array_equal(second.layer(1), 0.5 * stack.layer(5))
@@ -157,7 +157,7 @@ def test_llvmpipe_has_as_many_threads_as_a_rank_has_cores(own, others, threads, 
     monkeypatch.setattr(job, "available_cores", lambda: own)
     monkeypatch.setenv("LP_NUM_THREADS", "")  # so that it is as before afterwards
     monkeypatch.delenv("LP_NUM_THREADS")
-    ranks = Told([])
+    ranks = FakeRanks([])
     ranks._others = [(ranks.host, sorted(cores)) for cores in others] + [("elsewhere", [0, 1, 2, 3])]
     job.choose_device(ranks)
     assert job.os.environ["LP_NUM_THREADS"] == str(threads)
@@ -175,7 +175,7 @@ def test_ranks_on_one_machine_take_its_gpus_in_turn(monkeypatch, tmp_path):
     for local in range(3):
         monkeypatch.setenv("DRI_PRIME", "")
         monkeypatch.delenv("DRI_PRIME")
-        ranks = Told([], size=3)
+        ranks = FakeRanks([], size=3)
         ranks.local = local
         ranks._others = [(ranks.host, "pci-0000_01_00_0"), ("elsewhere", "pci-0000_41_00_0")]
         sharing = job.choose_device(ranks)
@@ -184,19 +184,19 @@ def test_ranks_on_one_machine_take_its_gpus_in_turn(monkeypatch, tmp_path):
 
 
 def test_an_error_of_another_rank_is_raised_here_with_its_name_and_type():
-    with pytest.raises(Agreed) as raised:
-        Told([(GpuUnavailableError, "no GPU context", "rank 1 on node7")]).agreed(lambda: 3)
+    with pytest.raises(CollectiveError) as raised:
+        FakeRanks([(GpuUnavailableError, "no GPU context", "rank 1 on node7")]).agreed(lambda: 3)
     assert isinstance(raised.value.error, GpuUnavailableError) and raised.value.error.exit_code == 3
     assert str(raised.value.error) == "rank 1 on node7: no GPU context"
-    assert Told([None]).agreed(lambda: 3) == 3
+    assert FakeRanks([None]).agreed(lambda: 3) == 3
 
 
 def test_an_error_on_all_ranks_is_reported_like_one_process():
     def fail():
         raise InputError("capture.toml: no such file")
 
-    with pytest.raises(Agreed) as raised:
-        Told([(InputError, "capture.toml: no such file", "rank 1 on node7")]).agreed(fail)
+    with pytest.raises(CollectiveError) as raised:
+        FakeRanks([(InputError, "capture.toml: no such file", "rank 1 on node7")]).agreed(fail)
     assert str(raised.value.error) == "capture.toml: no such file"
 
 
@@ -214,7 +214,7 @@ def test_ranks_with_another_capture_or_options_are_named(monkeypatch):
     about = {"program": ("version 1", "a"), "options": ("9 of them", "x")}
     monkeypatch.setattr(job, "_about", lambda options, capture: about)
     for other, words in (({**about, "options": ("9 of them", "y")}, "options of rank 1"), (about, "")):
-        ranks = Told([("rank 1 on b", other)])
+        ranks = FakeRanks([("rank 1 on b", other)])
         monkeypatch.setattr(ranks, "agreed", lambda work: work())
         if words:
             with pytest.raises(InputError, match=words):

@@ -103,7 +103,7 @@ def source_of(path, given):
 
 def samplers_of(kernel):
     """Return the textures that a kernel declares: those of its table that its source reads."""
-    return sorted(kernel.declared(source_of(kernel.source, frozenset(kernel.given.items()))))
+    return sorted(kernel.declared(source_of(kernel.source, frozenset(kernel.includes.items()))))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -83,7 +83,7 @@ def test_the_report_counts_texels_dominated_by_the_prior():
     maps = Maps(model, values, covered, confidence=confidence)
     # No prior draws at a metal: it does not decide there.
     assert prior_shares(maps) == {"metallic": 0.6, "specular": 0.6}
-    assert prior_shares(maps, given={"metallic"}) == {"specular": 0.6}
+    assert prior_shares(maps, fixed={"metallic"}) == {"specular": 0.6}
     assert prior_shares(replace(maps, confidence=None)) == {}
 
 

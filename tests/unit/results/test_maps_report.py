@@ -55,7 +55,7 @@ def test_an_albedo_at_its_limit_is_warned_of_with_its_share_of_the_covered_texel
 
 def test_few_texels_at_the_limit_or_a_fixed_albedo_give_no_warning():
     assert limit_warnings(albedo_maps(0.05)) == []
-    assert limit_warnings(albedo_maps(0.4), given={"albedo"}) == []
+    assert limit_warnings(albedo_maps(0.4), fixed={"albedo"}) == []
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ def outline(camera, middle, radius):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_the_balls_circle_is_the_mean_of_its_outline(size):
-    camera = layout.arranged(size, 4, 0).camera
+    camera = layout.make_layout(size, 4, 0).camera
     seen = outline(camera, layout.ball_middle(), layout.BALL_RADIUS)
     x, y, radius = layout.ball_circle(camera)
     centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
@@ -37,7 +37,7 @@ def test_the_balls_circle_is_the_mean_of_its_outline(size):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_everything_is_in_the_picture(size):
-    camera = layout.arranged(size, 4, 0).camera
+    camera = layout.make_layout(size, 4, 0).camera
     ball = outline(camera, layout.ball_middle(), layout.BALL_RADIUS)
     others = [layout.seen_from_upper_left(camera, p) for p in (layout.tile_corners(), layout.chart_corners())]
     seen = np.concatenate([ball, *others])
@@ -45,13 +45,13 @@ def test_everything_is_in_the_picture(size):
 
 
 def test_the_tiles_first_corner_is_the_upper_left_one():
-    camera = layout.arranged((720, 540), 4, 0).camera
+    camera = layout.make_layout((720, 540), 4, 0).camera
     seen = layout.seen_from_upper_left(camera, layout.tile_corners())
     assert seen[0].tolist() == seen.min(axis=0).tolist() and seen[2].tolist() == seen.max(axis=0).tolist()
 
 
 def test_the_crop_lies_inside_the_tile_and_misses_less_than_two_pixels_of_it():
-    camera = layout.arranged((640, 480), 4, 0).camera
+    camera = layout.make_layout((640, 480), 4, 0).camera
     x, y, width, height = layout.tile_crop(camera)
     low, _, high, _ = layout.seen_from_upper_left(camera, layout.tile_corners())
     assert (low <= (x, y)).all() and (high >= (x + width, y + height)).all()
@@ -59,20 +59,20 @@ def test_the_crop_lies_inside_the_tile_and_misses_less_than_two_pixels_of_it():
 
 
 def test_the_focal_length_of_exif_is_that_of_the_camera():
-    found = layout.arranged((720, 540), 4, 0)
+    found = layout.make_layout((720, 540), 4, 0)
     diagonal = 2 * np.arctan(np.hypot(36, 24) / 2 / layout.FOCAL_35MM)
     assert np.tan(np.radians(found.fov_degrees) / 2) == pytest.approx(np.tan(diagonal / 2) * 720 / np.hypot(720, 540))
 
 
 def test_the_lamp_stays_over_the_table_and_near_its_distance_and_moves_with_the_seed():
-    found = layout.arranged((720, 540), 16, 3)
+    found = layout.make_layout((720, 540), 16, 3)
     away = found.lamps - layout.ball_middle()
     far = np.linalg.norm(away, axis=-1)
     assert 0.02 < np.ptp(far) / layout.LAMP_DISTANCE < 0.045
     assert far.mean() == pytest.approx(layout.LAMP_DISTANCE, rel=0.01)
     assert (away[:, 2] / far).min() > np.cos(np.radians(72))
-    np.testing.assert_array_equal(found.lamps, layout.arranged((160, 120), 16, 3).lamps)
-    assert np.abs(found.lamps - layout.arranged((720, 540), 16, 4).lamps).max() > 10
+    np.testing.assert_array_equal(found.lamps, layout.make_layout((160, 120), 16, 3).lamps)
+    assert np.abs(found.lamps - layout.make_layout((720, 540), 16, 4).lamps).max() > 10
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from ..crops import BallView, Surroundings
 from ..matte import fit_lights
 from ..mirror import Sight, find_highlights
 from ..shading import shading_of
-from ..table import Table, gathered
+from ..table import Table, radiance_from_table
 
 _MARGIN = 3  # pixels
 _LIT = 0.25  # of the range of values: brighter ones are outside the attached shadow
@@ -88,7 +88,7 @@ def on_table(stack: np.ndarray, clipped: np.ndarray, ball: Ball, table: Table, i
         ball, view.pixels[::step, ::step], view.values[:, ::step, ::step], view.usable[:, ::step, ::step], step
     )
     surroundings = Surroundings(np.broadcast_to(stack[..., None], (*stack.shape, 3)), np.zeros(2), 1)
-    table_values = [gathered(view, surroundings, table)]
+    table_values = [radiance_from_table(view, surroundings, table)]
     shadings = [shading_of([view], number, table_values) for number in range(len(stack))]
     fits, _ = fit_lights(shadings, ball.centre, False, inverse / ball.radius)
     lights = [np.full(3, np.nan) if isinstance(fit, str) else fit.direction for fit in fits]

@@ -43,26 +43,26 @@ class FoundBall:
         return (self.points.max(axis=0) + self.points.min(axis=0)) / 2
 
 
-def usable_balls(found: Sequence[FoundBall]) -> list[FoundBall]:
+def usable_balls(balls: Sequence[FoundBall]) -> list[FoundBall]:
     """Return the exact balls for calibration: mirror, else matte ones, of about the size of the first (surest)."""
-    kind = "mirror" if any(ball.exact and ball.kind == "mirror" for ball in found) else "matte"
-    same = [ball for ball in found if ball.exact and ball.kind == kind]
+    kind = "mirror" if any(ball.exact and ball.kind == "mirror" for ball in balls) else "matte"
+    same = [ball for ball in balls if ball.exact and ball.kind == kind]
     return [ball for ball in same if 1 / _SAME_SIZE < ball.radius / same[0].radius < _SAME_SIZE]
 
 
-def known_tables(found: Sequence[FoundBall]) -> tuple[Table, ...]:
+def known_tables(balls: Sequence[FoundBall]) -> tuple[Table, ...]:
     """Return the table below each ball; () if any is unknown."""
-    tables = tuple(ball.table for ball in found if ball.table is not None)
-    return tables if len(tables) == len(found) else ()
+    tables = tuple(ball.table for ball in balls if ball.table is not None)
+    return tables if len(tables) == len(balls) else ()
 
 
-def as_ball(found: FoundBall, camera: Camera, name: str, radius: float | None) -> Ball:
+def as_ball(detected: FoundBall, camera: Camera, name: str, radius: float | None) -> Ball:
     """Return a found ball as a Ball in camera axes. radius: in world units, or None."""
-    ball = fit_ball(found.points, camera, name, radius)
-    if found.kind == "mirror" and found.shadow is not None:
-        radius_error = np.hypot(_RADIUS_ERROR, _SHADOW_DISTANCE * min(found.inverse[1], _UNKNOWN))
+    ball = fit_ball(detected.points, camera, name, radius)
+    if detected.kind == "mirror" and detected.shadow is not None:
+        radius_error = np.hypot(_RADIUS_ERROR, _SHADOW_DISTANCE * min(detected.inverse[1], _UNKNOWN))
         return replace(ball, error_px=(_CENTRE_ERROR * ball.radius_px, float(radius_error) * ball.radius_px))
-    if found.kind == "matte":
+    if detected.kind == "matte":
         centre, radius_error = np.maximum(ball.error_px, np.array([_RIM_CENTRE, _RIM_RADIUS]) * ball.radius_px).tolist()
         return replace(ball, error_px=(centre, radius_error))
     return ball

@@ -8,7 +8,7 @@ import pytest
 from irpso_addon.calibration.photographs import calibrated_table
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.inspect.report import inspect_capture
-from irpso_addon.capture.places import camera_problems, lens_problems
+from irpso_addon.capture.inspect.units import camera_problems, lens_problems
 from irpso_addon.capture.read import read_capture, read_spec
 from irpso_addon.capture.types import Light
 from irpso_addon.capture.write import write_capture
