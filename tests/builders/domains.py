@@ -10,6 +10,7 @@ from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, with_sa
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
+from tests.oracles.reflectance import unit
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
 
 # Few iterations, and a neighbour term strong enough to show.
@@ -72,12 +73,6 @@ def masked(domain: Domain, mask: np.ndarray) -> Domain:
     """Return the domain with only the covered texels of a mask (H, W)."""
     bake = replace(domain.bake, coverage=domain.bake.coverage & mask)
     return replace(domain, bake=bake, solvable=domain.solvable & mask)
-
-
-def unit(v) -> np.ndarray:
-    """Return float64 vectors of length 1."""
-    v = np.asarray(v, np.float64)
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
 def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
