@@ -75,6 +75,13 @@ def masked(domain: Domain, mask: np.ndarray) -> Domain:
     return replace(domain, bake=bake, solvable=domain.solvable & mask)
 
 
+def noisy(domain: Domain, sigma: float) -> Domain:
+    """Return the domain with noise of a standard deviation on its samples."""
+    stack = domain.stack.values.copy()
+    stack[..., :3] += np.random.default_rng(5).normal(size=stack[..., :3].shape).astype(np.float32) * sigma
+    return with_samples(domain, stack)
+
+
 def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
     """Return the domain with the radiance of a material; weights stay, samples of weight 0 are NaN."""
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
@@ -141,15 +148,23 @@ def recoveries():
     """Yield a maker of recoveries and close them at the end, for a fixture."""
     from irpso_addon.solver.engine.recovery import Recovery  # needs Blender
 
+    def recovery(domain, model=None, schedule=SHORT, seed=1, fixed=None, entry="fragment"):
+        return Recovery(domain, model or load_model("lambert"), schedule, seed, fixed, entry)
+
+    yield from makers(recovery)
+
+
+def makers(kind):
+    """Yield a maker of objects of a kind and close them at the end, for a fixture."""
     made = []
 
-    def make(domain, model=None, schedule=SHORT, seed=1, fixed=None, entry="fragment"):
-        made.append(Recovery(domain, model or load_model("lambert"), schedule, seed, fixed, entry))
+    def make(*arguments, **options):
+        made.append(kind(*arguments, **options))
         return made[-1]
 
     yield make
-    for recovery in made:
-        recovery.close()
+    for one in made:
+        one.close()
 
 
 def run_tiled(domain, model, schedule, halo, entry="fragment"):
