@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.subjects import spiral_lights
 from irpso_addon.geometry.domain import Domain, domain_of, flat_bake
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
@@ -50,10 +51,7 @@ def make_subject(size: int) -> Subject:
     normal = np.concatenate([slope, np.ones((size, size, 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
 
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(LIGHTS)
-    height = 1 - 0.6 * (np.arange(LIGHTS) + 0.5) / LIGHTS
-    flat = np.sqrt(1 - height**2)
-    lights = np.stack([flat * np.cos(turn), flat * np.sin(turn), height, np.zeros(LIGHTS)], axis=-1)
+    lights = np.pad(spiral_lights(LIGHTS, 0.4), ((0, 0), (0, 1)))
     cosine = np.maximum(np.einsum("hwc,kc->khw", normal, lights[:, :3]), 0)
     radiance = albedo * cosine[..., None] + rng.normal(size=(LIGHTS, size, size, 3)) * NOISE
     stack = np.concatenate([radiance, np.ones((LIGHTS, size, size, 1))], axis=-1)

@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 from benchmarks import report
 from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.png import encode_png
+from irpso_addon.geometry.spaces import unit
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.seamless import seamless
 
@@ -127,7 +128,7 @@ def cross_faded(values: Values) -> Values:
             faded = share * value[:over] + (1 - share) * value[-over:]
             value = np.concatenate([faded, value[over:-over]]).swapaxes(0, 1)
         result[name] = value
-    return {**result, "normal": _unit(result["normal"])}
+    return {**result, "normal": unit(result["normal"])}
 
 
 def mirrored(values: Values) -> Values:
@@ -243,7 +244,7 @@ def mirror_line(picture: np.ndarray, reach: int = 24) -> float:
 def shaded(values: Values) -> np.ndarray:
     """Return (H, W, 3), the maps under one light: a diffuse part, and a GGX highlight."""
     light = _LIGHT / np.linalg.norm(_LIGHT)
-    half = _unit(light + np.array([0, 0, 1.0]))
+    half = unit(light + np.array([0, 0, 1.0]))
     normal = values["normal"]
     cosine = np.clip(normal @ light, 0, None)[..., None]
     alpha2 = np.clip(values["roughness"], 0.1, 1) ** 4
@@ -286,14 +287,10 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...], grain: float) -> np
     return noise / noise.std()
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def _maps(height: np.ndarray, colour: np.ndarray, roughness: np.ndarray) -> Values:
     """Return the maps of a dielectric with a height field in texels."""
     down, right = np.gradient(height)
-    normal = _unit(np.stack([-right, -down, np.ones_like(height)], axis=-1))
+    normal = unit(np.stack([-right, -down, np.ones_like(height)], axis=-1))
     one = np.ones((*height.shape, 1))
     return {
         "base_color": np.clip(colour, 0, 1), "normal": normal, "roughness": np.clip(roughness, 0.05, 1)[..., None],

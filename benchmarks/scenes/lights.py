@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from irpso_addon.geometry.spaces import unit
+
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 _GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 
@@ -18,7 +20,7 @@ def grid_lights(
     rng = np.random.default_rng(seed)
     side, up = np.meshgrid(np.linspace(-widest[0], widest[0], columns), np.linspace(widest[1], -widest[1], rows))
     angles = np.radians(np.stack([side, up], axis=-1).reshape(-1, 2) + rng.uniform(-1, 1, (columns * rows, 2)))
-    return _unit(np.concatenate([np.tan(angles), np.ones((columns * rows, 1))], axis=-1))
+    return unit(np.concatenate([np.tan(angles), np.ones((columns * rows, 1))], axis=-1))
 
 
 def dome_lights(count: int, widest: float, narrowest: float = 0.0, turn: float = 0.0) -> np.ndarray:
@@ -54,7 +56,3 @@ def uneven_intensities(count: int, low: float, high: float, seed: int = 0) -> np
     rng = np.random.default_rng(seed)
     brightness = rng.uniform(low, high, (count, 1))
     return np.clip(brightness * rng.uniform(0.8, 1.25, (count, 3)), low, high)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

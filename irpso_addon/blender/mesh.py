@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
+from ..geometry.spaces import unit
 from ..geometry.surface.mesh import MeshData, check_uvs
 from ..geometry.surface.slots import slot_names
 from ..geometry.surface.udim import lay_out
@@ -181,12 +182,7 @@ def _to_world(name: str, corners: dict[str, Any], matrix: np.ndarray) -> MeshDat
         **corners
         | {
             "positions": (corners["positions"] @ linear.T + matrix[:3, 3]).astype(np.float32),
-            "normals": _unit(normals).astype(np.float32),
-            "tangents": np.concatenate([_unit(tangents), signs], axis=-1).astype(np.float32),
+            "normals": unit(normals).astype(np.float32),
+            "tangents": np.concatenate([unit(tangents), signs], axis=-1).astype(np.float32),
         },
     )
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(lengths > 0, lengths, 1.0)

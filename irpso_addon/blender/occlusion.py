@@ -6,8 +6,6 @@ hollow half sphere of 9120 triangles it traces 0.7 million rays a second on each
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from ..geometry.surface.mesh import MeshData
 from ..results.maps import Maps
 from .materials.material import new_material
 from .mesh import mesh_of_faces
-from .operators import cycles_operator
+from .operators import cycles_operator, removed_afterwards
 
 RAYS = 128
 _NAME = "IRPSO occlusion"
@@ -70,7 +68,7 @@ def _baked(
     """
     import bpy
 
-    with _removed_afterwards() as made:
+    with removed_afterwards() as made:
         extent = float(np.linalg.norm(np.ptp(mesh.opaque.reshape(-1, 3), axis=0)))
         scene = _scene(made, rays, _REACH * extent)
         target = _image(made, np.zeros((*shape, 4), np.float32))
@@ -95,18 +93,6 @@ def _baked(
         target.pixels.foreach_get(baked)
     pixels = baked.reshape(*shape, 4)
     return pixels[..., 0], pixels[..., 3]
-
-
-@contextlib.contextmanager
-def _removed_afterwards() -> Iterator[list[Any]]:
-    """Yield a list; the data blocks appended to it are removed from the open file at the end."""
-    import bpy
-
-    made: list[Any] = []
-    try:
-        yield made
-    finally:
-        bpy.data.batch_remove(made)
 
 
 def _scene(made: list[Any], rays: int, reach: float) -> Any:

@@ -1,4 +1,4 @@
-"""Context managers around Blender's operators: they keep its output off the terminal and lose no signal."""
+"""Context managers around Blender's operators: no output on the terminal, no lost signal, no data block left behind."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 from ..core.files import remove_unfinished
 from ..core.interrupt import INTERRUPTED, SIGNALS, interrupted_afterwards, signals_interrupt
@@ -43,6 +44,18 @@ def cycles_operator() -> Iterator[None]:
     """
     with _ended_by_signals() if signals_interrupt() else contextlib.nullcontext(), quiet_operator():
         yield
+
+
+@contextlib.contextmanager
+def removed_afterwards() -> Iterator[list[Any]]:
+    """Yield a list; the data blocks appended to it are removed from the open file at the end."""
+    import bpy
+
+    made: list[Any] = []
+    try:
+        yield made
+    finally:
+        bpy.data.batch_remove(made)
 
 
 @contextlib.contextmanager

@@ -114,6 +114,11 @@ class Capture:
         """Number of observations that the capture's files list, excluded ones included."""
         return len(self.observations) + len(self.left_out)
 
+    @property
+    def lights(self) -> list[Light]:
+        """The light of each observation."""
+        return [shot.light for shot in self.observations]
+
     def numbers(self, listed: Iterable[int]) -> list[int]:
         """Convert indices in the files' list to indices of ``observations``; drop those of excluded observations."""
         excluded = [one.index for one in self.left_out]

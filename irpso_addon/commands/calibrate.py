@@ -111,7 +111,7 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
     spec, keys = _photographs(options, keys, [])
     result = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
     kind = "near lights, with their positions," if result.near else "distant lights"
-    line = f"{len(result.lights)} {kind} by the shading of '{mesh.name}'; {_errors(result.fit.degrees)}"
+    line = f"{len(result.capture.lights)} {kind} by the shading of '{mesh.name}'; {_errors(result.fit.degrees)}"
     return _written_without_ball(options, spec, keys, result, line)
 
 
@@ -128,7 +128,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     stated = spec.card_distance is not None or spec.framing.card_width is not None
     card = {} if stated else {CARD_DISTANCE: result.capture.card_distance}
     line = (
-        f"{len(result.lights)} near lights, with their positions, by their fall-off over a flat card;"
+        f"{len(result.capture.lights)} near lights, with their positions, by their fall-off over a flat card;"
         f" {_errors(result.fit.degrees)}, and {result.distance_error:.0%} of their distance"
     )
     return _written_without_ball(options, spec, keys, result, line, card)
@@ -147,7 +147,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     result = _without_ball(options, steps)
     turned = f"; it turned them by {result.refined.turned.mean():.1f}°" if result.kept else ""
     line = (
-        f"{len(result.lights)} distant lights by shading; parts of the subject agree to {result.errors.mean():.1f}°,"
+        f"{len(result.errors)} distant lights by shading; parts of the subject agree to {result.errors.mean():.1f}°,"
         f" and before its material was recovered to {result.first.errors.mean():.1f}°{turned}"
     )
     return _written_without_ball(options, spec, keys, result, line)
@@ -177,13 +177,13 @@ def _written_without_ball(
     card: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict:
     """Write the lights, print a line and the warnings, and return the command's result."""
-    report, out = result.report(), Path(options.output)
-    write_lights(spec, keys, result.lights, report, out, card)
+    report, out, count = result.report(), Path(options.output), len(result.capture.lights)
+    write_lights(spec, keys, result.capture.lights, report, out, card)
     if not silent(options):
         lines = [line, *(f"warning: {warning}" for warning in result.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")
     warn_quietly(options, result.warnings)
-    return {"output": str(out), **report, "photographs": len(result.lights), "lights": len(result.lights)}
+    return {"output": str(out), **report, "photographs": count, "lights": count}
 
 
 def _errors(degrees: np.ndarray) -> str:

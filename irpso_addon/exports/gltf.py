@@ -19,7 +19,7 @@ from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem
 from .result import Result, open_sky_of
-from .surface import surface_of
+from .surface import F0_HALF, surface_of
 
 
 def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surfa
     fit = fit_ggx(surface)
     f0 = surface.f0 * fit.scale
     # Above 4 % the index of refraction has to rise: the factor is at most 1.
-    highest = max(0.04, float(f0[maps.covered].max(initial=0)))
+    highest = max(F0_HALF, float(f0[maps.covered].max(initial=0)))
     pictures = Surface(
         name=name,
         base_color=pixels.colour(surface.base_color, maps),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..blender.materials.two_lobe_nodes import settings_of
 from ..core.errors import InputError
 from ..reflectance.model import Parameter
 from ..results.maps import Maps
@@ -72,16 +73,13 @@ def _principled(maps: Maps) -> Surface:
 
 
 def _two_lobes(maps: Maps) -> Surface:
-    shape = maps.covered.shape
-    material = maps.model.material
-    distribution = material.get("distribution", "BECKMANN")
-    width = material.get("roughness", "alpha" if distribution == "BECKMANN" else "perceptual")
+    shape, settings = maps.covered.shape, settings_of(maps.model)
     first = _map(maps, "Weight", 0.5)
     lobes = []
     for number, weight in ((1, first), (2, 1 - first)):
         alpha = _map(maps, f"Roughness {number}", 0.5)
-        lobes.append(Lobe(weight, alpha**2 if width == "perceptual" else alpha, distribution))
-    f0 = np.full(shape, material.get("f0", 0.028), np.float32)
+        lobes.append(Lobe(weight, alpha**2 if settings.roughness == "perceptual" else alpha, settings.distribution))
+    f0 = np.full(shape, settings.f0, np.float32)
     return Surface(_color(maps), _normal(maps), tuple(lobes), f0, np.zeros(shape, np.float32), layered=False)
 
 

@@ -20,9 +20,9 @@ from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem, filled_folder
 from .result import Result, open_sky_of
-from .surface import Surface, surface_of
+from .surface import F0_HALF, Surface, surface_of
 
-_SPECULAR_OF_F0 = 0.5 / 0.04  # Principled's, Unreal's and Substance's: 0.5 reflects 4 %
+_SPECULAR_OF_F0 = 0.5 / F0_HALF  # Principled's, Unreal's and Substance's: 0.5 reflects 4 %
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from ..calibration.shading.known import LampFit, Samples, cells, free_scale, nea
 from ..capture.bounds import without_bounds
 from ..capture.camera import Camera
 from ..capture.framing import Framing, framed
-from ..capture.types import Capture, Light, triple
+from ..capture.types import Capture, triple
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from ..geometry.build import check_card
@@ -37,11 +37,6 @@ class FlatCard:
     capture: Capture
     fit: LampFit
     warnings: tuple[str, ...] = ()
-
-    @property
-    def lights(self) -> list[Light]:
-        """The light of each photograph."""
-        return [shot.light for shot in self.capture.observations]
 
     @property
     def distance_error(self) -> float:

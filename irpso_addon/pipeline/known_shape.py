@@ -69,11 +69,6 @@ class KnownShape:
     texels: int
     warnings: tuple[str, ...]
 
-    @property
-    def lights(self) -> list[Light]:
-        """The light of each photograph."""
-        return [shot.light for shot in self.capture.observations]
-
     def report(self) -> dict[str, Any]:
         """Return the table of the report."""
         rows = light_rows(self.capture, self.fit, self.near)

@@ -64,11 +64,6 @@ class Uncalibrated:
     kept: bool
     warnings: tuple[str, ...]
 
-    @property
-    def lights(self) -> list[Light]:
-        """The light of each photograph."""
-        return [shot.light for shot in self.capture.observations]
-
     def report(self) -> dict[str, Any]:
         """Return the table of the report."""
         rows = []

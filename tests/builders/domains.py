@@ -10,6 +10,7 @@ from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, with_sa
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
+from tests.oracles.reflectance import unit
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
 
 # Few iterations, and a neighbour term strong enough to show.
@@ -74,10 +75,11 @@ def masked(domain: Domain, mask: np.ndarray) -> Domain:
     return replace(domain, bake=bake, solvable=domain.solvable & mask)
 
 
-def unit(v) -> np.ndarray:
-    """Return float64 vectors of length 1."""
-    v = np.asarray(v, np.float64)
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+def noisy(domain: Domain, sigma: float) -> Domain:
+    """Return the domain with noise of a standard deviation on its samples."""
+    stack = domain.stack.values.copy()
+    stack[..., :3] += np.random.default_rng(5).normal(size=stack[..., :3].shape).astype(np.float32) * sigma
+    return with_samples(domain, stack)
 
 
 def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
@@ -146,15 +148,23 @@ def recoveries():
     """Yield a maker of recoveries and close them at the end, for a fixture."""
     from irpso_addon.solver.engine.recovery import Recovery  # needs Blender
 
+    def recovery(domain, model=None, schedule=SHORT, seed=1, fixed=None, entry="fragment"):
+        return Recovery(domain, model or load_model("lambert"), schedule, seed, fixed, entry)
+
+    yield from makers(recovery)
+
+
+def makers(kind):
+    """Yield a maker of objects of a kind and close them at the end, for a fixture."""
     made = []
 
-    def make(domain, model=None, schedule=SHORT, seed=1, fixed=None, entry="fragment"):
-        made.append(Recovery(domain, model or load_model("lambert"), schedule, seed, fixed, entry))
+    def make(*arguments, **options):
+        made.append(kind(*arguments, **options))
         return made[-1]
 
     yield make
-    for recovery in made:
-        recovery.close()
+    for one in made:
+        one.close()
 
 
 def run_tiled(domain, model, schedule, halo, entry="fragment"):

@@ -14,7 +14,7 @@ from irpso_addon.solver.settings.resolve import ResolvedRefinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, pack_layers, unit
+from tests.builders.domains import make_domain, makers, pack_layers, unit
 from tests.oracles import confidence as confidence_oracle
 
 SETTINGS = Refinement(iterations=1, starts=False, rounds=0, central=True)
@@ -56,15 +56,7 @@ class Bench:
 
 def refinements():
     """Yield a maker of ``Bench`` and close all at the end, for a fixture."""
-    made = []
-
-    def make(*arguments, **settings):
-        made.append(Bench(*arguments, **settings))
-        return made[-1]
-
-    yield make
-    for bench in made:
-        bench.close()
+    yield from makers(Bench)
 
 
 def materials(model, shape, seed=0):

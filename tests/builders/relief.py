@@ -3,12 +3,9 @@
 import numpy as np
 
 from irpso_addon.capture.images.exr import write_exr
+from tests.oracles.reflectance import unit
 
 SIDE = 72
-
-
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def lamps(count, spread=55.0, uneven=0.15):

@@ -15,7 +15,7 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, pack_layers, unit
+from tests.builders.domains import make_domain, makers, pack_layers, unit
 from tests.oracles import random_numbers as numbers
 from tests.oracles import swarm
 from tests.oracles import synchronous_swarm as oracle
@@ -148,14 +148,6 @@ def random_material(model, shape, rng) -> dict[str, np.ndarray]:
     return values
 
 
-def benches(kind=Bench):
-    """Yield a maker of benches and close them at the end, for a fixture."""
-    made = []
-
-    def make(*arguments, **options):
-        made.append(kind(*arguments, **options))
-        return made[-1]
-
-    yield make
-    for bench in made:
-        bench.close()
+def benches():
+    """Yield a maker of ``Bench`` and close all at the end, for a fixture."""
+    yield from makers(Bench)

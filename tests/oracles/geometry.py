@@ -4,6 +4,7 @@ import numpy as np
 
 from irpso_addon.geometry.surface.bake import SurfaceBake
 from irpso_addon.geometry.surface.mesh import MeshData
+from tests.oracles.reflectance import unit
 
 EDGE = -1e-9  # a centre exactly on an edge is inside, whatever the rounding of the weights
 
@@ -56,11 +57,6 @@ def plane(size=2.0, z=0.0, columns=4, rows=4, u_span=(0.0, 1.0)):
         return u_span[0] + u * (u_span[1] - u_span[0]), v
 
     return mesh_from_grid(surface, lambda u, v: np.zeros((*u.shape, 3)) + (0, 0, 1), columns, rows, texture)
-
-
-def unit(vectors):
-    """Return vectors of length 1."""
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def bake_uv(mesh, width, height):

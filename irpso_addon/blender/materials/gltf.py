@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ..colour_spaces import Use, use_space
 from ..mesh import mesh_of_faces
-from ..operators import quiet_operator
+from ..operators import quiet_operator, removed_afterwards
 from .displacement import DIVISION
 from .material import TAG
 
@@ -51,17 +51,6 @@ class Surface:
     occluded: bool = False
 
 
-@dataclass
-class _Made:
-    """Data blocks that are made in the open file for the exporter, and removed afterwards."""
-
-    objects: list[Any] = field(default_factory=list)
-    meshes: list[Any] = field(default_factory=list)
-    materials: list[Any] = field(default_factory=list)
-    images: list[Any] = field(default_factory=list)
-    groups: list[Any] = field(default_factory=list)
-
-
 def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) -> list[str]:
     """Write an object of the open file as .glb, and return warnings. surfaces: by UDIM tile.
 
@@ -73,7 +62,7 @@ def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) 
     properties = bpy.ops.export_scene.gltf.get_rna_type().properties if _has_exporter() else None
     if properties is None:
         raise InputError("Blender's glTF exporter is switched off; enable the add-on 'glTF 2.0 format'")
-    with _kept_selection(), _removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
+    with _kept_selection(), removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
         # A card has nothing past its borders; a mesh's UV map may continue at the opposite border.
         extension = "EXTEND" if TAG in obj else "REPEAT"
         materials = {n: _material(made, one, Path(temporary), extension) for n, one in surfaces.items()}
@@ -169,23 +158,12 @@ def _undivided(obj: Any) -> Iterator[None]:
             modifier.show_viewport = True
 
 
-@contextlib.contextmanager
-def _removed_afterwards() -> Iterator[_Made]:
-    import bpy
-
-    made = _Made()
-    try:
-        yield made
-    finally:
-        bpy.data.batch_remove([*made.objects, *made.meshes, *made.materials, *made.images, *made.groups])
-
-
-def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> Any:
+def _material(made: list[Any], surface: Surface, folder: Path, extension: str) -> Any:
     """Make the material that the exporter understands. extension: of image nodes, which becomes the wrap mode."""
     import bpy
 
     material = bpy.data.materials.new(surface.name)
-    made.materials.append(material)
+    made.append(material)
     if material.node_tree is None:  # since Blender 5.0 every material has one
         material.use_nodes = True
     tree = material.node_tree
@@ -197,7 +175,7 @@ def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> An
     def texture(suffix: str, image: np.ndarray, use: Use = "data", output: str = "Color") -> Any:
         file = folder / f"{surface.name}{suffix}.png"
         encode_png(file, image, bits=8)
-        made.images.append(loaded := bpy.data.images.load(str(file)))
+        made.append(loaded := bpy.data.images.load(str(file)))
         use_space(loaded, use)
         loaded.alpha_mode = "CHANNEL_PACKED"
         loaded.pack()
@@ -230,18 +208,18 @@ def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> An
     return material
 
 
-def _occlusion_group(made: _Made) -> Any:
+def _occlusion_group(made: list[Any]) -> Any:
     """Return the node group by whose name and socket Blender's exporter finds occlusion; the user's if it exists."""
     import bpy
 
     group = bpy.data.node_groups.get(_OUTPUT)
     if group is None or "Occlusion" not in group.interface.items_tree:
-        made.groups.append(group := bpy.data.node_groups.new(_OUTPUT, "ShaderNodeTree"))
+        made.append(group := bpy.data.node_groups.new(_OUTPUT, "ShaderNodeTree"))
         group.interface.new_socket("Occlusion", in_out="INPUT", socket_type="NodeSocketFloat")
     return group
 
 
-def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> Any:
+def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any]) -> Any:
     """Return a copy of an object, in triangles, with the materials of its UDIM tiles; other slots stay.
 
     The maps' tangents are those of Blender's triangles; for quads the exporter would compute others.
@@ -252,7 +230,7 @@ def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> A
     source = bpy.data.meshes.new_from_object(
         obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
     )
-    made.meshes.append(source)
+    made.append(source)
     if source.uv_layers.active is None:
         raise InputError(f"object '{obj.name}' has no UV map; the maps cannot be shown on it")
     source.calc_loop_triangles()
@@ -263,7 +241,7 @@ def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> A
     normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
     corners = np.reshape(vertices, (-1, 3))
     mesh = mesh_of_faces(name, _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3), corners)
-    made.meshes.append(mesh)
+    made.append(mesh)
     is_recovered = [_recovered(slot) for slot in obj.material_slots]
     is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
     recovered = is_recovered[np.minimum(slots, len(is_recovered) - 1)]
@@ -276,7 +254,7 @@ def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> A
     mesh.normals_split_custom_set(normals)
     mesh.update()
     copy = bpy.data.objects.new(name, mesh)
-    made.objects.append(copy)
+    made.append(copy)
     copy.matrix_world = obj.matrix_world
     bpy.context.scene.collection.objects.link(copy)
     bpy.context.view_layer.update()

@@ -22,7 +22,7 @@ from .displacement import METHOD, displacement, divide
 from .look import ROUGHNESS, look_node
 from .nodes import OwnNodes, set_input
 from .textures import TAG as IMAGE_TAG
-from .textures import check_images, material_images
+from .textures import check_images, material_images, own_block
 
 TAG = "irpso_subject"
 ORIGIN = "irpso_origin"  # source of a material
@@ -47,7 +47,7 @@ def build_material(
     import bpy
 
     tables = map_tables(maps.model)
-    former = _own_material(subject)
+    former = own_block("material", TAG, subject)
     material = former or new_material(f"IRPSO {subject}")
     material[TAG] = subject
     build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
@@ -102,7 +102,7 @@ def check_material(model: ReflectanceModel, subject: str) -> None:
     """Raise InputError where ``build_material`` would; the open file stays unchanged."""
     import bpy
 
-    _own_material(subject)
+    own_block("material", TAG, subject)
     check_images(model, subject)
     groups = set(bpy.data.node_groups)
     texel = {p.name: np.float32(p.default).reshape(1, 1, -1) for p in model.parameters}
@@ -248,20 +248,6 @@ def save_blend(path: str | Path) -> Path:
         for image, old in zip(images, before, strict=True):
             image.filepath = old
     return path
-
-
-def _own_material(subject: str):
-    """Return this subject's material, or None. Raises InputError where it is linked from a library."""
-    import bpy
-
-    materials = [material for material in bpy.data.materials if material.get(TAG) == subject]
-    local = [material for material in materials if material.library is None]
-    if materials and not local:
-        raise InputError(
-            f"material '{materials[0].name}' is linked from {materials[0].library.filepath};"
-            " make it local or recover under another name"
-        )
-    return local[0] if local else None
 
 
 def new_material(name: str):

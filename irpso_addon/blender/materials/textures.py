@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, 
     or the image is linked.
     """
     tables = map_tables(maps.model)
-    images = {table.name: _own_image(subject, table.name) for table in tables}
+    images = {table.name: own_block("image", TAG, f"{subject}/{table.name}") for table in tables}
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
         for table in tables:
             where = Path(temporary) if folder is None else folder
@@ -45,7 +46,8 @@ def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: 
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
         where, title = Path(temporary) if folder is None else folder, bpy_name(subject, name)
         paths = _write_pictures(replace(maps, values={name: values}), table, where, title)
-        image = _update_image(_own_image(subject, name), title, paths, table, packed=folder is None)
+        former = own_block("image", TAG, f"{subject}/{name}")
+        image = _update_image(former, title, paths, table, packed=folder is None)
     image[TAG] = f"{subject}/{name}"
     return image
 
@@ -53,7 +55,7 @@ def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: 
 def check_images(model: ReflectanceModel, subject: str) -> None:
     """Raise InputError where an image of this subject is linked from a library, or two maps have one name."""
     for table in map_tables(model):
-        _own_image(subject, table.name)
+        own_block("image", TAG, f"{subject}/{table.name}")
 
 
 def bpy_name(subject: str, map_name: str) -> str:
@@ -61,15 +63,16 @@ def bpy_name(subject: str, map_name: str) -> str:
     return f"IRPSO {subject} {map_name}"
 
 
-def _own_image(subject: str, map_name: str):
-    """Return this map's image, or None. Raises InputError where it is linked from a library."""
+def own_block(kind: str, tag: str, value: str) -> Any:
+    """Return the "image" or "material" whose tag has a value, or None. Raises InputError where it is linked."""
     import bpy
 
-    found = [image for image in bpy.data.images if image.get(TAG) == f"{subject}/{map_name}"]
-    local = [image for image in found if image.library is None]
+    found = [block for block in getattr(bpy.data, f"{kind}s") if block.get(tag) == value]
+    local = [block for block in found if block.library is None]
     if found and not local:
         raise InputError(
-            f"image '{found[0].name}' is linked from {found[0].library.filepath}; make it local or choose another name"
+            f"{kind} '{found[0].name}' is linked from {found[0].library.filepath};"
+            " make it local or recover under another name"
         )
     return local[0] if local else None
 

@@ -15,8 +15,8 @@ _F0 = 0.028  # the paper's: skin, IOR 1.402
 
 
 @dataclass(frozen=True)
-class _Settings:
-    """[material] settings of the two lobes."""
+class Settings:
+    """[material] settings of the two lobes. f0: reflectance at normal incidence, 0…1."""
 
     distribution: str
     f0: float
@@ -49,7 +49,7 @@ def surface(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str,
     root. A parameter drives the socket it names (Base Color, Roughness 1, Roughness 2, Weight, Normal), or by its own
     name (base_color, r1, r2, w, normal).
     """
-    settings = _settings(model)
+    settings = settings_of(model)
     node = nodes.node("surface", "ShaderNodeGroup", (280, 0), "Two lobes", width=220)
     node.node_tree = _group(settings)
     sockets = {}
@@ -63,7 +63,7 @@ def surface(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str,
 
 def has_widths(model: ReflectanceModel) -> bool:
     """Return whether a model's two roughnesses are the distribution's own widths, the squares of perceptual ones."""
-    return model.material.get("shader") == "two_lobe" and _settings(model).roughness == "alpha"
+    return model.material.get("shader") == "two_lobe" and settings_of(model).roughness == "alpha"
 
 
 def is_of_widths(node) -> bool:
@@ -71,14 +71,15 @@ def is_of_widths(node) -> bool:
     return node.bl_idname == "ShaderNodeGroup" and str(node.node_tree.get(TAG, "")).endswith(" alpha")
 
 
-def _settings(model: ReflectanceModel) -> _Settings:
+def settings_of(model: ReflectanceModel) -> Settings:
+    """Return the settings of a model with the shader "two_lobe". Raises InputError for a value that is none."""
     table = model.material
     distribution = table.get("distribution", "BECKMANN")
     width = "alpha" if distribution == "BECKMANN" else "perceptual"
     f0 = table.get("f0", _F0)
     if not isinstance(f0, int | float) or not 0 <= f0 < 1:
         raise InputError(f"model {model.name}: [material] f0 must be a number from 0 to below 1, not {f0!r}")
-    settings = _Settings(distribution, float(f0), table.get("fresnel", "schlick"), table.get("roughness", width))
+    settings = Settings(distribution, float(f0), table.get("fresnel", "schlick"), table.get("roughness", width))
     allowed = {
         "distribution": ("BECKMANN", "GGX"),
         "fresnel": ("schlick", "dielectric"),
@@ -90,7 +91,7 @@ def _settings(model: ReflectanceModel) -> _Settings:
     return settings
 
 
-def _group(settings: _Settings):
+def _group(settings: Settings):
     """Return the node group of these settings, by its tag or new."""
     key = f"two_lobe {_kind(settings)} {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
     group, fresh = tagged_group(TAG, key, "IRPSO Two Lobes")
@@ -108,7 +109,7 @@ def _group(settings: _Settings):
     return group
 
 
-def _kind(settings: _Settings) -> str:
+def _kind(settings: Settings) -> str:
     """Return the lobes' nodes: a Metallic BSDF (the name of its Fresnel), Principled BSDFs, or Glossy BSDFs."""
     if has_metallic() and settings.fresnel == "schlick":
         return "F82"
@@ -120,7 +121,7 @@ def _kind(settings: _Settings) -> str:
     return "F82" if has_metallic() else "glossy"
 
 
-def _fill(nodes: OwnNodes, settings: _Settings) -> None:
+def _fill(nodes: OwnNodes, settings: Settings) -> None:
     """Make the group's nodes: Diffuse + mix(lobe 1, lobe 2, 1 − w)."""
     inputs = nodes.node("input", "NodeGroupInput", (-720, 0)).outputs
     diffuse = nodes.node("diffuse", "ShaderNodeBsdfDiffuse", (-120, 260))
@@ -145,7 +146,7 @@ def _fill(nodes: OwnNodes, settings: _Settings) -> None:
     nodes.link(add.outputs["Shader"], nodes.node("output", "NodeGroupOutput", (540, 160)).inputs["BSDF"])
 
 
-def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, group_inputs):
+def _lobe(nodes: OwnNodes, lobe: int, settings: Settings, group_inputs):
     """Return one glossy lobe whose colour is the Fresnel reflectance.
 
     Measured against Cook and Torrance in Cycles 5.0: the Metallic BSDF has the Fresnel term within 0.03 % at every
@@ -175,7 +176,7 @@ def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, group_inputs):
     return glossy
 
 
-def _principled_lobe(nodes: OwnNodes, lobe: int, settings: _Settings, ior: float, place: tuple[float, float]):
+def _principled_lobe(nodes: OwnNodes, lobe: int, settings: Settings, ior: float, place: tuple[float, float]):
     """Return one GGX lobe from a Principled BSDF, which has Fresnel at the half vector since 4.2."""
     node = nodes.node(f"lobe {lobe}", "ShaderNodeBsdfPrincipled", place, distribution="GGX")
     schlick = settings.fresnel == "schlick"

@@ -178,7 +178,7 @@ def _errors(error: CaptureError) -> tuple[Finding, ...]:
 
 def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str, str]]:
     formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in spec.observations)
-    lights = [observation.light for observation in capture.observations]
+    lights = capture.lights
     kinds = (
         (sum(light.distant for light in lights), "distant"),
         (sum(not light.distant for light in lights), "near"),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.domain import Domain
+from ...geometry.spaces import unit
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
 from ..state.prepare import Texels, drop_shadow, light_vectors
@@ -149,7 +150,7 @@ def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixe
         shape = value.shape[:2]
         if parameter.is_normal:
             for axis in _perpendicular(value.astype(np.float64)):
-                up, down = (_unit(value + side * _TURN * axis).astype(np.float32) for side in (1, -1))
+                up, down = (unit(value + side * _TURN * axis).astype(np.float32) for side in (1, -1))
                 steps.append(_Step(parameter.name, up, down, np.full(shape, 2 * _TURN), 1.0))
             continue
         low, high = parameter.range
@@ -355,12 +356,8 @@ def _median_ratio(difference: np.ndarray, render: np.ndarray, weight: np.ndarray
 def _perpendicular(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors (…, 3), perpendicular to unit vectors and to each other."""
     least = np.eye(3)[np.abs(vectors).argmin(axis=-1)]
-    first = _unit(np.cross(vectors, least))
+    first = unit(np.cross(vectors, least))
     return first, np.cross(vectors, first)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _covered(domain: Domain) -> Texels:

@@ -278,7 +278,7 @@ def _check_scene(scene) -> None:
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
     faults = [Finding("left_out", f"left out: {one.why}") for one in capture.left_out]
-    if problem := sufficiency.no_normal([one.light for one in capture.observations]):
+    if problem := sufficiency.no_normal(capture.lights):
         faults.append(Finding(f"lights_{problem.code}", f"{capture.name}: {problem.message}", "normals", "error"))
     wide = [] if place is None else wide_lights(scene, place)
     findings.keep(settings, [*faults, *(Finding("light_wide", text) for text in wide)])

@@ -29,7 +29,7 @@ from ..session import session
 from ..session.scene_capture import knows_distance, spec_of
 from ..session.shading_lights import WAYS, ShadingRequest, known_mesh, shading_light_steps
 from .capture_import import begin_check, capture_at
-from .video import is_video
+from .video import VideoBrowser, is_video
 
 _KINDS = (
     ("auto", "Automatic", "Mirror balls if any are found, else matte ones. For a mask or a circle choose the kind"),
@@ -79,7 +79,7 @@ def _camera_names(operator, context, text: str) -> tuple[str, ...]:
         return ()
 
 
-class ChoosePhotographs(bpy.types.Operator):
+class ChoosePhotographs(VideoBrowser, bpy.types.Operator):
     """Choose the folder of photographs of one subject, each under another lamp, or a video of a lamp that is carried
     around it; their lights are found next"""
 
@@ -87,21 +87,8 @@ class ChoosePhotographs(bpy.types.Operator):
     bl_label = "Choose Photographs"
     bl_options = {"INTERNAL"}
 
-    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     filter_image: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
-    filter_movie: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
-
-    @classmethod
-    def poll(cls, context) -> bool:
-        """Whether no recovery runs."""
-        return session.idle(cls)
-
-    def invoke(self, context, event):
-        """Open the file browser."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def execute(self, context):
         """Open the dialog of Find Lights for the chosen folder; make photographs of a video first."""

@@ -20,7 +20,25 @@ from ..common.words import n_, rpt
 from ..session import session
 
 
-class PhotographsOfVideo(SlicedOperator, bpy.types.Operator):
+class VideoBrowser:
+    """Base of a ``bpy.types.Operator`` that begins with a file browser for videos and folders."""
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_movie: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether no recovery runs."""
+        return session.idle(cls)
+
+    def invoke(self, context, event):
+        """Open the file browser, which shows the other properties beside the files."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+
+class PhotographsOfVideo(VideoBrowser, SlicedOperator, bpy.types.Operator):
     """Choose a video of a lamp that is carried around the subject, or a folder of such videos. The frames that differ
     most in light become photographs beside it; their lights are found next"""
 
@@ -30,23 +48,10 @@ class PhotographsOfVideo(SlicedOperator, bpy.types.Operator):
     doing = n_("Choosing frames")
     names = {"--count": "Photographs"}
 
-    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_movie: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     count: IntProperty(
         name="Photographs", description="Most frames that become photographs. Each takes time in the recovery;"
         " roughness needs 20 or more", min=FEWEST, soft_max=200, default=COUNT,
     )  # fmt: skip
-
-    @classmethod
-    def poll(cls, context) -> bool:
-        """Whether no recovery runs."""
-        return session.idle(cls)
-
-    def invoke(self, context, event):
-        """Open the file browser, which shows the number of photographs beside the files."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def execute(self, context):
         """Write the photographs into a new folder. On an error nothing is written."""

@@ -102,7 +102,7 @@ def make_job(context) -> SceneJob:
     model, schedule = model_of(settings), schedule_of(settings.schedule)
     capture = capture_of(context.scene)
     if findings.wants_normal(settings):
-        check_normal(f"capture '{capture.name}'", [one.light for one in capture.observations])
+        check_normal(f"capture '{capture.name}'", capture.lights)
     held_out = _held_out(settings, capture)
     capture, _ = held_out_last(capture, held_out)
     obj = subject_object(context) if settings.subject == "MESH" else None

@@ -87,9 +87,9 @@ def shading_light_steps(
 def _of_relief(capture: Capture, keys: Mapping[str, Any], request: ShadingRequest) -> Generator[float, None, _Estimate]:
     if request.mesh is not None:
         shape = yield from known_shape_steps(capture, request.mesh, request.lights)
-        return _Estimate(shape.lights, shape.report(), shape.warnings, keys)
+        return _Estimate(shape.capture.lights, shape.report(), shape.warnings, keys)
     fitted = yield from uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=request.inside_out)
-    return _Estimate(fitted.lights, fitted.report(), fitted.warnings, keys)
+    return _Estimate(fitted.capture.lights, fitted.report(), fitted.warnings, keys)
 
 
 def _of_card(
@@ -107,7 +107,7 @@ def _of_card(
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     card = {**_framing_keys(framing), CARD_DISTANCE: fitted.capture.card_distance}
-    return _Estimate(fitted.lights, fitted.report(), fitted.warnings, keys, card)
+    return _Estimate(fitted.capture.lights, fitted.report(), fitted.warnings, keys, card)
 
 
 def _framing_keys(framing: Framing) -> dict[str, Any]:

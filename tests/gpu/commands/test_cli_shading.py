@@ -42,7 +42,7 @@ def test_lights_without_a_ball(solid, tmp_path):
     code, answer, err = run_cli("calibrate", folder, "--ball", "none", "-o", tmp_path / "out", "--json")
     assert (code, err) == (0, ""), err
     assert json.loads(answer.splitlines()[-1])["lights"] == LIGHTS
-    found = [shot.light for shot in read_capture(tmp_path / "out").observations]
+    found = read_capture(tmp_path / "out").lights
     off = angle(np.array([light.vector for light in found]), directions)
     power = np.array([light.intensity for light in found]).mean(axis=-1) / strengths
     print(f"lights off by {off.mean():.2f}°, strengths by {np.std(np.log(power)):.1%}")

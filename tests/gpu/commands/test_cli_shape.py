@@ -32,7 +32,7 @@ def test_lights_over_a_known_mesh_are_found(tmp_path, near):
     assert (code, err) == (0, ""), err
     said = json.loads(answer.splitlines()[-1])
     assert (said["lights"], said["near"], said["warnings"]) == (LAMPS, near, [])
-    found = [shot.light for shot in read_capture(tmp_path / "out").observations]
+    found = read_capture(tmp_path / "out").lights
     vectors = np.array([light.vector for light in found])
     if near:
         assert np.linalg.norm(vectors - places, axis=-1).max() < 0.03 * 3.2
@@ -62,7 +62,7 @@ def test_near_lights_of_a_flat_card_are_found(tmp_path):
     # Nothing tells the unit: it is the width of the picture.
     unit = DISTANCE / found.card_distance
     assert 2 * np.tan(np.radians(15)) * found.card_distance == pytest.approx(1)
-    for light, shot in zip((o.light for o in found.observations), capture.observations, strict=True):
+    for light, shot in zip(found.lights, capture.observations, strict=True):
         assert np.linalg.norm(unit * np.array(light.vector) - shot.light.vector) < 0.02 * 260
     power = [light.light.intensity[0] for light in found.observations]
     assert np.std(np.log(power)) < 0.03

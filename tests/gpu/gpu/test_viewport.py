@@ -5,6 +5,7 @@ import pytest
 
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.viewport import Drawing, Surface, toward_viewer, viewport_size
+from tests.builders.domains import makers
 
 SIZE = 48, 36
 UNIT_SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]]  # of two triangles
@@ -59,15 +60,7 @@ def drawing():
 @pytest.fixture
 def surface():
     """A maker of surfaces, which are closed at the end."""
-    made = []
-
-    def make(positions, uvs=QUAD):
-        made.append(Surface(positions, uvs))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    yield from makers(lambda positions, uvs=QUAD: Surface(positions, uvs))
 
 
 def square(z=0.0, side=2.0):

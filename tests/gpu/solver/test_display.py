@@ -16,7 +16,7 @@ from irpso_addon.solver.engine.coarse_to_fine import Pyramid
 from irpso_addon.solver.engine.engine import Capabilities
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.views.display import Display, Shown
-from tests.builders.domains import SHORT, recoveries, subject
+from tests.builders.domains import SHORT, makers, recoveries, subject
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -38,15 +38,7 @@ def running(request, recover):
 @pytest.fixture
 def show():
     """A maker of displays, which are closed at the end."""
-    made = []
-
-    def make(recovery):
-        made.append(Display(recovery))
-        return made[-1]
-
-    yield make
-    for display in made:
-        display.close()
+    yield from makers(Display)
 
 
 def seen(display, *shown, **options):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
@@ -18,7 +17,17 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, make_domain, pack_layers, recoveries, subject, unit, with_radiance
+from tests.builders.domains import (
+    bits_of,
+    make_domain,
+    makers,
+    noisy,
+    pack_layers,
+    recoveries,
+    subject,
+    unit,
+    with_radiance,
+)
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles import spatial_prior as prior_oracle
 
@@ -83,26 +92,14 @@ class Bench:
         for group in ("own", "deviation"):
             self.prior.textures.upload(group, np.split(packed, packed.shape[-1] // 4, axis=-1))
 
+    def close(self):
+        self.prior.close()
+
 
 @pytest.fixture
 def prior():
-    """Return a bench of a prior."""
-    made = []
-
-    def make(*arguments, **settings):
-        made.append(Bench(*arguments, **settings))
-        return made[-1]
-
-    yield make
-    for bench in made:
-        bench.prior.close()
-
-
-def noisy(domain, seed=5, sigma=NOISE):
-    """The domain with noise on its samples."""
-    stack = domain.stack.values.copy()
-    stack[..., :3] += np.random.default_rng(seed).normal(size=stack[..., :3].shape).astype(np.float32) * sigma
-    return with_samples(domain, stack)
+    """A maker of benches of a prior."""
+    yield from makers(Bench)
 
 
 def smooth(height, width, observations=30, seed=2, model=TWO_LOBES, **options):
@@ -121,7 +118,7 @@ def smooth(height, width, observations=30, seed=2, model=TWO_LOBES, **options):
     }  # fmt: skip
     truth = {p.name: truth[p.name].astype(np.float32) for p in model.parameters}
     domain = with_radiance(make_domain(height, width, observations, holes=False, **options), model.name, truth)
-    return noisy(domain), truth, right
+    return noisy(domain, NOISE), truth, right
 
 
 def components(model, values):
@@ -284,7 +281,7 @@ def test_without_rounds_and_for_models_without_scalars_there_is_no_prior(recover
 
 
 def test_the_lock_step_driver_gives_the_same_bits(recover):
-    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
+    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0], NOISE)
     schedule = schedule_of().replaced(materials_rounds=1, materials_iterations=2)
     whole = recover(domain, TWO_LOBES, schedule)
     whole.step()
@@ -295,7 +292,7 @@ def test_the_lock_step_driver_gives_the_same_bits(recover):
 
 
 def test_slices_reads_and_checkpoints_change_nothing(recover, tmp_path):
-    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
+    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0], NOISE)
     schedule = schedule_of()
     whole = recover(domain, TWO_LOBES, schedule)
     total = whole.step().iterations_in_all
@@ -316,7 +313,7 @@ def test_slices_reads_and_checkpoints_change_nothing(recover, tmp_path):
 
 
 def test_maps_before_the_end_show_the_refinement(recover):
-    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
+    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0], NOISE)
     without = recover(domain, TWO_LOBES, schedule_of(rounds=0))
     without.step()
     wanted = bits_of(without.maps(confidence=False))

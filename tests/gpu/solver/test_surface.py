@@ -8,7 +8,6 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
-from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.seams.edges import SeamEdges
 from irpso_addon.geometry.seams.seams import SeamMap
 from irpso_addon.gpu import context
@@ -22,7 +21,17 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, make_domain, pack_layers, recoveries, subject, unit, with_radiance
+from tests.builders.domains import (
+    bits_of,
+    make_domain,
+    makers,
+    noisy,
+    pack_layers,
+    recoveries,
+    subject,
+    unit,
+    with_radiance,
+)
 from tests.oracles import surface as oracle
 
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
@@ -30,7 +39,6 @@ OFF = load_schedule("standard").replaced(
     prefit_iterations=0, refinement_rounds=0, materials_rounds=0, prior_rounds=0, surface_rounds=0
 )
 ON = OFF.replaced(surface_rounds=2)
-NOISE = 0.02
 NO_EDGES = SeamEdges(*(np.zeros((0, *shape)) for shape in ((2,), (2,), (2,), (), (), (2, 3))))
 recover = pytest.fixture(recoveries)
 
@@ -65,26 +73,14 @@ class Bench:
         self.phase.resolve()
         return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in self.estimates.values().items()}
 
+    def close(self):
+        self.phase.close()
+
 
 @pytest.fixture
 def bench():
-    """Return a maker of benches."""
-    made = []
-
-    def make(*arguments, **settings):
-        made.append(Bench(*arguments, **settings))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.phase.close()
-
-
-def noisy(domain, seed=5, sigma=NOISE):
-    """The domain with noise on its samples."""
-    stack = domain.stack.values.copy()
-    stack[..., :3] += np.random.default_rng(seed).normal(size=stack[..., :3].shape).astype(np.float32) * sigma
-    return with_samples(domain, stack)
+    """A maker of benches."""
+    yield from makers(Bench)
 
 
 def normals_of(slopes):
@@ -101,7 +97,7 @@ def cracked(height=24, width=32, observations=6):
     grid = np.stack([x, y, 0 * x], axis=-1).astype(np.float32)
     domain = replace(domain, bake=replace(domain.bake, position=grid))
     truth = {"base_color": np.full((height, width, 3), 0.6, np.float32), "normal": np.float32(normals_of(slopes))}
-    return noisy(with_radiance(domain, "lambert", truth)), truth["normal"].astype(np.float64)
+    return noisy(with_radiance(domain, "lambert", truth), 0.02), truth["normal"].astype(np.float64)
 
 
 def degrees(found, normal):
@@ -145,7 +141,7 @@ def test_slopes_and_their_covariance_are_those_of_float64(bench, kind):
         way = place - domain.bake.position
         lean = way[..., :2] / way[..., 2:]
     _, truth = subject(7, 8, TWO_LOBES.name)
-    domain = noisy(with_radiance(domain, TWO_LOBES.name, truth), sigma=0.01)
+    domain = noisy(with_radiance(domain, TWO_LOBES.name, truth), 0.01)
     made = bench(TWO_LOBES, domain, truth, ON.replaced(loss="l2", shadow=0.0))
     made.run(2)
     values = {name: v.astype(np.float64) for name, v in truth.items()}

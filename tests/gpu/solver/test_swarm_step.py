@@ -16,8 +16,8 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, pack_layers, unit, with_radiance
-from tests.builders.synchronous_swarm import benches, particle_arrays, random_material
+from tests.builders.domains import make_domain, makers, pack_layers, unit, with_radiance
+from tests.builders.synchronous_swarm import particle_arrays, random_material
 from tests.oracles import random_numbers as numbers
 from tests.oracles import swarm as oracle
 
@@ -161,7 +161,7 @@ class Bench:
 @pytest.fixture
 def bench():
     """A maker of benches that are closed at the end."""
-    yield from benches(Bench)
+    yield from makers(Bench)
 
 
 def assert_equal_states(found: oracle.State, step: oracle.Step, tolerance: np.ndarray, places: float) -> None:

@@ -13,7 +13,7 @@ from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import prepare
 from irpso_addon.solver.views import texel_probe
 from irpso_addon.solver.views.texel_probe import TexelProbe
-from tests.builders.domains import SHORT, recoveries, subject
+from tests.builders.domains import SHORT, makers, recoveries, subject
 from tests.oracles import random_numbers as numbers
 from tests.oracles.synchronous_swarm import SynchronousSwarm
 
@@ -26,15 +26,7 @@ recover = pytest.fixture(recoveries)
 @pytest.fixture
 def probe():
     """A maker of probes, which are closed at the end."""
-    made = []
-
-    def make(recovery):
-        made.append(TexelProbe(recovery))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    yield from makers(TexelProbe)
 
 
 def some_texels(domain, count=6):
