@@ -101,24 +101,29 @@ def _write(
 
 
 def _write_beside(out: Path, texts: dict[Path, str], picture: np.ndarray | None) -> None:
-    """Write report and picture, then the table. If writing fails, partial files are deleted."""
-    partials = {path: path.with_name(f".{path.name}.partial-{os.getpid()}") for path in texts}
-    shown = _beside(out, _PICTURE)
-    hidden = shown.with_name(f".{shown.stem}.partial-{os.getpid()}.png")
+    """Write the picture, then texts in their order. If writing fails, no new file is left."""
+    partials = {path: path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}") for path in texts}
+    new: list[Path] = []
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
             partials[path].write_text(text, encoding="utf-8")
         if picture is not None:
+            shown = _beside(out, _PICTURE)
+            hidden = shown.with_name(f".{shown.stem}.partial-{os.getpid()}.png")
+            partials = {shown: hidden, **partials}
             encode_png(hidden, picture, 8)
-            os.replace(hidden, shown)
-        for path in texts:
-            os.replace(partials[path], path)
+        for path, partial in partials.items():
+            existed = path.exists()
+            os.replace(partial, path)
+            new += [] if existed else [path]
     except OSError as error:
+        for path in new:
+            path.unlink(missing_ok=True)
         raise InputError(f"{out}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
-        for path in (*partials.values(), hidden):
-            path.unlink(missing_ok=True)
+        for partial in partials.values():
+            partial.unlink(missing_ok=True)
 
 
 def _lists(calibrated: Calibrated) -> dict[str, list[str]]:

@@ -42,7 +42,8 @@ def run(options: Namespace) -> dict:
     residual = float(response.residual) if np.isfinite(response.residual) else None
     if not options.json:
         used = ", ".join(f"{name} {low:.3f} to {high:.3f}" for name, (low, high) in ends.items())
-        sys.stdout.write(f"{options.output}: residual {residual:.2%}, measured at codes of {used}\n")
+        known = "unknown" if residual is None else f"{residual:.2%}"
+        sys.stdout.write(f"{options.output}: residual {known}, measured at codes of {used}\n")
     return {"output": options.output, "residual": residual, "used": ends, "warnings": warnings}
 
 

@@ -44,6 +44,7 @@ def fill_margin(
 
     Texels within ``texels`` (Euclidean) of a covered one take the value of the nearest; the others take ``far`` (C
     numbers), by default the mean of the covered ones, so that the smallest mip levels stay near the map's own colour.
+    texels: 0 and more; with 0 all uncovered texels take ``far``.
     covered: (H, W) bool. The former values of uncovered texels, NaN included, are ignored, except where ``keep``,
     (H, W) bool, is True: these texels keep theirs.
     """
@@ -63,7 +64,7 @@ def nearest_covered(
     """Return rows and columns of uncovered texels within ``reach``, and of the nearest covered texel of each."""
     height, width = covered.shape
     row, column = np.nonzero(_box_dilated(covered, reach) & ~covered)
-    pairs = []
+    pairs = [(row[:0], column[:0], row[:0], column[:0])]  # with a reach of 0 there are no others
     side = range(-reach, reach + 1)
     disc = [(dy, dx) for dy in side for dx in side if 0 < dy * dy + dx * dx <= reach * reach]
     for dy, dx in sorted(disc, key=lambda offset: offset[0] ** 2 + offset[1] ** 2):

@@ -36,13 +36,14 @@ def sampled(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     Places outside take the nearest pixel.
     """
     height, width = image.shape
-    x = np.clip(places[..., 0] - 0.5, 0, width - 1.001)
-    y = np.clip(places[..., 1] - 0.5, 0, height - 1.001)
+    x = np.clip(places[..., 0] - 0.5, 0, max(width - 1.001, 0))
+    y = np.clip(places[..., 1] - 0.5, 0, max(height - 1.001, 0))
     column, row = x.astype(int), y.astype(int)
     x, y = x - column, y - row
     flat, index = image.ravel(), row * width + column
-    low = flat[index] * (1 - x) + flat[index + 1] * x
-    return low * (1 - y) + (flat[index + width] * (1 - x) + flat[index + width + 1] * x) * y
+    beside, next_row = min(width - 1, 1), width * min(height - 1, 1)  # steps; 0 along a side of one pixel
+    low = flat[index] * (1 - x) + flat[index + beside] * x
+    return low * (1 - y) + (flat[index + next_row] * (1 - x) + flat[index + next_row + beside] * x) * y
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

@@ -8,6 +8,7 @@ that of log light over log code, where a gamma curve is straight and has no pena
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -56,8 +57,9 @@ def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np
     for times in exposures:
         if len(times) < _LEAST_FRAMES or max(times) < _LEAST_RATIO * min(times):
             raise InputError(
-                "a response curve needs brackets: at least two frames of one light whose exposures differ by half a"
-                " stop or more; give their folder, with EXIF or exposures in the names"
+                "a response curve needs brackets: at least two frames of one light, whose longest exposure is at least"
+                f" {_LEAST_RATIO:g} times the shortest ({math.log2(_LEAST_RATIO):.1f} stop); give their folder, with"
+                " EXIF or exposures in the names"
             )
     codes = np.linspace(0, 1, TABLE)
     smooth = _SMOOTH * bracket_step(exposures) ** 3

@@ -227,6 +227,15 @@ def test_filters_keep_a_plane():
     np.testing.assert_allclose(sampled(plane, places), places @ (2, -3))
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1)])
+def test_an_image_one_pixel_wide_or_high_is_sampled_along_the_other_side(shape):
+    image = 1.0 + np.arange(shape[0] * shape[1]).reshape(shape)
+    places = np.array([[0.5, 0.5], [-3.0, 0.9], [2.25, 0.5], [0.5, 2.25], [9.0, 9.0]])
+    along = places[:, 0] if shape[1] > 1 else places[:, 1]
+    expected = 1 + np.clip(along - 0.5, 0, image.size - 1)
+    np.testing.assert_allclose(sampled(image, places), expected, atol=2e-3)
+
+
 def test_balls_of_the_surest_ones_kind_and_size_are_used():
     def ball(kind, radius):
         return FoundBall(kind, np.zeros((3, 2)), radius, 1.0, 0.9)

@@ -1,5 +1,7 @@
 """Response curves of brackets and of grey patches, against curves that are known; and their files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,9 @@ from irpso_addon.calibration.radiometry.response import (
     response_from_brackets,
     response_from_patches,
 )
+from irpso_addon.commands import response as command
 from irpso_addon.core.errors import InputError
+from tests.builders.command_line import run_cli
 
 
 def srgb(light):
@@ -103,9 +107,9 @@ def test_several_brackets_of_other_lights_count_together():
 
 def test_brackets_that_cannot_give_a_curve_are_refused():
     times = 2.0 ** np.arange(-4, 1)
-    with pytest.raises(InputError, match="exposures differ by half a stop"):
+    with pytest.raises(InputError, match=r"longest exposure is at least 1\.5 times the shortest \(0\.6 stop\)"):
         response_from_brackets([np.full((100, 1, 3), 0.5)], [np.ones(1)])
-    with pytest.raises(InputError, match="exposures differ by half a stop"):
+    with pytest.raises(InputError, match=r"longest exposure is at least 1\.5 times the shortest \(0\.6 stop\)"):
         response_from_brackets([np.full((100, 2, 3), 0.5)], [np.array([1.0, 1.2])])
     for value in (0.0, 1.0):
         with pytest.raises(InputError, match="0 pixels are neither black nor clipped.*red"):
@@ -164,6 +168,14 @@ def test_a_curve_comes_back_from_its_file(tmp_path):
     np.testing.assert_allclose(back.linear, response.linear, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(back.used, response.used, rtol=1e-5)
     assert back.residual == pytest.approx(response.residual, rel=1e-5)
+
+
+def test_a_curve_without_a_residual_is_written_and_says_so(tmp_path, monkeypatch):
+    curve = response_from_patches(np.array([[0.3] * 3, [0.7] * 3]), [0.1, 0.5])
+    monkeypatch.setattr(command, "patch_response", lambda *arguments: replace(curve, residual=float("nan")))
+    run = "response", tmp_path / "chart.png", "-o", tmp_path / "a.toml", "--grey-card", "1,1,9,9=0.1"
+    code, out, err = run_cli(*run, "--grey-card", "20,1,9,9=0.5")
+    assert (code, err) == (0, "") and "a.toml: residual unknown, measured at codes of red 0.300 to 0.700" in out
 
 
 def test_a_curve_may_be_lines_of_numbers(tmp_path):

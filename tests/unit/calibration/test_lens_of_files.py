@@ -6,6 +6,7 @@ import pytest
 
 from irpso_addon.calibration.photographs import lens_of_files, read_photographs, with_camera
 from irpso_addon.capture.images.exif import field_of_view
+from irpso_addon.core.errors import InputError
 from tests.builders.exif import exif, jpeg
 
 
@@ -54,6 +55,21 @@ def test_photographs_of_one_lens_tell_their_camera(tmp_path):
 def test_photographs_of_two_lenses_or_none_tell_nothing(tmp_path):
     assert lens_of_files(folder_of(tmp_path, exif(focal_35mm=26), exif(focal_35mm=52)), decoder) == {}
     assert lens_of_files(folder_of(tmp_path, exif(), exif()), decoder) == {}
+
+
+@pytest.mark.parametrize(
+    "other", [exif(focal_35mm=52), exif(), exif(focal_35mm=26, size=(2000, 2000))], ids=["zoomed", "no EXIF", "cropped"]
+)
+def test_a_zoom_or_a_crop_between_the_first_and_the_last_photograph_is_noticed(other, tmp_path):
+    blocks = [exif(focal_35mm=26)] * 2 + [other] + [exif(focal_35mm=26)] * 2
+    assert lens_of_files(folder_of(tmp_path, *blocks), decoder) == {}
+
+
+def test_a_photograph_that_has_gone_is_named(tmp_path):
+    spec = folder_of(tmp_path, *[exif(focal_35mm=26)] * 3)
+    (tmp_path / "1.jpg").unlink()
+    with pytest.raises(InputError, match=r"1\.jpg: this image is not there"):
+        lens_of_files(spec, decoder)
 
 
 def test_a_capture_that_states_its_lens_keeps_it(tmp_path):

@@ -62,6 +62,12 @@ def test_texels_beyond_the_margin_hold_the_mean_or_the_given_value(islands):
     assert (fill_margin(values, covered, far=(0, 0, 1))[distance > 64] == (0, 0, 1)).all()
 
 
+def test_a_margin_of_no_texels_fills_everything_with_the_far_value(islands):
+    values, covered = islands
+    filled = fill_margin(values, covered, texels=0, far=(0, 0, 1))
+    np.testing.assert_array_equal(filled, np.where(covered[..., None], values, np.float32((0, 0, 1))))
+
+
 def test_covered_texels_are_left_as_they_are(islands):
     values, covered = islands
     np.testing.assert_array_equal(fill_margin(values, covered)[covered], values[covered])

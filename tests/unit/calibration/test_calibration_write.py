@@ -1,0 +1,34 @@
+"""A calibration's files beside OUT.toml are written all or not at all."""
+
+import numpy as np
+import pytest
+
+from irpso_addon.calibration import write
+from irpso_addon.core.errors import InputError
+
+PICTURE = np.zeros((4, 6, 3))
+
+
+def written(out):
+    write._write(out, lambda folder: "format = 1\n", "{}\n", picture=PICTURE)
+
+
+def test_a_table_is_written_with_its_report_and_picture(tmp_path):
+    written(tmp_path / "new.toml")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["new.toml", "new_balls.png", "new_report.json"]
+
+
+@pytest.mark.parametrize("obstacle", ["new.toml", "new_report.json", "new_balls.png"])
+def test_where_one_file_cannot_be_written_the_others_are_not_left(obstacle, tmp_path):
+    (tmp_path / obstacle).mkdir()  # no file replaces a folder
+    with pytest.raises(InputError, match=r"new.toml: cannot be written \(.*\); choose another place"):
+        written(tmp_path / "new.toml")
+    assert [p.name for p in tmp_path.iterdir()] == [obstacle]
+
+
+def test_a_former_picture_is_not_deleted_where_the_table_cannot_be_written(tmp_path):
+    (tmp_path / "new_balls.png").write_bytes(b"former")
+    (tmp_path / "new.toml").mkdir()
+    with pytest.raises(InputError):
+        written(tmp_path / "new.toml")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["new.toml", "new_balls.png"]
