@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 _messages: list[str] = []  # the panel's messages, until the user dismisses them or starts a recovery
 
 
-def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
+def message_of(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
     """Return the error's message in one line, with Blender's names for options. names: a dialog's, which come first."""
     text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
     for option, setting in (*names.items(), *_SETTINGS.items()):
@@ -45,8 +45,8 @@ def words(error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> 
 def report_and_cancel(
     operator: bpy.types.Operator, error: Exception, names: Mapping[str, str] = MappingProxyType({})
 ) -> set[str]:
-    """Report an IrpsoError or a MemoryError of an operator; return {"CANCELLED"}. names: see ``words``."""
-    operator.report({"ERROR"}, words(error, names))
+    """Report an IrpsoError or a MemoryError of an operator; return {"CANCELLED"}. names: see ``message_of``."""
+    operator.report({"ERROR"}, message_of(error, names))
     return {"CANCELLED"}
 
 
@@ -64,9 +64,9 @@ def reported(doing: str) -> Iterator[None]:
 
 
 def report(doing: str, error: Exception, names: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Show an exception in the panel, once even if it repeats, and return its text. names: see ``words``."""
+    """Show an exception in the panel, once even if it repeats, and return its text. names: see ``message_of``."""
     if isinstance(error, IrpsoError | MemoryError):
-        text, expected = words(error, names), True
+        text, expected = message_of(error, names), True
     else:
         message = " ".join(str(error).split()) or type(error).__name__
         text, expected = iface("{doing} has ended: {what}", doing=iface(doing), what=message), False

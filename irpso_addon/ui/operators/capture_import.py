@@ -273,7 +273,9 @@ def _check_scene(scene) -> None:
         capture = capture_of(scene)
         place = _subject_place(settings, capture)
     except InputError as error:
-        findings.keep(settings, [Finding(getattr(error, "code", "scene"), failures.words(error), severity="error")])
+        findings.keep(
+            settings, [Finding(getattr(error, "code", "scene"), failures.message_of(error), severity="error")]
+        )
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"

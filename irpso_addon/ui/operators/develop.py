@@ -44,7 +44,7 @@ def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], w
     bpy.ops.irpso.import_capture(directory=str(capture))
     if warnings:
         more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
-        operator.report({"WARNING"}, failures.words(InputError(warnings[0])) + more)
+        operator.report({"WARNING"}, failures.message_of(InputError(warnings[0])) + more)
     operator.report({"INFO"}, rpt("{found} written to {name}", found=written, name=capture.name))
     return {"FINISHED"}
 

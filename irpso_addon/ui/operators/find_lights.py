@@ -230,7 +230,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         if warnings:
             count = len(warnings) - 1
             more = rpt(" (and {count} more, in the report beside it)", count=count) if count else ""
-            self.report({"WARNING"}, failures.words(InputError(warnings[0]), self.names) + more)
+            self.report({"WARNING"}, failures.message_of(InputError(warnings[0]), self.names) + more)
         picture = rpt("; look at {file}", file=f"{path.stem}_balls.png") if self.found_by not in WAYS else ""
         distance = rpt("; Card Distance is that of the table below the balls") if measured else ""
         self.report({"INFO"}, rpt("Lights written to {name}", name=path.name) + picture + distance)

@@ -73,7 +73,7 @@ class PhotographsOfVideo(VideoBrowser, SlicedOperator, bpy.types.Operator):
         """Report the photographs, and open the dialog of Find Lights for them."""
         out, frames = result
         for warning in frames.warnings:
-            self.report({"WARNING"}, failures.words(InputError(warning), self.names))
+            self.report({"WARNING"}, failures.message_of(InputError(warning), self.names))
         count, total = len(frames.files), frames.total
         self.report(
             {"INFO"}, rpt("{count} of {total} frames written to {name}", count=count, total=total, name=out.name)

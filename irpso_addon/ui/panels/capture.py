@@ -143,7 +143,9 @@ def _draw_findings(layout, context, faults: list) -> None:
     for item in faults:
         row = layout.row()
         row.alert = item.severity == "error"
-        drawing.wrapped(row, context, failures.words(InputError(item.message)), _SEVERITIES.get(item.severity, "INFO"))
+        drawing.wrapped(
+            row, context, failures.message_of(InputError(item.message)), _SEVERITIES.get(item.severity, "INFO")
+        )
 
 
 def _draw_check_again(layout, context) -> None:
