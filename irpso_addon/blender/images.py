@@ -32,7 +32,7 @@ def loaded(path: Path) -> Any:
 
 
 def decode(path: Path | str) -> Picture:
-    """Return a PNG, JPEG, TIFF or HDR file's own values, (H, W, 4), upright: a ``capture.picture.Decoder``.
+    """Return a PNG, JPEG, TIFF or HDR file's own values, (H, W, 4), upright: a ``linearise.Decoder``.
 
     No colour curve is inverted. rawpy reads raw files and pillow-heif HEIC files; Blender includes neither.
     Raises InputError where the file is missing, damaged or of another format.

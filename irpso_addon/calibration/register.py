@@ -95,10 +95,12 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
         pixels = pixels + change
         if np.abs(change).max() < _ALIGNED:
             break
+    moved = [s * _phases(shape, *at) for s, at in zip(spectra, pixels, strict=True)]
     for k in np.flatnonzero(~trusted).tolist():  # a frame whose light is far from the mean's may match one neighbour
         tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]
         if tries and (best := max(tries, key=lambda t: t[2]))[2] >= _PEAK:
             pixels[k], trusted[k] = best[:2], True
+            moved[k] = spectra[k] * _phases(shape, *pixels[k])
     return pixels, trusted
 
 

@@ -93,7 +93,8 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         " none and the images contradict equal ones",
     )
     add.add_argument("--refine-directions", type=float, default=0.0, metavar="DEGREES",
-                     help="correct light directions whose error is about DEGREES (default 0: keep them)")  # fmt: skip
+                     help="correct light directions, whose typical error (standard deviation) is DEGREES, 0 to 20"
+                     " (default 0: keep them)")  # fmt: skip
     add.add_argument("--normals", metavar="A,B", help="write more normal maps: object, world, directx")
     add.add_argument("--height", action="store_true", help="also integrate the normals to a relief")
     add.add_argument("--displacement", action="store_true",

@@ -35,7 +35,10 @@ def probe() -> dict:
     try:
         child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS)
     except subprocess.TimeoutExpired as error:
-        raise GpuUnavailableError(f"the GPU probe did not answer in {_PROBE_SECONDS} s") from error
+        raise GpuUnavailableError(
+            f"the GPU probe did not answer in {_PROBE_SECONDS} s; close other programs that use the GPU, or update its"
+            " driver"
+        ) from error
     lines = [line for line in child.stdout.splitlines() if line.startswith('{"irpso_probe"')]
     if lines:
         answer = json.loads(lines[-1])["irpso_probe"]
@@ -68,7 +71,11 @@ def check() -> dict[str, float]:
         value, seconds[f"{entry}_seconds"] = _run(entry)
         if not np.allclose(value, expected, atol=_TOLERANCE):
             worst = float(np.abs(value - expected).max())
-            raise GpuUnavailableError(f"this GPU computes wrongly: the {entry} probe is off by {worst:.3g}")
+            other = "compute" if entry == "fragment" else "fragment"
+            raise GpuUnavailableError(
+                f"this GPU computes wrongly: the {entry} probe is off by {worst:.3g}; update its driver, or try --entry"
+                f" {other} (Passes, in the preferences)"
+            )
     return seconds
 
 

@@ -67,7 +67,7 @@ def test_photographs_are_chosen_in_the_browser_and_a_refusal_stays_in_the_panel(
     failures = "importlib.import_module(capture_import.__name__.replace('operators.capture_import', 'common.failures'))"
     (message,) = ready.wait(f"{failures}.messages()", timeout=180)
     ready.screenshot("finding lights: refused")
-    assert "no ball was found" in message and "From: Relief" in message and "--" not in message
+    assert "no ball was found" in message and "Lights From: Relief" in message and "--" not in message
     ready.run("bpy.ops.irpso.dismiss_failures()")
 
 

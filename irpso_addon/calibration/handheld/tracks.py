@@ -168,17 +168,30 @@ def _best_matches(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _merged(matches: Sequence[_Match], places: Sequence[np.ndarray], hub: int) -> Tracks:
-    """Return the tracks of all matches: features that match each other are one point."""
+    """Return the tracks of all matches: features that match each other are one point.
+
+    A match that would give a point two features in one photograph is ignored.
+    """
     ids: dict[tuple[int, int], int] = {}
+    features: list[dict[int, int]] = []  # of each point: photograph → feature
     plane: list[np.ndarray] = []
+
+    def point_of(feature: tuple[int, int], at: np.ndarray) -> int:
+        if feature not in ids:
+            ids[feature] = len(plane)
+            features.append(dict([feature]))
+            plane.append(at)
+        return ids[feature]
+
     for match in matches:
         for via, a, b, at in zip(
             match.via.tolist(), match.first.tolist(), match.second.tolist(), match.plane, strict=True
         ):
-            if (via, a) not in ids:
-                ids[via, a] = len(plane)
-                plane.append(at)
-            ids.setdefault((match.number, b), ids[via, a])
+            first, second = sorted((point_of((via, a), at), point_of((match.number, b), at)))
+            if first != second and not features[first].keys() & features[second].keys():
+                ids |= dict.fromkeys(features[second].items(), first)
+                features[first] |= features[second]
+                features[second] = {}
     return _longest(ids, places, np.array(plane), hub)
 
 

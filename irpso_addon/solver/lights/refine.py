@@ -230,7 +230,8 @@ def check(intensities: bool, refine_degrees: float) -> None:
     """Raise InputError where nothing is to be estimated, or the angle is out of range."""
     if not 0 <= refine_degrees <= MOST_DEGREES:
         raise InputError(
-            f"--refine-directions {refine_degrees:g}: give the directions' error in degrees, 0 to {MOST_DEGREES:g}"
+            f"--refine-directions {refine_degrees:g}: give the directions' typical error in degrees, 0 to"
+            f" {MOST_DEGREES:g}"
         )
     if not intensities and refine_degrees == 0:
         raise InputError("lights: choose what to estimate, intensities or directions; neither is chosen")

@@ -30,8 +30,14 @@ _WALLS = {
 }
 _SEEDS = {
     "random": ("Random", "The first particles are spread at random over the whole range"),
-    "lambert": ("Lambert", "A part of the first particles (Seeded) starts near a Lambertian fit of the photographs"),
-    "given": ("Given", "A part of the first particles (Seeded) starts near a first guess, which only scripts can give"),
+    "lambert": (
+        "Lambert",
+        "A part of the first particles (Part Near Guess) starts near a Lambertian fit of the photographs",
+    ),
+    "given": (
+        "First Guess",
+        "A part of the first particles (Part Near Guess) starts near a first guess, which only scripts can give",
+    ),
 }
 _NORMALS = {
     "hemisphere": ("Hemisphere", "A normal is two numbers on the hemisphere"),
@@ -96,7 +102,7 @@ class Swarm:
     start_speed: float = setting("Start Speed", "Largest first step, as a part of a parameter's range", soft_max=1)
     seed: Seed = setting("Start", "Where the first particles start", choices=_SEEDS)
     seeded: float = setting(
-        "Seeded",
+        "Part Near Guess",
         "The part of the swarm that starts near the Lambertian fit or the first guess; the rest starts at random",
         most=1,
         subtype=_FACTOR,
@@ -251,8 +257,9 @@ class Materials:
     """
 
     rounds: int = setting(
-        "Rounds", "How many times every texel tries the materials that the surface shares; 0 is off", 0, soft_max=8
-    )
+        "Rounds", "How many times every texel tries the shared materials: those that many texels of the surface have;"
+        " 0 is off", 0, soft_max=8,
+    )  # fmt: skip
     iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
     count: int = setting("Materials", "Largest number of shared materials", 16, least=1, soft_max=64)
     weight: float = setting(
@@ -323,8 +330,8 @@ class Surface:
     """Integrability: normals are bent toward one surface. shaders/surface/relax.glsl states the problem."""
 
     rounds: int = setting(
-        "Rounds", "Rounds of seven sweeps that turn normals until the slopes of neighboring texels agree, within"
-        " what their own samples allow; 0 is off", 0, soft_max=8,
+        "Rounds", "Number of rounds, of seven sweeps each. A sweep turns normals so that the slopes of neighboring"
+        " texels agree better, within what each texel's own samples allow; 0 is off", 0, soft_max=8,
     )  # fmt: skip
     weight: float = setting(
         "Weight", "Cost, as −log of a likelihood, if the slopes around four texels sum to one standard deviation"

@@ -223,7 +223,7 @@ def _resolve_refinement_with_fixed_normals(
     shorter = replace(
         refinement, starts=False, iterations=refinement.start_iterations, rounds=min(refinement.rounds, _ROUNDS)
     )
-    return _resolve_refinement(shorter, model, others, "refinement, normals held")
+    return _resolve_refinement(shorter, model, others, "refinement, normals fixed")
 
 
 def _resolve_materials(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedMaterials, ...]:

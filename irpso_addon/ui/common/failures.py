@@ -21,6 +21,8 @@ _SETTINGS = {
     "--intensities given (Light Strengths)": "Light Strengths: As Given",
     "--colour-space srgb (Color Space)": "Color Space: sRGB",
     "--colour-space linear (Color Space)": "Color Space: Linear",
+    "--entry fragment (Passes, in the preferences)": "Passes: Fragment, in the preferences",
+    "--entry compute (Passes, in the preferences)": "Passes: Compute, in the preferences",
     "--resolution": "Resolution",
     "--slots": "Slots",
     "start without --resume": "delete it, and recover anew",

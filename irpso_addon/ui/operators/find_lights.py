@@ -111,10 +111,11 @@ class FindLights(SlicedOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
     doing = n_("Finding lights")
     names = {
-        "give its place as X,Y,R (--ball)": "choose From: Ball in a Circle", "--ball none": "From: Relief",
-        "--ball auto": "From: Balls", "second --ball": "second ball", "--ball": "From", "--kind mirror": "Mirror",
-        "--kind matte": "Matte", "--kind": "Surface", "--view": "Camera", "--flat without --blend": "From: Flat Card",
-        "--flat": "From: Flat Card", "--lights distant": "Lights: Distant", "--lights": "Lights",
+        "give its place as X,Y,R (--ball)": "choose Lights From: Ball in a Circle",
+        "--ball none": "Lights From: Relief", "--ball auto": "Lights From: Balls", "second --ball": "second ball",
+        "--ball": "Lights From", "--kind mirror": "Mirror", "--kind matte": "Matte", "--kind": "Surface",
+        "--view": "Camera", "--flat without --blend": "Lights From: Flat Card", "--flat": "Lights From: Flat Card",
+        "--lights distant": "Lights: Distant", "--lights": "Lights",
         "--radius": "Ball Radius", "--distance": "Lamp Distance", "--fov": "Field of View",
         "--inside-out": "Inside Out",
     }  # fmt: skip
@@ -123,7 +124,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
-    found_by: EnumProperty(name="From", description="What shows the lights", items=_FOUND_BY, default="AUTO")
+    found_by: EnumProperty(name="Lights From", description="What shows the lights", items=_FOUND_BY, default="AUTO")
     kind: EnumProperty(name="Surface", description="Surface of the ball", items=_KINDS, default="auto")
     mask: StringProperty(
         name="Mask", description="Image of the photographs' size, white on the ball, black elsewhere",
@@ -156,8 +157,9 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         min=0, soft_max=10_000, precision=3,
     )  # fmt: skip
     albedo: FloatVectorProperty(
-        name="Albedo", description="Red, green and blue of a matte ball, 0 to 1. They make light strengths"
-        " absolute. 0: strengths are relative to the first photograph's", size=3, min=0, max=1, precision=3,
+        name="Albedo", description="Reflectance of a matte ball in red, green and blue, 0 to 1. It makes light"
+        " strengths absolute. 0: unknown; strengths are relative to the first photograph's", size=3, min=0, max=1,
+        precision=3,
     )  # fmt: skip
     card: EnumProperty(name="Card", description="Where the flat card is", items=_CARDS, default="FRAME")
     card_width: FloatProperty(

@@ -36,7 +36,7 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     other: EnumProperty(name="Other", description="The recovered material to mix in", items=_others)
-    by: EnumProperty(name="By", description="What decides where each material shows", items=_BY, default="NEW")
+    by: EnumProperty(name="Mix By", description="What decides where each material shows", items=_BY, default="NEW")
     mask: StringProperty(name="Mask", description="Black shows the active material, white the other one")
     factor: FloatProperty(
         name="Factor", description="0 is the active material, 1 the other one", subtype="FACTOR", min=0, max=1,

@@ -32,7 +32,7 @@ class Scale:
     top: float
 
 
-def caption(shown: Shown, model: ReflectanceModel, names: Sequence[str], numbers: Sequence[int]) -> str:
+def caption(shown: Shown, names: Sequence[str], numbers: Sequence[int]) -> str:
     """Return a picture's caption. names: of the observations. numbers: of the observations, from 0."""
     if shown.kind == "parameter":
         return bpy.path.display_name(shown.parameter)

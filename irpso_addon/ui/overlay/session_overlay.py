@@ -281,7 +281,7 @@ class SessionOverlay:
         if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has its own labels
             return None
         names = [one.name for one in job.capture.observations]
-        text = legend.caption(item, job.model, names, job.numbers)
+        text = legend.caption(item, names, job.numbers)
         area = free.corner(*painter.chip_size(text))
         painter.chip(text, area.x, area.y)
         return area

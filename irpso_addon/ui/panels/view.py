@@ -47,7 +47,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
     if view.shown == "INDIRECT" and running.recovery.indirect_share is None:
         on = running.job.schedule.interreflection.rounds > 0
         pending = iface("Known when the first round begins")
-        text = pending if on else iface("Not looked for: recover with Interreflection on")
+        text = pending if on else iface("Indirect light was not computed: recover with Interreflection on")
         drawing.wrapped(column, context, text, "INFO")
     if reason := why_hidden(context):
         drawing.wrapped(layout, context, reason, "HIDE_ON")

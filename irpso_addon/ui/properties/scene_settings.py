@@ -280,8 +280,9 @@ class Settings(bpy.types.PropertyGroup):
         name="Light Strengths", description="Source of the lights' strengths", items=_STRENGTHS
     )
     refine_directions: FloatProperty(
-        name="Refine Lights", description="Largest error of the lights' directions. The photographs correct them before"
-        " the search. 0: no correction", subtype="ANGLE", min=0, max=math.radians(MOST_DEGREES), default=0,
+        name="Refine Lights", description="Typical error (standard deviation) of the lights' directions. The"
+        " photographs correct them before the search. 0: no correction", subtype="ANGLE", min=0,
+        max=math.radians(MOST_DEGREES), default=0,
     )  # fmt: skip
     hold_out: EnumProperty(
         name="Hold Out", description="Test the maps on photographs that the fit has not used: some are left out of the"

@@ -56,6 +56,3 @@ def show_card(context, card: bpy.types.Object | None, place: np.ndarray, height:
     view.view_location = sum(corners, Vector()) / 4
     view.view_rotation = world.to_quaternion()
     view.view_distance = _DISTANCE * max((corners[2] - corners[0]).length, (corners[1] - corners[0]).length)
-
-
-CLASSES = ()

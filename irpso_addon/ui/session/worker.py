@@ -32,7 +32,10 @@ class Worker:
         return work.result()
 
     def wait(self) -> None:
-        """Wait for the end of unfinished work, so that its arrays may be freed. It takes two seconds at most."""
+        """Wait for the end of unfinished work, so that its arrays may be freed.
+
+        Without a timeout: a thread cannot be stopped, and the work is numpy on arrays at hand, which ends by itself.
+        """
         if self._work is not None:
             futures.wait([self._work])
             self._work = None

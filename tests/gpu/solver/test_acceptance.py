@@ -67,7 +67,7 @@ def test_with_a_kept_normal_the_other_parameters_are_optimal(recover, half):
     domain, _ = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
-    while recovery.progress.title != "refinement, normals held":
+    while recovery.progress.title != "refinement, normals fixed":
         recovery.step(iterations=1)
     judged = recovery.maps(confidence=False).values
     recovery.step()

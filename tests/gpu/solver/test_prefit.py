@@ -212,7 +212,7 @@ def test_the_prefit_needs_iterations_observations_and_a_free_normal(recover, set
     assert [s.title for s in stages] == [
         "prefit of the normals", "prefit of the normals with sheen", "sheen", "indirect light",
         "separation of indirect light", "prefit of the normals in indirect light",
-        "roughness + specular + base_color", "refinement", "refinement, normals held",
+        "roughness + specular + base_color", "refinement", "refinement, normals fixed",
     ]  # fmt: skip
 
 

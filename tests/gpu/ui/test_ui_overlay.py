@@ -124,15 +124,14 @@ def test_lights_over_the_subject_are_distinguished_from_those_around_it():
 
 
 def test_observations_are_counted_from_one_in_the_legend():
-    model = load_model("lambert")
     shown = surface.Shown("reference", observation=2)
-    assert legend.caption(shown, model, ("a", "b", "c"), (0, 2, 1)) == "Photograph 2: c"
+    assert legend.caption(shown, ("a", "b", "c"), (0, 2, 1)) == "Photograph 2: c"
 
 
 def test_the_legend_of_the_indirect_light_is_in_percent_of_the_light():
     shown, model = surface.Shown("indirect", limit=0.5), load_model("lambert")
     assert legend.scale_of(shown, model) == legend.Scale("Indirect", "% of the light", 50)
-    assert legend.caption(shown, model, ("a",), (0,)) == "Indirect light"
+    assert legend.caption(shown, ("a",), (0,)) == "Indirect light"
 
 
 @pytest.mark.parametrize(

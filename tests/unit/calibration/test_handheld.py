@@ -11,7 +11,7 @@ from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
 from irpso_addon.calibration.handheld.job import _flash, handheld_steps
 from irpso_addon.calibration.handheld.likeness import doubtful
 from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plane_of, pose_of
-from irpso_addon.calibration.handheld.tracks import Tracks
+from irpso_addon.calibration.handheld.tracks import Tracks, _Match, _merged
 from irpso_addon.capture.frame.board import board_of
 from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.core.errors import InputError
@@ -278,6 +278,35 @@ def on_grid(value, quarters, random):
     grey = np.where(np.linalg.norm(places - random.uniform(-50, 50, 2), axis=-1) < 9, 3 * grey, grey)
     grey[:, : random.integers(1, 20)] = np.nan
     return grey * np.exp(random.normal(0, 0.05, grey.shape))
+
+
+def joined(matches, count=20):
+    """Return the tracks of matches (via, number, features of via, features of number) of photographs, 0 the hub.
+
+    Feature f of photograph n is at (100 n + f, 0), and at (f, 0) in the hub.
+    """
+    places = [np.stack([100.0 * n + np.arange(3 * count), np.zeros(3 * count)], axis=-1) for n in range(4)]
+    rows: dict = {}
+    for via, number, first, second in matches:
+        rows.setdefault(number, []).append((np.full(len(first), via), first, second, places[0][first]))
+    merged = [_Match(number, *(np.concatenate(column) for column in zip(*parts, strict=True)))
+              for number, parts in rows.items()]  # fmt: skip
+    return _merged(merged, places, 0)
+
+
+def test_features_that_one_photograph_matches_in_two_others_are_one_point():
+    hub, beside = np.arange(20), np.arange(20, 40)  # points in the hub, and points beyond its edge
+    tracks = joined([(0, 1, hub, hub), (0, 2, hub, hub), (1, 3, beside, beside), (2, 3, beside, beside)])
+    by_point = [set(tracks.photograph[tracks.point == p].tolist()) for p in range(len(tracks.plane))]
+    assert len(by_point) == 40 and by_point.count({0, 1, 2}) == by_point.count({1, 2, 3}) == 20
+
+
+def test_two_features_of_one_photograph_are_never_one_point():
+    hub, other = np.arange(20), np.arange(20, 40)
+    tracks = joined([(0, 1, hub, hub), (0, 2, hub, hub), (1, 3, hub, hub), (2, 3, hub, other)])
+    pairs = list(zip(tracks.photograph.tolist(), tracks.point.tolist(), strict=True))
+    assert len(pairs) == len(set(pairs)) == 80 and tracks.used == (0, 1, 2, 3)
+    np.testing.assert_array_equal(np.sort(tracks.pixels[tracks.photograph == 3][:, 0]), 300 + hub)  # the first match
 
 
 def test_a_picture_that_is_a_quarter_turn_off_is_in_doubt_and_the_others_are_not():

@@ -143,7 +143,7 @@ def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
     stages = resolve(standard, load_model("principled"), set(), observations=standard.prefit.observations)
     assert [stage.title for stage in stages] == [
         "prefit of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "refinement",
-        "refinement, normals held", "shared materials",
+        "refinement, normals fixed", "shared materials",
     ]  # fmt: skip
     assert stages[0].iterations == 11
     assert [p.name for p in stages[-3].parameters] == ["base_color", "normal", "roughness", "specular"]
