@@ -20,13 +20,13 @@ JOINT = ("paper", "constriction", "swarm", "standard", product.LM_ALONE, "DE")
 STAGED = ("paper", "constriction", "swarm")
 POINTS = 11  # samples of a recovery's trace
 NAMES = ("normal", "base_color", "r1", "r2", "w")
-Trace = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
+ErrorCurve = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """Run all methods for every seed and degradation; seeds outermost: other load affects all methods equally."""
     size, lights, seeds, evolved = (6, 20, 1, 1) if quick else (16, 100, 3, 6)
-    runs: dict[str, dict[str, list[Trace]]] = {}
+    runs: dict[str, dict[str, list[ErrorCurve]]] = {}
     for seed in range(seeds):
         for degradation in DEGRADATIONS:
             card = subjects.make_card(size, lights, subjects.DEGRADATIONS[degradation], seed)
@@ -39,7 +39,7 @@ def measure(quick: bool) -> dict[str, Any]:
     return {"size": size, "lights": lights, "seeds": seeds, "evolved": evolved, "curves": curves}
 
 
-def _ours(card: subjects.Card, kind: str, name: str, seed: int, quick: bool) -> Trace:
+def _ours(card: subjects.Card, kind: str, name: str, seed: int, quick: bool) -> ErrorCurve:
     schedule = product.schedule_of(name)
     if name in product.ONE_PARTICLE:
         # A swarm searches at most eight dimensions: in a joint search the normal takes two of them, not three.
@@ -58,7 +58,7 @@ def _point(card: subjects.Card, sample: Sample) -> tuple[float, dict[str, float]
     return float(sample.evaluations), {name: float(errors[name].mean()) for name in NAMES}
 
 
-def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> Trace:
+def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> ErrorCurve:
     from benchmarks.peers.swarms import differential_evolution
 
     problem = card.problem(count, seed)
@@ -71,7 +71,7 @@ def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> Trace:
     return trace
 
 
-def _quartiles(traces: list[Trace]) -> dict[str, Any]:
+def _quartiles(traces: list[ErrorCurve]) -> dict[str, Any]:
     """Return evaluations, and every parameter's median and quartiles over seeds at these evaluations."""
     grid = np.array([at for at, _ in traces[0]])
     rows = {name: [] for name in NAMES}

@@ -206,16 +206,16 @@ def patches(picture: np.ndarray) -> np.ndarray:
     return windows.reshape(-1, _PATCH * _PATCH * 3)
 
 
-def chosen(patches: np.ndarray) -> np.ndarray:
-    """Return a random sample of patches (M, C), at the same positions for equal numbers of patches."""
-    return patches[np.random.default_rng(0).permutation(len(patches))[:_SAMPLED]]
+def chosen(candidates: np.ndarray) -> np.ndarray:
+    """Return a random sample of ``candidates`` (M, C), at the same positions for equal numbers of them."""
+    return candidates[np.random.default_rng(0).permutation(len(candidates))[:_SAMPLED]]
 
 
-def nearest(patches: np.ndarray, queries: np.ndarray) -> np.ndarray:
-    """Return (N,), the distance of each of ``queries`` (N, C) from the nearest of ``patches`` (M, C)."""
-    lengths = (patches**2).sum(axis=-1)
+def nearest(candidates: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    """Return (N,), the distance of each of ``queries`` (N, C) from the nearest of ``candidates`` (M, C)."""
+    lengths = (candidates**2).sum(axis=-1)
     parts = [
-        (lengths - 2 * rows @ patches.T).min(axis=1) + (rows**2).sum(axis=-1)
+        (lengths - 2 * rows @ candidates.T).min(axis=1) + (rows**2).sum(axis=-1)
         for rows in np.array_split(queries, len(queries) // 200)
     ]
     return np.sqrt(np.maximum(np.concatenate(parts), 0))

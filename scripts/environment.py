@@ -20,9 +20,9 @@ def requirements(groups: list[str], bpy: str | None) -> list[str]:
     return [bpy, *(line for line in chosen if not line.startswith("bpy"))]
 
 
-def stamp_text(requirements: list[str]) -> str:
+def stamp_text(lines: list[str]) -> str:
     """Return a digest of an environment's interpreter and requirements."""
-    return hashlib.sha256("\n".join([sys.executable, sys.version, *sorted(requirements)]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([sys.executable, sys.version, *sorted(lines)]).encode()).hexdigest()
 
 
 def serves(python: Path) -> bool:

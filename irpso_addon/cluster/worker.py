@@ -42,7 +42,10 @@ class Orders(Protocol):
         """Have all ranks call the method with the same arguments; return rank 0's result."""
 
     def scatter(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """Have rank 0 call a method that scatters the value, the other ranks with None; return rank 0's result."""
+        """Have all ranks call a method that scatters its argument, rank 0's; return rank 0's result.
+
+        Rank 0 passes the value, the others None.
+        """
 
 
 class Worker:
@@ -78,10 +81,10 @@ class Worker:
         photographs = self._stack(second=False)
         self._second = None if photographs is None else photographs.zeros_like()
 
-    def put(self, sent: tuple[int, np.ndarray, bool] | None) -> None:
+    def put(self, change: tuple[int, np.ndarray, bool] | None) -> None:
         """Replace the samples of one observation; rank 0 passes (number, (H, W, 4), second), the others None."""
-        observation, second = self.ranks.broadcast(sent and (sent[0], sent[2]))
-        part, stack = self._scattered(sent and {"layer": sent[1]}), self._stack(second)
+        observation, second = self.ranks.broadcast(change and (change[0], change[2]))
+        part, stack = self._scattered(change and {"layer": change[1]}), self._stack(second)
         if part is not None and stack is not None:
             stack.put(observation, part["layer"])
 

@@ -71,10 +71,10 @@ def report_of(
         seconds={**run.seconds, "solve": seconds}, ground_truth=run.truth, noise=domain.noise,
     )  # fmt: skip
     priors = job.schedule.fitness.priors
-    quality = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
-    quality += [*run.warnings, *_unseen_warnings(domain, maps)]
-    faults = [*job.warnings, *capture_warnings(job.capture)]
-    report |= run.findings | run.relit[1] | {"warnings": [*quality, *faults, *(warnings or [])]}
+    of_maps = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
+    of_maps += [*run.warnings, *_unseen_warnings(domain, maps)]
+    of_capture = [*job.warnings, *capture_warnings(job.capture)]
+    report |= run.findings | run.relit[1] | {"warnings": [*of_maps, *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
     if priors and (shares := prior_shares(maps, job.fixed)):

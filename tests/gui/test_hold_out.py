@@ -51,7 +51,7 @@ def test_stop_and_keep_relights_the_unseen_photographs_while_the_window_lives(re
     ready.wait("session.current().state == 'done'", timeout=60)
     ready.settle()
     ready.screenshot("stopped and relit", ready.region(region="UI"))
-    assert ready.run("session.current().stopped and session.current().held_out_error").startswith(
+    assert ready.run("session.current().stopped and session.current().held_out_line").startswith(
         "Unseen photographs: "
     )
     slices = ready.run("slices")
@@ -66,5 +66,5 @@ def test_a_run_to_its_end_shows_the_line_and_the_view_says_what_is_held_out(read
     ready.settle()
     ready.screenshot("done and relit")
     ready.screenshot("done and relit, the panel", ready.region(region="UI"))
-    assert ready.run("session.current().held_out_error").startswith("Unseen photographs: ")
+    assert ready.run("session.current().held_out_line").startswith("Unseen photographs: ")
     assert ready.run("len(slices)") > 0 and ready.run("session.current().failure") == ""

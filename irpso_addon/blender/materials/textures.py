@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -63,8 +63,8 @@ def bpy_name(subject: str, map_name: str) -> str:
     return f"IRPSO {subject} {map_name}"
 
 
-def own_block(kind: str, tag: str, value: str) -> Any:
-    """Return the "image" or "material" whose tag has a value, or None. Raises InputError where it is linked."""
+def own_block(kind: Literal["image", "material"], tag: str, value: str) -> Any:
+    """Return the "image" or "material" whose property ``tag`` is ``value``, or None. Raises InputError where it is linked."""
     import bpy
 
     found = [block for block in getattr(bpy.data, f"{kind}s") if block.get(tag) == value]

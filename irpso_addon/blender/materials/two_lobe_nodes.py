@@ -72,7 +72,7 @@ def is_of_widths(node) -> bool:
 
 
 def settings_of(model: ReflectanceModel) -> Settings:
-    """Return the settings of a model with the shader "two_lobe". Raises InputError for a value that is none."""
+    """Return the settings of a model with the shader "two_lobe". Raises InputError for a value that is not allowed."""
     table = model.material
     distribution = table.get("distribution", "BECKMANN")
     width = "alpha" if distribution == "BECKMANN" else "perceptual"

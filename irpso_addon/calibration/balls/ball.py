@@ -26,7 +26,7 @@ class Ball:
 
     name: for messages. centre: (3,) and radius: in world units where the radius is known, else in ball radii;
     for an orthographic camera in world units, at z = 0. radius_px: of the outline. error_px: (2,) standard errors
-    of the outline's centre (per axis) and radius, in pixels. warnings: doubts about the outline.
+    of the outline's centre (per axis) and radius, in pixels. warnings: about the outline.
     """
 
     name: str

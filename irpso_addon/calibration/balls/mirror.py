@@ -46,7 +46,7 @@ class Sight:
     """One light as one ball shows it, in camera axes.
 
     pixel: (2,) the highlight, or NaN for a matte ball. point: (3,) on the ball. direction: (3,) unit, from the point to
-    the light. error: its standard error, radians (RMS angle). warnings: doubts.
+    the light. error: its standard error, radians (RMS angle). warnings: about the outline and the highlight.
     """
 
     pixel: np.ndarray

@@ -62,7 +62,7 @@ def check_photographs(
 ) -> None:
     """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's.
 
-    sources: the source of each shot.
+    sources: the photograph of each shot, with its EXIF.
     """
     for shot, source, lamp in zip(shots, sources, lamps, strict=True):
         path, expected = shot.images[0].path, rig.photographs[lamp]

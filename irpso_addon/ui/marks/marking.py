@@ -118,8 +118,8 @@ class Marking:
         return {"PASS_THROUGH"}
 
     def _on_press(self, context, event):
-        clicked = np.array([event.mouse_x - self._region.x, event.mouse_y - self._region.y], float)
-        distances = {key: float(np.linalg.norm(self.pixel(place) - clicked)) for key, place in self.handles().items()}
+        pointer = np.array([event.mouse_x - self._region.x, event.mouse_y - self._region.y], float)
+        distances = {key: float(np.linalg.norm(self.pixel(place) - pointer)) for key, place in self.handles().items()}
         closest = min(distances, key=lambda key: distances[key], default=None)
         reached = closest is not None and distances[closest] <= _GRAB_RADIUS * context.preferences.system.ui_scale
         self._grabbed = self.clicked(closest if reached else None, np.clip(self._place(event), 0, 1))

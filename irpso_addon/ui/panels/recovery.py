@@ -117,8 +117,8 @@ def draw_result(layout, context, running: session.Session) -> None:
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
     drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
-    if running.held_out_error:
-        drawing.wrapped(layout, context, running.held_out_error, "HIDE_ON")
+    if running.held_out_line:
+        drawing.wrapped(layout, context, running.held_out_line, "HIDE_ON")
     if running.lights is not None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):

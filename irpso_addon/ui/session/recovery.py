@@ -148,7 +148,7 @@ class Session:
         return self._relighting is not None
 
     @property
-    def held_out_error(self) -> str:
+    def held_out_line(self) -> str:
         """The error of the current maps on held-out photographs as a sentence, "" if it is not measured."""
         return relit_line(self.work.relit[1]) if self.work.is_relit else ""
 

@@ -175,6 +175,7 @@ def test_bounds_and_samples_of_no_weight_neither_tell_nor_change():
     left = SeparatedStack(domain, by_shadows(told_by))
     for observation in (0, 1):
         np.testing.assert_array_equal(left.layer(observation), domain.stack.layer(observation))
+    np.testing.assert_array_equal(left.layer(2)[..., 3], domain.stack.layer(2)[..., 3])
     assert (left.layer(2)[inside] != domain.stack.layer(2)[inside]).any()
 
 

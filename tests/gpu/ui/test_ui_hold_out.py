@@ -86,8 +86,8 @@ def test_window_and_command_line_hold_out_the_same(settings, of_cli, tmp_path):
         assert report[key] == pytest.approx(wanted[key], abs=1e-6)
     mean, bright = wanted["relighting_mean_psnr_db"], wanted["relighting_highlights_mean_psnr_db"]
     assert mean == pytest.approx(np.mean(list(wanted["relighting_psnr_db"].values())), abs=1e-3)
-    assert running.held_out_error == f"Unseen photographs: {mean:.1f} dB, highlights {bright:.1f} dB"
-    assert running.held_out_error in drawn().texts
+    assert running.held_out_line == f"Unseen photographs: {mean:.1f} dB, highlights {bright:.1f} dB"
+    assert running.held_out_line in drawn().texts
     assert report["relighting_highlights_factor"] == wanted["relighting_highlights_factor"] == 1.5
     assert (tmp_path / "out" / "relit.png").read_bytes() == (folder / "relit.png").read_bytes()
     assert (tmp_path / "out" / "normal.exr").read_bytes() == (folder / "normal.exr").read_bytes()
@@ -102,7 +102,7 @@ def test_off_fits_all_photographs_and_reports_no_unseen_ones(settings, of_cli, t
     assert running.job.held_out == () and running.job.numbers == list(range(20))
     running.run()
     assert running.fitted is running.domain and running.recovery.domain.observations == 20
-    assert running.held_out_error == "" and not any("nseen" in text for text in drawn().texts)
+    assert running.held_out_line == "" and not any("nseen" in text for text in drawn().texts)
     assert relighting(exported(tmp_path / "out")) == {} and not (tmp_path / "out" / "relit.png").exists()
     code, *_ = cli_maker.run_cli(
         "recover", settings.capture_path, "--model", "principled", "--iterations", ITERATIONS,
@@ -116,18 +116,18 @@ def test_a_stopped_run_is_relit_again_after_resuming(settings):
     running = begin()
     while running.progress is None or running.progress.iteration_in_all < 3:
         running.tick(0.01)
-    assert running.held_out_error == ""
+    assert running.held_out_line == ""
     assert bpy.ops.irpso.stop() == {"FINISHED"}
-    early = running.held_out_error
+    early = running.held_out_line
     assert running.stopped and running.kept and early.startswith("Unseen photographs: ")
     assert early in drawn().texts
     assert bpy.ops.irpso.resume() == {"FINISHED"}
     stamp = running.stamp
     while running.stamp == stamp:
         running.tick(0.01)
-    assert running.held_out_error == ""  # it was of other maps
+    assert running.held_out_line == ""  # it was of other maps
     running.run()
-    assert running.held_out_error.startswith("Unseen photographs: ") and running.held_out_error != early
+    assert running.held_out_line.startswith("Unseen photographs: ") and running.held_out_line != early
 
 
 def test_the_panel_shows_relighting_and_the_search_time_stops(settings):
@@ -140,7 +140,7 @@ def test_the_panel_shows_relighting_and_the_search_time_stops(settings):
     while running.relighting:
         running.tick(1e-6)
     assert running.seconds == seconds and len(running.history) <= history + 1
-    assert running.state == "done" and running.held_out_error
+    assert running.state == "done" and running.held_out_line
 
 
 def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thread(settings):
@@ -149,7 +149,7 @@ def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thr
         running.tick(0.05)
     running.tick(1e-6)
     running.finish()
-    assert (running.state, running.held_out_error, running._worker.busy) == ("done", "", False)
+    assert (running.state, running.held_out_line, running._worker.busy) == ("done", "", False)
     running.close()
     assert running.fitted is None
 
@@ -165,7 +165,7 @@ def test_a_comparison_that_fails_loses_no_maps(settings, monkeypatch):
     running = begin()
     while running.active:
         running.tick(0.05)
-    assert (running.state, running.closed, running.held_out_error) == ("done", False, "")
+    assert (running.state, running.closed, running.held_out_line) == ("done", False, "")
     assert failures.messages() and running.maps().covered.any()
 
 

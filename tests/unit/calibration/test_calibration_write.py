@@ -1,4 +1,4 @@
-"""A calibration's files beside OUT.toml are written all or not at all."""
+"""A calibration's files beside OUT.toml: where one cannot be written, no new one is left."""
 
 import numpy as np
 import pytest

@@ -97,8 +97,8 @@ def make_passes(resolved, model, schedule):
 
 
 @cache
-def source_of(path, given):
-    return read_source(path, dict(given))
+def source_of(path, includes):
+    return read_source(path, dict(includes))
 
 
 def samplers_of(kernel):
