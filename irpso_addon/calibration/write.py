@@ -101,7 +101,10 @@ def _write(
 
 
 def _write_beside(out: Path, texts: dict[Path, str], picture: np.ndarray | None) -> None:
-    """Write the picture, then texts in their order. If writing fails, no new file is left; former ones may be replaced."""
+    """Write the picture, then texts in their order.
+
+    If writing fails, no new file is left; former ones may be replaced.
+    """
     partials = {path: path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}") for path in texts}
     new: list[Path] = []
     try:

@@ -51,9 +51,7 @@ def test_stop_and_keep_relights_the_unseen_photographs_while_the_window_lives(re
     ready.wait("session.current().state == 'done'", timeout=60)
     ready.settle()
     ready.screenshot("stopped and relit", ready.region(region="UI"))
-    assert ready.run("session.current().stopped and session.current().held_out_line").startswith(
-        "Unseen photographs: "
-    )
+    assert ready.run("session.current().stopped and session.current().held_out_line").startswith("Unseen photographs: ")
     slices = ready.run("slices")
     print(f"relighting: {len(slices)} slices, the longest {max(slices):.3f} s, {sum(slices):.2f} s in all")
     assert max(slices) < STALL

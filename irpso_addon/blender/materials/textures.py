@@ -64,7 +64,10 @@ def bpy_name(subject: str, map_name: str) -> str:
 
 
 def own_block(kind: Literal["image", "material"], tag: str, value: str) -> Any:
-    """Return the "image" or "material" whose property ``tag`` is ``value``, or None. Raises InputError where it is linked."""
+    """Return the image or material whose property ``tag`` is ``value``, or None.
+
+    Raises InputError where it is linked.
+    """
     import bpy
 
     found = [block for block in getattr(bpy.data, f"{kind}s") if block.get(tag) == value]

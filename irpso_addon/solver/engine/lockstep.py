@@ -20,7 +20,8 @@ Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): o
 class HaloTransport(Protocol):
     """Sends results of a tile's own texels to the tiles that have these texels in their halo or as ghosts.
 
-    Tiles are numbered in their process. All processes call ``exchange``, ``allgather`` and ``publish`` in the same order.
+    Tiles are numbered in their process. All processes call ``exchange``, ``allgather`` and ``publish`` in the same
+    order.
     """
 
     connected: bool  # whether any tile reads another

@@ -42,7 +42,7 @@ _LEAST_SATURATION, _MOST_SATURATION, _MOST_DISTANCE = 1.2, 4.0, 0.15
 # Least weight of a sample after its light is separated by colour; with 0.05 or 0.2, copper, brass and gold differ by at
 # most 0.5°. Mean normal errors (subjects of benchmarks/separation.py, standard) with all weights 1 and with these:
 # copper 15.7 and 14.0°, brass 4.3 and 3.8°, bronze 12.0 and 11.9°, terracotta 4.7 and 4.5°, gold 18.8 and 18.9° (median
-# 5.5 and 4.7°). More texels are called known: 44 in place of 39 % of copper; known ones of gold are off by 2.8, not 2.5°.
+# 5.5 and 4.7°). More texels are called known, 44 in place of 39 % of copper; those of gold are off by 2.8, not 2.5°.
 _LEAST_WEIGHT = 0.1
 
 
