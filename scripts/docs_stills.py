@@ -8,12 +8,16 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+from tests.builders.browser import Browser, chromium  # noqa: E402
+
 IMAGES = ROOT / "docs" / "images"
 CROP, DISTANCE = (
     (25, 51, 378, 378),
@@ -183,6 +187,17 @@ def asset(work: Path) -> Image.Image:
     return sheet.convert("RGB")
 
 
+def web(work: Path) -> Image.Image:
+    """Return the web page of the result, with a photograph beside the render under its light. Needs Chromium."""
+    if not chromium():
+        raise SystemExit("Missing: chromium, for the picture of the web page. `make browser` installs it")
+    run("export", work / "result", "--format", "web", "-o", work / "web")
+    with closing(Browser(900, 640)) as browser:
+        browser.scheme("dark")
+        browser.open(work / "web" / "index.html", "photograph=1")
+        return narrowed(Image.fromarray(browser.screenshot()), 600)
+
+
 class Drawing:
     """Shapes of a drawing to scale in two views, from the side and from above; places in millimetres."""
 
@@ -260,6 +275,7 @@ def rig(work: Path) -> str:
 
 PICTURES = {
     "relit": relit, "preview": preview, "sample": sample, "balls": balls, "mask": mask, "chart": chart, "asset": asset,
+    "web": web,
 }  # fmt: skip
 
 
