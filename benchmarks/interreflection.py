@@ -152,8 +152,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         f"Bodies of one material, their meshes known, rendered by Cycles ({side} pixels, {samples} samples) with 8"
         f" bounces under 40 lights, one camera; maps of {texels} × {texels} texels. *Standard* and *thorough* are"
         " recovered from these pictures by these presets, without and with rounds of interreflection; *oracle* by"
-        " *standard* from pictures without bounces. Cells: standard → thorough (oracle). *Way*: the part of the error"
-        " that the oracle lacks and *thorough* takes off; – where *standard* is as good as the oracle. *Inside* owes"
+        " *standard* from pictures without bounces. Cells: standard → thorough (oracle). *Removed*: the share of the"
+        " error above the oracle's that *thorough* removes; – where *standard* is as good as the oracle. *Inside* owes"
         " more than 5 % of its light to the rest of the body. *Unknown*: texels whose normal the maps call unknown; the"
         " errors of normals are means over those that all three know. Base colour: mean absolute error, relative.",
         "",
@@ -173,8 +173,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _table(head: str, rows: Iterable[tuple[Any, dict[str, Any]]]) -> list[str]:
-    heads = [head, "where", "texels", "unknown", "normal °", "way", "95 % °", "base colour %", "way", "roughness",
-             "metallic", "s"]  # fmt: skip
+    heads = [head, "where", "texels", "unknown", "normal °", "removed", "95 % °", "base colour %", "removed",
+             "roughness", "metallic", "s"]  # fmt: skip
     groups: dict[tuple[Any, str], dict[str, dict[str, Any]]] = {}
     for title, row in rows:
         groups.setdefault((title, row["where"]), {})[row["run"]] = row
@@ -186,8 +186,8 @@ def _table(head: str, rows: Iterable[tuple[Any, dict[str, Any]]]) -> list[str]:
             [scale * row[key] for row in three] for key, scale in (("color", 100), ("unknown", 100), ("seconds", 1))
         )
         lines.append([
-            title, where, three[0]["texels"], _cell(unknown, 0), _cell(mean, 2), way(mean, 0.1), _cell(p95, 1),
-            _cell(percent, 1), way(percent, 1.0), *(_cell([row[key] for row in three], 3) for key in
+            title, where, three[0]["texels"], _cell(unknown, 0), _cell(mean, 2), _removed(mean, 0.1), _cell(p95, 1),
+            _cell(percent, 1), _removed(percent, 1.0), *(_cell([row[key] for row in three], 3) for key in
                                                    ("roughness", "metallic")), _cell(seconds, 0),
         ])  # fmt: skip
     return report.table(heads, lines)
@@ -198,7 +198,7 @@ def _cell(values: list[float], digits: int) -> str:
     return f"{before} → {after} ({oracle})"
 
 
-def way(values: list[float], least: float) -> str:
+def _removed(values: list[float], least: float) -> str:
     """Return (first − second) / (first − third) of the errors, in %, if first − third is at least ``least``."""
     before, after, oracle = values
     return f"{100 * (before - after) / (before - oracle):.0f} %" if before - oracle >= least else "–"

@@ -39,7 +39,7 @@ def measure(quick: bool) -> dict[str, Any]:
                 identifiable.append(np.max(list(bounds(card, NOISE).values()), axis=0) < LEAST)
                 seconds, evaluations = seconds + run.seconds, evaluations + run.evaluations / seeds
             errors = {name: np.concatenate(parts) for name, parts in pooled.items()}
-            rows.append({"dirt": degradation, "method": method, "seconds": seconds, "evaluations": evaluations,
+            rows.append({"degradation": degradation, "method": method, "seconds": seconds, "evaluations": evaluations,
                          **_summary(errors, np.concatenate(identifiable))})  # fmt: skip
             right, degrees = rows[-1]["right"], rows[-1]["errors"]["normal"][0]
             report.say(f"joint: {degradation}, {method}: {right:.4f} right, {degrees:.3f}°")
@@ -90,7 +90,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     names = list(rows[0]["errors"])
     titles = {name: degradation.title for name, degradation in subjects.DEGRADATIONS.items()}
     clean, dirty, patched = (
-        next(r for r in rows if r["dirt"] == d and r["method"] == "standard") for d in ("clean", "dirty", "patched")
+        next(r for r in rows if r["degradation"] == d and r["method"] == "standard")
+        for d in ("clean", "dirty", "patched")
     )
     lines = [
         f"Cards of {data['size']}² texels under {data['lights']} lights, {data['seeds']} seeds pooled, model"
@@ -111,7 +112,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         "",
         *report.table(
             ["capture", "method", "all", *names, "evaluations a texel", "s"],
-            [[titles[r["dirt"]], r["method"], f"{r['right']:.2%}", *(f"{r['within'][n]:.2%}" for n in names),
+            [[titles[r["degradation"]], r["method"], f"{r['right']:.2%}", *(f"{r['within'][n]:.2%}" for n in names),
               short(r["evaluations"]), short(r["seconds"])] for r in rows],
         ),
         "## Errors over all texels: mean (median; 99th percentile)",
@@ -120,7 +121,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         "",
         *report.table(
             ["capture", "method", *names],
-            [[titles[r["dirt"]], r["method"],
+            [[titles[r["degradation"]], r["method"],
               *(f"{short(a)} ({short(b)}; {short(c)})" for a, b, c, _ in r["errors"].values())] for r in rows],
         ),
     ]  # fmt: skip
@@ -142,7 +143,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 def headline(data: dict[str, Any]) -> str:
     """Return the text of the index."""
-    clean, dirty = (next(r for r in data["rows"] if r["dirt"] == d) for d in ("clean", "dirty"))
+    clean, dirty = (next(r for r in data["rows"] if r["degradation"] == d) for d in ("clean", "dirty"))
     return (
         f"{clean['right']:.2%} of identifiable texels right ({clean['excluded']:.1%} excluded); normals under dirt off"
         f" by {short(dirty['errors']['normal'][0])}°"

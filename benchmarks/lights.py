@@ -80,7 +80,7 @@ def _row(model: str, lights: np.ndarray, degradation: str, size: int, seeds: int
         if all(name in bad for name in names):
             failed[goal] = float(np.any([bad[name] for name in names], axis=0).mean())
     return {
-        "model": model, "dirt": degradation, "failed": failed,
+        "model": model, "degradation": degradation, "failed": failed,
         "errors": {name: [float(e.mean()), float(np.median(e))] for name, e in errors.items()},
     }  # fmt: skip
 
@@ -138,7 +138,7 @@ def _outdated(rows: list[dict]) -> list[str]:
     for kind, degradation, figures in (("number", "dirty", sufficiency.NUMBER), ("cone", "noisy", sufficiency.CONE),
                                 ("fan", "noisy", sufficiency.ACROSS)):  # fmt: skip
         for figure in figures:
-            same = [r for r in rows if (r["kind"], r["dirt"], r["value"]) == (kind, degradation, figure.value)]
+            same = [r for r in rows if (r["kind"], r["degradation"], r["value"]) == (kind, degradation, figure.value)]
             for model, ask, at in (("principled", "normal", 0), ("principled", "roughness", 1),
                                    ("cook_torrance_two_lobe", "two lobes", 2)):  # fmt: skip
                 now = [r["failed"][ask] for r in same if r["model"] == model]
@@ -158,7 +158,7 @@ def _draw(axis: Any, rows: list[dict], label: str, kind: str) -> None:
     styles = {"normal": 0, "roughness": 1, "two lobes": 2}
     for model in MODELS:
         for degradation, dash in (("noisy", "-"), ("dirty", "--")):
-            chosen = [r for r in rows if r["model"] == model and r["dirt"] == degradation]
+            chosen = [r for r in rows if r["model"] == model and r["degradation"] == degradation]
             for goal, color in styles.items():
                 if not chosen or goal not in chosen[0]["failed"]:
                     continue
@@ -180,7 +180,7 @@ def _table(rows: list[dict], label: str) -> list[str]:
         lobes = r["failed"].get("roughness", r["failed"].get("two lobes"))
         failed = [f"{100 * x:.1f} %" for x in (r["failed"]["normal"], lobes, r["failed"]["any"])]
         errors = [f"{short(mean)} ({short(median)})" for mean, median in r["errors"].values()]
-        cells.append([f"{r['value']:g}", subjects.DEGRADATIONS[r["dirt"]].title, *errors, *failed])
+        cells.append([f"{r['value']:g}", subjects.DEGRADATIONS[r["degradation"]].title, *errors, *failed])
     return ["Errors: mean (median).", "", *report.table(header, cells)]
 
 
@@ -188,7 +188,9 @@ def headline(data: dict[str, Any]) -> str:
     """Return the index entry: the fewest lights with which few texels fail."""
     parts = []
     for goal in GOALS:
-        rows = [r for r in data["rows"] if r["kind"] == "number" and r["dirt"] == "noisy" and goal in r["failed"]]
+        rows = [
+            r for r in data["rows"] if r["kind"] == "number" and r["degradation"] == "noisy" and goal in r["failed"]
+        ]
         good = [r["value"] for r in rows if r["failed"][goal] <= FEW]
         parts.append(f"{goal} from {min(good)} lights" if good else f"{goal} with none of these numbers")
     return f"under {FEW:.0%} of texels fail: {', '.join(parts)}"

@@ -76,7 +76,7 @@ def errors_at(model: str, values: Mapping[str, np.ndarray], problem: Problem) ->
 
 
 def solve(capture: str, method: str, quick: bool) -> dict[str, Any]:
-    """Return texels (T, 2), errors, seconds a texel, evaluations, and the trace of errors ("way").
+    """Return texels (T, 2), errors, seconds a texel, evaluations, and the trace of errors.
 
     seconds: processor time of all threads; wall: by the clock.
     """
@@ -93,15 +93,16 @@ def solve(capture: str, method: str, quick: bool) -> dict[str, Any]:
         # The method's share of the wall time: recording the trace and trying other settings do not count.
         processor = np.array([s.seconds for s in result.trace] + [result.seconds]) * spent / wall
     errors = errors_at(made.model, result.values, problem)
-    way = [
+    trace = [
         (spent / problem.count, s.evaluations, errors_at(made.model, s.values, problem))
         for s, spent in zip(result.trace, processor, strict=False)
     ]
     return {
         "texels": problem.texels, "errors": errors, "wall": result.seconds / problem.count,
         "seconds": float(processor[-1]) / problem.count,
-        "evaluations": float(np.mean(result.evaluations)), "memory": peak_memory_mb() if not way else result.memory_mb,
-        "settings": {k: str(v) for k, v in result.settings.items()}, "way": way,
+        "evaluations": float(np.mean(result.evaluations)),
+        "memory": result.memory_mb if trace else peak_memory_mb(),
+        "settings": {k: str(v) for k, v in result.settings.items()}, "trace": trace,
     }  # fmt: skip
 
 
@@ -114,7 +115,7 @@ def _product(made: Subject, method: str, problem: Problem, quick: bool) -> tuple
     trace = tuple(Sample(s.seconds, s.evaluations, {n: v[at] for n, v in s.values.items()}) for s in run.trace)
     values = {name: value[at] for name, value in run.values.items()}
     evaluations = np.array([run.evaluations])
-    return PeerResult(method, values, evaluations, run.seconds, peak_memory_mb(), {}, trace), np.array(run.way)
+    return PeerResult(method, values, evaluations, run.seconds, peak_memory_mb(), {}, trace), np.array(run.trace_work)
 
 
 def _linear(method: str, problem: Problem) -> PeerResult:
@@ -164,10 +165,10 @@ def main() -> None:
     result = solve(options.capture, options.method, options.quick)
     arrays = {"texels": result.pop("texels")}
     arrays |= {f"error_{name}": error for name, error in result.pop("errors").items()}
-    way = result.pop("way")
-    for name in way[0][2] if way else ():
-        arrays[f"way_{name}"] = np.array([errors[name] for _, _, errors in way], np.float32)
-    arrays["way"] = np.array([(seconds, evaluations) for seconds, evaluations, _ in way])
+    trace = result.pop("trace")
+    for name in trace[0][2] if trace else ():
+        arrays[f"trace_{name}"] = np.array([errors[name] for _, _, errors in trace], np.float32)
+    arrays["times"] = np.array([(seconds, evaluations) for seconds, evaluations, _ in trace])
     np.savez(options.result, facts=json.dumps(result), **arrays)
     if options.method in PRODUCT:
         from irpso_addon.gpu import context

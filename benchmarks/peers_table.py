@@ -68,8 +68,8 @@ def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, An
     with np.load(target) as arrays:
         facts = json.loads(str(arrays["facts"]))
         errors = {name.removeprefix("error_"): arrays[name] for name in arrays.files if name.startswith("error_")}
-        way = {name.removeprefix("way_"): arrays[name] for name in arrays.files if name.startswith("way_")}
-        return {**facts, "texels": arrays["texels"], "errors": errors, "way": way, "times": arrays["way"]}
+        trace = {name.removeprefix("trace_"): arrays[name] for name in arrays.files if name.startswith("trace_")}
+        return {**facts, "texels": arrays["texels"], "errors": errors, "trace": trace, "times": arrays["times"]}
 
 
 def _median_of(runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def _arrival(run: dict[str, Any]) -> float | None:
     """Return the seconds a texel after which a peer's normals stay within ``NEARLY`` of its own final error."""
     if not len(run["times"]):
         return None
-    mean = run["way"]["normal"].mean(axis=1)
+    mean = run["trace"]["normal"].mean(axis=1)
     worse = np.flatnonzero(mean > NEARLY * run["errors"]["normal"].mean())
     return float(run["times"][min(worse[-1] + 1 if len(worse) else 0, len(mean) - 1), 0])
 
@@ -115,8 +115,8 @@ def _reach(run: dict[str, Any], own: dict[str, Any], at: np.ndarray) -> dict[str
 
     Time: of all texels of the capture, with setup, over their number. Error: over the peer's texels.
     """
-    ways = {name: way[:, at].mean(axis=1) for name, way in own["way"].items()}
-    reached = {n: way <= run["errors"][n].mean() for n, way in ways.items() if n in run["errors"]}
+    traces = {name: errors[:, at].mean(axis=1) for name, errors in own["trace"].items()}
+    reached = {n: trace <= run["errors"][n].mean() for n, trace in traces.items() if n in run["errors"]}
     seconds = {}
     for what, met in (("normal", reached["normal"]), ("all", np.all(list(reached.values()), axis=0))):
         first = np.flatnonzero(met)

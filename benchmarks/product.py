@@ -25,7 +25,7 @@ class Run:
     """A recovery's result. values: name → (H, W, components). seconds: from the images to the maps, with setup and
     compilation. evaluations: a texel, at most (texels that converge early cost less).
 
-    work: seconds of work, see ``now``; way: the same for every sample of the trace.
+    work: seconds of work, see ``now``; trace_work: the same for every sample of the trace.
     """
 
     values: Values
@@ -34,7 +34,7 @@ class Run:
     evaluations: float
     trace: tuple[Sample, ...] = ()
     work: float = 0.0
-    way: tuple[float, ...] = ()
+    trace_work: tuple[float, ...] = ()
 
 
 def schedule_of(name: str) -> Schedule:
@@ -74,7 +74,7 @@ def recover(
     The seconds exclude reading the maps: each sample reads them twice, the second time to measure its duration.
     """
     context.ensure()
-    trace, way = [], []
+    trace, works = [], []
     overhead, start = np.zeros(2), now()
     texels = max(int(domain.solvable.sum()), 1)
     with Recovery(domain, load_model(model), schedule, seed, fixed, entry) as recovery:
@@ -88,10 +88,10 @@ def recover(
             read_time = now() - read_at
             seconds, work = read_at - read_time - start - overhead
             trace.append(Sample(float(seconds), recovery.progress.evaluations / texels, maps.values))
-            way.append(float(work))
+            works.append(float(work))
             overhead += 2 * read_time
     last = trace[-1]
-    return Run(maps.values, maps.residual, last.seconds, last.evaluations, tuple(trace), way[-1], tuple(way))
+    return Run(maps.values, maps.residual, last.seconds, last.evaluations, tuple(trace), works[-1], tuple(works))
 
 
 def now() -> np.ndarray:

@@ -50,14 +50,14 @@ def _pymoo(function: Function, dimensions: int, members: int, iterations: int, s
     from pymoo.core.problem import Problem
     from pymoo.optimize import minimize
 
-    class Wanted(Problem):
+    class Bounded(Problem):
         def __init__(self):
             super().__init__(n_var=dimensions, n_obj=1, xl=-function.reach, xu=function.reach)
 
         def _evaluate(self, x, out, *args, **kwargs):
             out["F"] = function.values(x)
 
-    result = minimize(Wanted(), PSO(pop_size=members), ("n_gen", iterations), seed=seed, verbose=False)
+    result = minimize(Bounded(), PSO(pop_size=members), ("n_gen", iterations), seed=seed, verbose=False)
     return float(result.F[0])
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 # Of tests/gpu, those that begin first because they take longest.
 SLOW = (
-    "test_tiled", "test_cli_rerun", "test_cli_recover", "test_cli_mesh", "test_cluster", "test_ui_doors",
+    "test_tiled", "test_cli_rerun", "test_cli_recover", "test_cli_mesh", "test_mpirun", "test_ui_doors",
     "test_ui_hold_out",
 )  # fmt: skip
 

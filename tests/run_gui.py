@@ -19,7 +19,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 from blender_window import build_package, find_blender, install  # noqa: E402
 
 # Those that begin first because they take longest.
-SLOW = ("test_import", "test_find_lights", "test_run", "test_journey", "test_panels", "test_interreflection")
+SLOW = ("test_import", "test_find_lights", "test_run", "test_journey", "test_panels", "test_rounds")
 JOBS = 2  # a window waits for its events half of the time
 SECONDS = 1800  # limit of one module on a busy machine
 

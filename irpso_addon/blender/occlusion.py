@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.encode import FLAT_NORMAL, MARGIN_TEXELS, encode_normal, fill_margin
 from ..core.errors import InputError
+from ..geometry.spaces import unit
 from ..geometry.surface.mesh import MeshData
 from ..results.maps import Maps
 from .materials.material import new_material
@@ -119,8 +120,7 @@ def _subject(made: list[Any], scene: Any, mesh: MeshData) -> Any:
     solved = slice(None) if mesh.solved is None else mesh.solved
     inverse = np.linalg.inv(mesh.matrix)
     local = mesh.positions[solved].reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
-    normals = mesh.normals[solved].reshape(-1, 3) @ mesh.matrix[:3, :3]
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
+    normals = unit(mesh.normals[solved].reshape(-1, 3) @ mesh.matrix[:3, :3])
     both = np.concatenate([local, normals], axis=-1).astype(np.float32)
     vertices, corners = np.unique(both, axis=0, return_inverse=True)
     corners = corners.reshape(-1, 3)

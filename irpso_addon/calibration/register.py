@@ -96,11 +96,15 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
         if np.abs(change).max() < _ALIGNED:
             break
     moved = [s * _phases(shape, *at) for s, at in zip(spectra, pixels, strict=True)]
-    for k in np.flatnonzero(~trusted).tolist():  # a frame whose light is far from the mean's may match one neighbour
-        tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]
-        if tries and (best := max(tries, key=lambda t: t[2]))[2] >= _PEAK:
-            pixels[k], trusted[k] = best[:2], True
-            moved[k] = spectra[k] * _phases(shape, *pixels[k])
+    new = np.flatnonzero(trusted).tolist()
+    while new:  # a frame whose light is far from the mean's may match one neighbour, which may itself be placed so
+        tried, new = new, []
+        for k in np.flatnonzero(~trusted).tolist():
+            *shift, peak = max((_peak(spectra[k] * np.conj(moved[i]), shape) for i in tried), key=lambda t: t[2])
+            if peak >= _PEAK:
+                pixels[k], trusted[k] = shift, True
+                moved[k] = spectra[k] * _phases(shape, *shift)
+                new.append(k)
     return pixels, trusted
 
 

@@ -17,7 +17,7 @@ from ..capture.spec import CaptureSpec
 from ..capture.types import Light
 from ..core.errors import InputError
 from ..core.files import check_unused, check_writable, new_folder
-from ..core.png import encode_png
+from ..core.png import encode_png, png_bytes
 from .balls.contact_sheet import calibration_picture
 from .job import Calibrated, report_text, written_table
 from .photographs import calibrated_table
@@ -88,7 +88,9 @@ def _write(
     table_in: folder → the table's text. lists: file name → lines. Raises InputError if writing fails.
     """
     if out.suffix.lower() == ".toml":
-        _write_beside(out, {_beside(out, _REPORT): report, out: table_in(out.parent)}, picture)
+        files = {} if picture is None else {_beside(out, _PICTURE): png_bytes(picture, 8)}
+        texts = {_beside(out, _REPORT): report, out: table_in(out.parent)}
+        _write_beside(out, files | {path: text.encode() for path, text in texts.items()})
         return
     table = table_in(out)
     with new_folder(out) as partial:
@@ -100,26 +102,19 @@ def _write(
             (partial / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def _write_beside(out: Path, texts: dict[Path, str], picture: np.ndarray | None) -> None:
-    """Write the picture, then texts in their order.
+def _write_beside(out: Path, files: dict[Path, bytes]) -> None:
+    """Write files under temporary names, then replace the former ones in their order.
 
-    If writing fails, no new file is left; former ones may be replaced.
+    If writing fails, no new file is left; if replacing fails, former ones before it are replaced.
     """
-    partials = {path: path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}") for path in texts}
-    new: list[Path] = []
+    partials = {path: path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}") for path in files}
+    new = [path for path in files if not path.exists()]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        for path, text in texts.items():
-            partials[path].write_text(text, encoding="utf-8")
-        if picture is not None:
-            shown = _beside(out, _PICTURE)
-            hidden = shown.with_name(f".{shown.stem}.partial-{os.getpid()}.png")
-            partials = {shown: hidden, **partials}
-            encode_png(hidden, picture, 8)
+        for path, data in files.items():
+            partials[path].write_bytes(data)
         for path, partial in partials.items():
-            existed = path.exists()
             os.replace(partial, path)
-            new += [] if existed else [path]
     except OSError as error:
         for path in new:
             path.unlink(missing_ok=True)

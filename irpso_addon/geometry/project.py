@@ -9,6 +9,7 @@ import numpy as np
 
 from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
+from .spaces import unit
 from .surface.bake import SurfaceBake
 from .surface.footprint import MOST, falloff, jacobian, place, places_along
 
@@ -277,8 +278,7 @@ def _toward(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return (N, 3) unit vectors from the points toward the camera."""
     if not camera.perspective:
         return np.broadcast_to(camera.backward, points.shape)
-    toward = camera.position - points
-    return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-30)
+    return unit(camera.position - points)
 
 
 def _same_surface(seen: SurfaceBake, pixel: np.ndarray, surface: _Surface, tolerance: np.ndarray) -> np.ndarray:

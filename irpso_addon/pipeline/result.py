@@ -72,7 +72,7 @@ def report_of(
     )  # fmt: skip
     priors = job.schedule.fitness.priors
     of_maps = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
-    of_maps += [*run.warnings, *_unseen_warnings(domain, maps)]
+    of_maps += [*run.warnings, *_coverage_warnings(domain, maps)]
     of_capture = [*job.warnings, *capture_warnings(job.capture)]
     report |= run.findings | run.relit[1] | {"warnings": [*of_maps, *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
@@ -87,7 +87,7 @@ def report_of(
     return report | ({} if recovered.height is None else {"height": recovered.height.described()})
 
 
-def _unseen_warnings(domain: Domain, maps: Maps) -> list[str]:
+def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     """Return a warning where the photographs show next to nothing of a mesh: it may stand elsewhere."""
     whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
     if domain.card or seen >= _LEAST_SEEN * whole:

@@ -154,6 +154,16 @@ def recoveries():
     yield from makers(recovery)
 
 
+def angles_of(recover, domain, model, schedules, normal):
+    """Return the angles (H, W) between each schedule's normals and others (H, W, 3), and the last recovery."""
+    errors = []
+    for schedule in schedules:
+        recovery = recover(domain, model, schedule)
+        recovery.step()
+        errors.append(degrees(recovery.maps(confidence=False), normal))
+    return errors, recovery
+
+
 def makers(kind):
     """Yield a maker of objects of a kind and close them at the end, for a fixture."""
     made = []

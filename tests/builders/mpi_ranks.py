@@ -12,8 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.builders.domains import masked
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from irpso_addon.blender.ray_caster import ray_caster
@@ -35,7 +33,7 @@ from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.cavity import cap_card, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
-from tests.builders.domains import SHORT, subject
+from tests.builders.domains import SHORT, masked, subject
 
 PLAN = {  # case → numbers of ranks, and the iteration of the checkpoint that other numbers of ranks resume
     "prime sizes, near lights, a window of 9": ((1, 2, 4, 5), None),

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.encode import nearest_covered
 from ...geometry.seams.seams import SeamMap
-from ...geometry.spaces import world_normals
+from ...geometry.spaces import unit, world_normals
 from ...geometry.surface.bake import SurfaceBake
 from ...geometry.surface.mesh import MeshData
 from ...results.maps import Maps
@@ -59,8 +59,7 @@ def _carried(
     unrotated normal would tilt too far, across a crease by the crease's angle.
     """
     surface = bake.normal.reshape(-1, 3).astype(np.float64)
-    a, b = np.einsum("nt,ntc->nc", weights, surface[taps]), surface[beside]
-    a /= np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-30)
+    a, b = unit(np.einsum("nt,ntc->nc", weights, surface[taps])), surface[beside]
     cosine, axis = (a * b).sum(axis=-1, keepdims=True), np.cross(a, b)
     # Rodrigues' formula for the smallest rotation from a to b; for opposite vectors, any of them.
     along = axis * (axis * normals).sum(axis=-1, keepdims=True) / np.maximum(1 + cosine, 1e-6)

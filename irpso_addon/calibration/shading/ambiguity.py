@@ -166,10 +166,11 @@ def _cost(residual: np.ndarray) -> float:
     return float(np.log1p(residual**2).mean())
 
 
-def outline_outwardness(normals: np.ndarray, mask: np.ndarray) -> float:
-    """Return how far unit normals (P, 3) at the outline of a mask (H, W) point outward, −1…1; 0 without an outline.
+def outward_cosine(normals: np.ndarray, mask: np.ndarray) -> float:
+    """Return the mean cosine of tilt and outward direction at a mask's outline, −1…1; 0 without an outline.
 
-    Those of a solid point outward. Without an outline, relief and its inverse fit photographs equally well.
+    normals: (P, 3), unit, of the pixels of the mask (H, W). The mean is weighted by tilt. Normals of a solid point
+    outward; without an outline, relief and its inverse fit photographs equally well.
     """
     rows, columns = np.nonzero(mask)
     inner = mask.copy()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.steps import map_steps
-from .ambiguity import even_relief, integrable, outline_outwardness, rotation
+from .ambiguity import even_relief, integrable, outward_cosine, rotation
 from .factors import factored, scaled_normals, usable_samples
 
 FEWEST = 10  # photographs
@@ -20,7 +20,7 @@ PARTS = 4  # of the subject, for the jackknife
 _BLOCKS = 8  # along the subject's larger side; each block of pixels is in one part
 _FEWEST_PIXELS, _FEWEST_LIT = 500, 50  # lit pixels; lit pixels in each photograph
 _ROUNDS = 40  # yields of one fit, for the progress
-_OUTLINE = 0.2  # least |outline_outwardness| that distinguishes relief from its inverse
+_OUTLINE = 0.2  # least |outward_cosine| that distinguishes relief from its inverse
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def parts_of(mask: np.ndarray, seed: int) -> np.ndarray:
 def _lights(
     scaled: np.ndarray, usable: np.ndarray, chosen: np.ndarray, mask: np.ndarray, rng: np.random.Generator
 ) -> Generator[None, None, tuple[np.ndarray, float]]:
-    """Return lights (K, 3) times their intensities, from chosen pixels, and ``outline_outwardness`` of the normals."""
+    """Return lights (K, 3) times their intensities, from chosen pixels, and ``outward_cosine`` of the normals."""
     lights = yield from factored(scaled, usable, chosen, rng)
     normals, misfit = scaled_normals(scaled[:, chosen], usable[:, chosen], lights)
     yield
@@ -132,7 +132,7 @@ def _lights(
     yield
     relief = even_relief(lights)
     all_normals, lights = all_normals @ relief, lights @ np.linalg.inv(relief).T
-    outward = outline_outwardness(_unit(all_normals), mask)
+    outward = outward_cosine(_unit(all_normals), mask)
     if outward < 0:
         lights = lights * (-1, -1, 1)
     return lights, outward

@@ -174,7 +174,7 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
     def finished(self, context, detected: DetectedCorners) -> set[str]:
         """Store the corners, and the width of a printed marker board's field."""
         keep_corners(context.scene.irpso, detected)
-        self.report({"INFO"}, rpt("Corners: {found}", found=detected))
+        self.report({"INFO"}, rpt("Corners: {corners}", corners=detected))
         return {"FINISHED"}
 
 

@@ -45,7 +45,7 @@ def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], w
     if warnings:
         more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
         operator.report({"WARNING"}, failures.message_of(InputError(warnings[0])) + more)
-    operator.report({"INFO"}, rpt("{found} written to {name}", found=written, name=capture.name))
+    operator.report({"INFO"}, rpt("{what} written to {name}", what=written, name=capture.name))
     return {"FINISHED"}
 
 

@@ -164,7 +164,7 @@ class IRPSO_OT_export(bpy.types.Operator):
             result = replace(result, baked_sky=mesh_open_sky(alone(running.job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
-        text = rpt("{found} written to {name}", found=FORMATS[self.format][0], name=report["output"])
+        text = rpt("{what} written to {name}", what=FORMATS[self.format][0], name=report["output"])
         return text, report.get("warnings", [])
 
 

@@ -15,7 +15,7 @@ from ..overlay import handlers
 from ..properties import preferences
 from ..properties.recipe import schedule_recipe
 from ..properties.schedule_settings import schedule_of
-from ..session import session, unkept
+from ..session import session, stored_recoveries
 from ..session.job import make_job, missing
 from .restore import run_in_window
 
@@ -228,7 +228,7 @@ class IRPSO_OT_cancel(bpy.types.Operator):
 
     def execute(self, context):
         """End the session and delete its stored checkpoint."""
-        unkept.delete(session.current().job.resumed)
+        stored_recoveries.delete(session.current().job.resumed)
         session.end()
         handlers.redraw()
         return {"FINISHED"}

@@ -15,16 +15,16 @@ from ..common import drawing, failures
 from ..common.polls import usable
 from ..common.words import iface, n_
 from ..properties.recipe import apply_recipe
-from ..session import session, unkept
+from ..session import session, stored_recoveries
 from ..session.card_place import show_card
 from ..session.job import SceneJob, make_job
 
 _AFTER_SAVING = 0.1  # seconds until Blender has marked a file as saved
 
 
-def draw_unkept(layout, context) -> None:
+def draw_stored(layout, context) -> None:
     """Draw the recoveries that were not kept, each with buttons to restore and to delete it."""
-    for stored in unkept.listed():
+    for stored in stored_recoveries.listed():
         box = layout.box()
         text = iface("A recovery of '{name}' was not kept ({part:.0%})", name=stored.name, part=stored.fraction)
         drawing.wrapped(box, context, text, "RECOVER_LAST")
@@ -33,7 +33,7 @@ def draw_unkept(layout, context) -> None:
         row.operator("irpso.forget", icon="X").path = str(stored.path)
 
 
-def restored_job(context, stored: unkept.StoredRecovery) -> SceneJob:
+def restored_job(context, stored: stored_recoveries.StoredRecovery) -> SceneJob:
     """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
     identity = glance(stored.path, {})
     try:
@@ -47,8 +47,8 @@ def restored_job(context, stored: unkept.StoredRecovery) -> SceneJob:
 class _OfStored:
     path: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
-    def _stored(self) -> unkept.StoredRecovery:
-        stored = next((one for one in unkept.listed() if one.path == Path(self.path)), None)
+    def _stored(self) -> stored_recoveries.StoredRecovery:
+        stored = next((one for one in stored_recoveries.listed() if one.path == Path(self.path)), None)
         if stored is None:
             raise InputError("this recovery is no longer stored")
         return stored
@@ -86,7 +86,7 @@ class IRPSO_OT_forget(_OfStored, bpy.types.Operator):
     def execute(self, context):
         """Delete its checkpoint."""
         try:
-            unkept.delete(self._stored().path)
+            stored_recoveries.delete(self._stored().path)
         except IrpsoError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...geometry.spaces import unit
+
 _SIDES = 40  # sides of the polygon that is drawn for a circle
 
 
@@ -22,8 +24,7 @@ class Placement:
 
     def directions(self, vectors: np.ndarray) -> np.ndarray:
         """Return unit vectors (N, 3) of the domain's frame in world axes."""
-        turned = vectors @ self.frame[:3, :3].T
-        return turned / np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-30)
+        return unit(vectors @ self.frame[:3, :3].T)
 
 
 def placement_of(frame: np.ndarray, corners: np.ndarray) -> Placement:

@@ -12,7 +12,7 @@ from ...solver.settings.schedule import GROUPS
 from ..common import drawing, failures
 from ..common.words import iface, n_
 from ..operators.presets import label_of
-from ..operators.restore import draw_unkept
+from ..operators.restore import draw_stored
 from ..session import session
 from ..session.forecast import search_time
 from ..session.job import missing
@@ -30,7 +30,7 @@ class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
         """Draw the start, the progress or the result."""
         running = session.current()
         if running is None:
-            draw_unkept(self.layout, context)
+            draw_stored(self.layout, context)
             _draw_start(self.layout, context, n_("Recover"))
         elif running.state == "done":
             draw_result(self.layout, context, running)

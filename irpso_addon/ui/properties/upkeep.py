@@ -37,9 +37,6 @@ def _on_load(*_: object) -> None:
     fill_lists()
 
 
-CLASSES = ()
-
-
 def register() -> None:
     """Fill the lists of every loaded file, and of the open one as soon as it may be changed."""
     bpy.app.handlers.load_post.append(_on_load)

@@ -18,7 +18,7 @@ from ...results.preview import Curves, convergence, display_image
 from ..common.polls import usable
 from ..common.words import n_, rpt
 from ..properties import preferences
-from . import session, unkept
+from . import session, stored_recoveries
 from .card_place import put_card
 
 _NO_EXTRAS = DerivedMaps()
@@ -95,7 +95,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running.pause()
         try:
             text = _keep(context, running)
-            unkept.delete(running.job.resumed)
+            stored_recoveries.delete(running.job.resumed)
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}

@@ -27,7 +27,7 @@ from ...solver.views.held_out import relit_line
 from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
 from ..common.words import n_
-from . import unkept
+from . import stored_recoveries
 from .job import SceneJob
 from .probes import Probes
 from .worker import Worker
@@ -294,8 +294,8 @@ class Session:
         yield from self.work.open()
         if self.job.resumed is not None:
             notes = self.recovery.load(self.job.resumed)
-            self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
-            self.seconds = float(notes[unkept.SECONDS])
+            self.history = [(int(iteration), float(error)) for iteration, error in notes[stored_recoveries.HISTORY]]
+            self.seconds = float(notes[stored_recoveries.SECONDS])
         self._create_display()
         self.state = "running"
         if self.job.resumed is not None:  # a stored recovery opens paused

@@ -11,7 +11,7 @@ from ...pipeline.run import RunCache
 from ..common import failures
 from ..common.polls import usable
 from ..common.words import n_
-from . import unkept
+from . import stored_recoveries
 from .job import SceneJob
 from .recovery import Session
 
@@ -62,7 +62,7 @@ def _notify() -> None:
 def reset() -> None:
     """Before the file changes: store unkept maps, close the session, and delete its data."""
     if _current is not None:
-        unkept.store(_current)
+        stored_recoveries.store(_current)
     end()
     _previous_run.clear()
 

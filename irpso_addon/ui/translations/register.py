@@ -29,9 +29,6 @@ def words() -> dict[str, dict[tuple[str, str], str]]:
     }
 
 
-CLASSES = ()
-
-
 def register() -> None:
     """Register the words under this module's name."""
     bpy.app.translations.register(__name__, words())

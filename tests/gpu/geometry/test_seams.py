@@ -26,6 +26,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from irpso_addon.solver.views.forward import Renderer
+from tests.builders.balls import cap
 from tests.builders.domains import SHORT, make_domain, pack_layers, random_truth, unit, with_radiance
 from tests.builders.seams import part, sheet
 from tests.oracles import swarm as oracle
@@ -228,9 +229,7 @@ def noisy():
     gloss = np.full((ROWS, COLUMNS, 1), 0.4)
     truth = {"base_color": color, "normal": normal, "roughness": gloss, "specular": gloss + 0.1}
     truth = {name: value.astype(np.float32) for name, value in truth.items()}
-    angle, cosine = 2.39996 * np.arange(6), 1 - 0.4264 * (np.arange(6) + 0.5) / 6  # a spiral to 55° from the zenith
-    sine = np.sqrt(1 - cosine**2)
-    lights = np.stack([sine * np.cos(angle), sine * np.sin(angle), cosine, 0 * angle], axis=-1).astype(np.float32)
+    lights = np.pad(np.float32(cap(6, 55)), ((0, 0), (0, 1)))
     rows = lights, np.ones((6, 3), np.float32), np.tile(np.float32([0, 0, 1, 0]), (6, 1))
     renderer = Renderer(bake, PRINCIPLED, truth, *rows)
     stack = np.stack([renderer.render(k) for k in range(6)])

@@ -182,7 +182,7 @@ def test_a_line_has_its_width_in_pixels(drawing, line, width):
     colors = np.array([(1, 0.5, 0, 1), (0, 0.5, 1, 0.5)])
     with Window() as window:
         drawing.draw_lines(line, colors, width)
-    covered, t = stroke(*line, width)
+    covered, t = stroke(*line, width=width)
     wanted = colors[0] + (colors[1] - colors[0]) * t[..., None]
     wanted[..., 3] *= covered
     np.testing.assert_allclose(window.pixels(), over(wanted), atol=2e-4)

@@ -8,7 +8,7 @@ import pytest
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from tests.builders.domains import bits_of, degrees, recoveries, resumed, sliced
+from tests.builders.domains import angles_of, bits_of, recoveries, resumed, sliced
 from tests.gpu.solver.test_indirect_shadow import RAISED
 from tests.gpu.solver.test_indirect_shadow import SHORT as RAISED_SHORT
 from tests.gpu.solver.test_indirect_shadow import corner as corner_of
@@ -26,16 +26,11 @@ def corner():
 
 def test_the_normals_of_a_hollow_are_those_of_its_direct_light(recover):
     domain, normal, between = corner()
-    found = []
-    for schedule in (OFF, SEPARATED):
-        recovery = recover(domain, LAMBERT, schedule)
-        recovery.step()
-        maps = recovery.maps(confidence=False)
-        found.append(degrees(maps, normal))
+    found, recovery = angles_of(recover, domain, LAMBERT, (OFF, SEPARATED), normal)
     before, after = (angles[between].mean() for angles in found)
     assert before > 10 and after < 1
     assert all(angles[:, 22:].mean() < 0.05 for angles in found)
-    colour = maps.values["base_color"][between]
+    colour = recovery.maps(confidence=False).values["base_color"][between]
     aside = np.abs(colour / colour.sum(axis=-1, keepdims=True) - np.divide(BRASS, sum(BRASS))).max(axis=-1)
     assert np.quantile(aside, 0.99) < 0.01
 

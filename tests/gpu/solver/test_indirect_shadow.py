@@ -19,9 +19,9 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import (
+    angles_of,
     around,
     bits_of,
-    degrees,
     ended_prefit,
     make_domain,
     pack_layers,
@@ -79,11 +79,7 @@ def raised(recovery):
 
 def test_darker_samples_count_as_shadow_where_the_light_is_indirect_and_nowhere_else(recover):
     domain, normal, between = corner()
-    found = []
-    for schedule in (OFF, RAISED):
-        recovery = recover(domain, LAMBERT, schedule)
-        recovery.step()
-        found.append(degrees(recovery.maps(confidence=False), normal))
+    found, recovery = angles_of(recover, domain, LAMBERT, (OFF, RAISED), normal)
     chosen = raised(recovery)
     assert chosen[between].mean() > 0.5 and not chosen[:, domain.shape[1] // 2 + 8 :].any()
     before, after = (angles[chosen & between].mean() for angles in found)

@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from tests.builders.domains import bits_of, degrees, recoveries, resumed, unit
+from tests.builders.domains import angles_of, bits_of, recoveries, resumed, unit
 from tests.gpu.solver.test_indirect_colour import LAMBERT, OFF, SEPARATED, SHORT
 from tests.gpu.solver.test_indirect_shadow import OBSERVATIONS, card_of
 
@@ -34,11 +34,7 @@ def corner(shape=(20, 36)):
 
 def test_the_normals_beside_a_wall_are_nearer_to_those_of_direct_light(recover):
     domain, normal, sent, beside = corner()
-    found = []
-    for schedule in (OFF, SEPARATED):
-        recovery = recover(domain, LAMBERT, schedule)
-        recovery.step()
-        found.append(degrees(recovery.maps(confidence=False), normal))
+    found, recovery = angles_of(recover, domain, LAMBERT, (OFF, SEPARATED), normal)
     before, after = (angles[beside].mean() for angles in found)
     assert before > 4 and after < 0.7 * before
     np.testing.assert_array_equal(*(angles[:, 20:] for angles in found))

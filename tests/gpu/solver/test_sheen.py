@@ -18,7 +18,17 @@ from irpso_addon.solver.settings.resolve import ResolvedSheen
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import around, bits_of, degrees, make_domain, pack_layers, recoveries, resumed, sliced, unit
+from tests.builders.domains import (
+    angles_of,
+    around,
+    bits_of,
+    make_domain,
+    pack_layers,
+    recoveries,
+    resumed,
+    sliced,
+    unit,
+)
 
 LAMBERT = load_model("lambert")
 SHEEN = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0, surface_rounds=0,
@@ -54,11 +64,7 @@ def velvet(shape=(18, 40), observations=60):
 
 def test_velvet_takes_the_normals_with_sheen_and_matt_does_not(recover):
     domain, normal, left = velvet()
-    found = []
-    for schedule in (OFF, SHEEN):
-        recovery = recover(domain, LAMBERT, schedule)
-        recovery.step()
-        found.append(degrees(recovery.maps(confidence=False), normal))
+    found, _ = angles_of(recover, domain, LAMBERT, (OFF, SHEEN), normal)
     before, after = (angles[left].mean() for angles in found)
     assert before > 10 and after < 0.5 * before
     far = np.broadcast_to(np.arange(domain.shape[1]) >= domain.shape[1] // 2 + 8, domain.shape)

@@ -35,7 +35,7 @@ def test_every_figure_of_inspect_is_of_a_set_that_the_benchmark_tries():
 def test_the_page_says_when_inspects_figures_are_not_those_measured():
     def rows(off):
         return [
-            {"kind": "number", "value": f.value, "dirt": "dirty", "model": "principled",
+            {"kind": "number", "value": f.value, "degradation": "dirty", "model": "principled",
              "failed": {"normal": f.failed[0], "roughness": min(f.failed[1] + off, 1)}}
             for f in sufficiency.NUMBER
         ]  # fmt: skip

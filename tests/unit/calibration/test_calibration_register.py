@@ -67,15 +67,16 @@ def test_shifts_count_from_the_reference():
     np.testing.assert_allclose(found.pixels, shifts - shifts[4], atol=0.1)
 
 
-def test_a_frame_that_matches_one_neighbour_is_placed_by_where_that_neighbour_ended():
-    # The last frame shares edges with the last but one alone, which shares others with one frame of the rest.
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)], ids=["before", "after"])
+def test_a_frame_that_matches_one_neighbour_is_placed_by_where_that_neighbour_ended(order):
+    # One frame shares edges with the one before or after it alone, which shares others with one frame of the rest.
     rng = np.random.default_rng(0)
     first, second, third = (
         sum(s * ndimage.gaussian_filter(rng.standard_normal((96, 96)), s, mode="wrap") for s in (1, 2, 5))
         for _ in range(3)
     )
     shifts = rng.integers(-4, 5, (9, 2)) * (np.arange(9) > 0)[:, None]
-    pictures = [first] * 6 + [first + second, second + 0.8 * third, third]
+    pictures = [first] * 6 + [first + second, *[second + 0.8 * third, third][order]]
     moved = [np.roll(picture, (up, right), (0, 1)) for picture, (right, up) in zip(pictures, shifts, strict=True)]
     frames = np.array([0.5 + 0.1 * one / first.std() + 0.004 * rng.standard_normal((96, 96)) for one in moved])
     found = find_shifts(frames)

@@ -58,10 +58,20 @@ def test_photographs_of_two_lenses_or_none_tell_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "other", [exif(focal_35mm=52), exif(), exif(focal_35mm=26, size=(2000, 2000))], ids=["zoomed", "no EXIF", "cropped"]
+    "other", [exif(focal_35mm=52), exif(focal_35mm=26, size=(2000, 2000))], ids=["zoomed", "cropped"]
 )
 def test_a_zoom_or_a_crop_between_the_first_and_the_last_photograph_is_noticed(other, tmp_path):
     blocks = [exif(focal_35mm=26)] * 2 + [other] + [exif(focal_35mm=26)] * 2
+    assert lens_of_files(folder_of(tmp_path, *blocks), decoder) == {}
+
+
+def test_a_retouched_photograph_without_a_lens_takes_that_of_the_others(tmp_path):
+    blocks = [exif()] + [exif(focal_35mm=26)] * 2
+    assert lens_of_files(folder_of(tmp_path, *blocks), decoder).keys() == {"fov_degrees"}
+
+
+def test_photographs_that_were_all_cropped_tell_nothing(tmp_path):
+    blocks = [exif(focal_35mm=26, size=(2000, 2000))] * 2
     assert lens_of_files(folder_of(tmp_path, *blocks), decoder) == {}
 
 

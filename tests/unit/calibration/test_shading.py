@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.shading.ambiguity import bas_relief, even_relief, integrable, outline_outwardness, rotation
+from irpso_addon.calibration.shading.ambiguity import bas_relief, even_relief, integrable, outward_cosine, rotation
 from irpso_addon.calibration.shading.estimate import shading_steps, surface_rotation
 from irpso_addon.calibration.shading.factors import factored, scaled_normals, usable_samples
 from irpso_addon.core.errors import InputError
@@ -101,10 +101,10 @@ def _rotation(turn):
 
 def test_an_outline_tells_a_solid_from_a_hollow():
     normals, mask = ball()
-    assert outline_outwardness(normals[mask], mask) > 0.9
-    assert outline_outwardness(normals[mask] * (-1, -1, 1), mask) < -0.9
+    assert outward_cosine(normals[mask], mask) > 0.9
+    assert outward_cosine(normals[mask] * (-1, -1, 1), mask) < -0.9
     everything = np.ones((SIDE, SIDE), bool)
-    assert outline_outwardness(relief()[everything], everything) == 0
+    assert outward_cosine(relief()[everything], everything) == 0
 
 
 @pytest.mark.parametrize(("shape", "gloss"), [("ball", 0.4), ("relief", 0.0)])

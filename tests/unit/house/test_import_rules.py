@@ -148,6 +148,11 @@ def test_modules_import_one_another_in_no_circle():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {frozenset({"b", "c"})}
 
 
+def test_no_two_test_modules_have_one_name():
+    names = [path.stem for path in (ROOT / "tests").rglob("test_*.py")]
+    assert {name for name in names if names.count(name) > 1} == set()  # pytest could not collect both
+
+
 def test_rooms_stay_small():
     folders = {path.parent for path in modules() if path.parent != PACKAGE}
     full = {}

@@ -12,7 +12,7 @@ import importlib
 import numpy as np
 from pathlib import Path
 session = importlib.import_module("{UI}.session.session")
-unkept = importlib.import_module("{UI}.session.unkept")
+recoveries = importlib.import_module("{UI}.session.stored_recoveries")
 
 def state():
     running = session.current()
@@ -63,7 +63,7 @@ def test_a_new_file_offers_the_recovery_which_goes_on_where_it_was(window):
     window.run("redrawn(5)", area="")
     window.open_sidebar("IRPSO")
     assert window.run("state()") == "none"
-    assert [one[0] for one in window.run("[(one.name, one.fraction) for one in unkept.listed()]")] == ["leaf"]
+    assert [one[0] for one in window.run("[(one.name, one.fraction) for one in recoveries.listed()]")] == ["leaf"]
     window.screenshot("a recovery that was not kept is offered")
     window.click(*window.find_button("irpso.restore"))
     window.wait("state() == 'paused' and session.current().recovery is not None", timeout=180)
@@ -75,19 +75,19 @@ def test_a_new_file_offers_the_recovery_which_goes_on_where_it_was(window):
     assert window.run(asked) == [5, 0.04]
     window.run("bpy.ops.irpso.resume()")
     window.wait("state() == 'done'", timeout=300)
-    assert window.run("session.current().failure") == "" and window.run("len(unkept.listed())") == 1
+    assert window.run("session.current().failure") == "" and window.run("len(recoveries.listed())") == 1
 
 
 def test_keeping_or_discarding_it_by_hand_removes_what_was_stored(window):
     window.run("bpy.ops.irpso.keep()")
-    assert window.run("unkept.listed()") == [] and window.run("list(unkept.folder().iterdir())") == []
+    assert window.run("recoveries.listed()") == [] and window.run("list(recoveries.folder().iterdir())") == []
     window.run("bpy.ops.wm.read_homefile()", area="")
-    assert window.run("state(), unkept.listed()") == ["none", []]
+    assert window.run("state(), recoveries.listed()") == ["none", []]
 
 
 def test_quitting_stores_the_recovery(blender, installed, pictures, backend, capture, tmp_path):
     stored = tmp_path / "stored"
-    with open_window(blender, installed, pictures, backend, log_name="unkept, quitting") as window:
+    with open_window(blender, installed, pictures, backend, log_name="stored recoveries, quitting") as window:
         begin(window, capture, tmp_path / "mine.blend")
-        window.run(f"unkept.folder = lambda: Path({str(stored)!r})")
+        window.run(f"recoveries.folder = lambda: Path({str(stored)!r})")
     assert [path.suffix for path in stored.iterdir()] == [".npz"]

@@ -14,13 +14,13 @@ LIGHTS = cli_maker.dome_lights(12, widest=70)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The folder of what is stored; none of the user's is touched."""
-    from irpso_addon.ui.session import unkept
+    from irpso_addon.ui.session import stored_recoveries
 
-    monkeypatch.setattr(unkept, "folder", lambda: tmp_path / "unkept")
-    unkept.refresh()
+    monkeypatch.setattr(stored_recoveries, "folder", lambda: tmp_path / "unkept")
+    stored_recoveries.refresh()
     yield tmp_path / "unkept"
     monkeypatch.undo()
-    unkept.refresh()
+    stored_recoveries.refresh()
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def plane(tmp_path):
 @pytest.fixture
 def stored(plane, folder):
     """A recovery of which 3 of 6 iterations are made, stored as when its file closes."""
-    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
 
     running = session.begin(make_job(bpy.context))
@@ -58,7 +58,7 @@ def stored(plane, folder):
     assert 0 < fraction < 1
     session.reset()
     assert session.current() is None
-    (found,) = unkept.listed()
+    (found,) = stored_recoveries.listed()
     assert (found.name, found.fraction) == ("Plane skin", fraction)
     return found
 
@@ -96,7 +96,7 @@ def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, pl
 
 
 def test_occluders_come_back_with_their_recovery(plane, folder):
-    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
 
     subject = bpy.context.object
@@ -114,7 +114,7 @@ def test_occluders_come_back_with_their_recovery(plane, folder):
         running.tick(0.05)
     running.recovery.step(3)
     session.reset()
-    (found,) = unkept.listed()
+    (found,) = stored_recoveries.listed()
     plane.occluders = None
     assert make_job(bpy.context).source != job.source
     assert bpy.ops.irpso.restore(path=str(found.path)) == {"FINISHED"}
@@ -126,7 +126,7 @@ def test_occluders_come_back_with_their_recovery(plane, folder):
 
 
 def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
-    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
 
     session.begin(make_job(bpy.context)).run()
@@ -135,11 +135,11 @@ def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
     session.begin(make_job(bpy.context)).run()
     bpy.ops.irpso.cancel()
     session.reset()
-    assert unkept.listed() == [] and not folder.exists()
+    assert stored_recoveries.listed() == [] and not folder.exists()
 
 
 def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
-    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session import session, stored_recoveries
 
     mine = folder / "mine.npz"
     mine.write_bytes(b"no checkpoint")
@@ -150,7 +150,7 @@ def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
         bpy.ops.irpso.restore(path=str(stored.path))
     with pytest.raises(RuntimeError, match="no longer stored"):
         bpy.ops.irpso.forget(path=str(mine))
-    assert unkept.listed() == [] and mine.exists()
+    assert stored_recoveries.listed() == [] and mine.exists()
 
 
 def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
@@ -175,13 +175,13 @@ def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
 
 
 def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, folder, caplog):
-    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
 
     folder.write_text("in the way")
     session.begin(make_job(bpy.context)).run()
     session.reset()
-    assert session.current() is None and unkept.listed() == []
+    assert session.current() is None and stored_recoveries.listed() == []
     assert folder.read_text() == "in the way" and "Plane skin could not be stored" in caplog.text
 
 
