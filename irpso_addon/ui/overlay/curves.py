@@ -9,6 +9,7 @@ import numpy as np
 from ...gpu.viewport import Drawing
 from ...results.preview import MARK_COLORS
 from ...results.scales import PERCENT, tick_text
+from ..common.words import iface
 from ..session.probes import Probe
 from ..session.recovery import Session
 from .flat import flat_place
@@ -94,7 +95,7 @@ def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:
 def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
     """Plot the mean error and the probed texels' errors over the iterations, in an area of ``curves_size``."""
     s = painter.scale
-    series = [("mean", _MEAN_COLOR, running.history)]
+    series = [(iface("Mean"), _MEAN_COLOR, running.history)]
     for probe in sorted(running.probes, key=lambda probe: probe.number):
         series.append((f"{probe.number}:  {probe.column}, {probe.row}", color_of(probe), probe.curve))
     plot = curve_plot(
@@ -102,7 +103,7 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
         [[(iteration, PERCENT * error) for iteration, error in curve] for _, _, curve in series],
     )
     painter.panel(area)
-    painter.text("Error, % of white", area.x + 12 * s, area.top - 20 * s)
+    painter.text(iface("Error, % of white"), area.x + 12 * s, area.top - 20 * s)
     _draw_axes(painter, plot, area)
     for (_, color, _), points in reversed(list(zip(series, plot.curves, strict=True))):
         painter.curve(points, color, 1.7)
@@ -129,4 +130,4 @@ def _draw_axes(painter: Painter, plot, area: Rectangle) -> None:
     for x, text in plot.x_ticks:
         painter.line((x, inside.y - 4 * s), (x, inside.y), AXIS)
         painter.text(text, x, inside.y - 16 * s, DIM, SMALL, "centre")
-    painter.text("iteration", area.right - 10 * s, inside.y - 16 * s, DIM, SMALL, "right")
+    painter.text(iface("Iteration"), area.right - 10 * s, inside.y - 16 * s, DIM, SMALL, "right")

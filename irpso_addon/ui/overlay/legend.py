@@ -13,6 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.false_color import COLORS
 from ...results.scales import PERCENT, tick_text, ticks_to
 from ...solver.views.display import Shown
+from ..common.words import iface
 from .layout import Rectangle
 from .paint import DIM, SMALL, Painter
 
@@ -20,7 +21,6 @@ _BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # bar's height and least height, 
 _BAR_SHARE = 0.3  # most height of the bar over that of the free space
 _AROUND = 62.0  # height of the panel without the bar, in pixels at scale 1
 _TICK = 15.0  # least distance of ticks, in pixels at scale 1
-_OF_WHITE, _OF_LIGHT = "% of white", "% of the light"
 
 
 @dataclass(frozen=True)
@@ -35,29 +35,34 @@ class Scale:
 def caption(shown: Shown, names: Sequence[str], numbers: Sequence[int]) -> str:
     """Return a picture's caption. names: of the observations. numbers: of the observations, from 0."""
     if shown.kind == "parameter":
-        return bpy.path.display_name(shown.parameter)
+        return _title_of(shown.parameter)
     if shown.kind == "error":
-        return "Error"
+        return iface("Error")
     if shown.kind == "indirect":
-        return "Indirect light"
+        return iface("Indirect Light")
     if shown.kind == "confidence":
-        return f"{bpy.path.display_name(shown.parameter)}, uncertainty"
-    kind = "Render" if shown.kind == "render" else "Photograph"
+        return f"{_title_of(shown.parameter)}, {iface('Uncertainty')}"
+    kind = iface("Render") if shown.kind == "render" else iface("Photograph")
     return f"{kind} {numbers[shown.observation] + 1}: {names[shown.observation]}"
+
+
+def _title_of(parameter: str) -> str:
+    """Return a parameter's name in the user's language."""
+    return iface(bpy.path.display_name(parameter))
 
 
 def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
     """Return the scale of a picture's false colours, None if it has none."""
     if shown.kind == "error":
-        return Scale("Error", _OF_WHITE, PERCENT * shown.limit)
+        return Scale(iface("Error"), iface("% of white"), PERCENT * shown.limit)
     if shown.kind == "indirect":
-        return Scale("Indirect", _OF_LIGHT, PERCENT * shown.limit)
+        return Scale(iface("Indirect"), iface("% of the light"), PERCENT * shown.limit)
     if shown.kind != "confidence":
         return None
-    title = bpy.path.display_name(shown.parameter)
+    title = _title_of(shown.parameter)
     if model.parameter(shown.parameter).is_normal:
-        return Scale(title, "± degrees", math.degrees(shown.limit))
-    return Scale(title, "± one sigma", shown.limit)
+        return Scale(title, iface("± degrees"), math.degrees(shown.limit))
+    return Scale(title, iface("± one sigma"), shown.limit)
 
 
 def legend_size(scale: float, free: Rectangle) -> tuple[float, float]:

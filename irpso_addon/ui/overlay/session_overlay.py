@@ -263,8 +263,8 @@ class SessionOverlay:
             return
         painter.line((x, area.y), (x, area.top), _SPLIT_LINE, 1.2)
         gap, y = 8 * painter.scale, max(area.y, 0) + 24 * painter.scale
-        painter.chip("Render", x - gap, y, "right")
-        painter.chip("Photograph", x + gap, y)
+        painter.chip(iface("Render"), x - gap, y, "right")
+        painter.chip(iface("Photograph"), x + gap, y)
 
     def _draw_legend(self, painter: Painter, scene: bpy.types.Scene, free: Rectangle) -> Rectangle | None:
         """Draw the legend or caption in the lower right corner; return its rectangle."""
@@ -301,7 +301,8 @@ class SessionOverlay:
         if chosen is not None and places[-1] is not None:
             axes = self._axes(view, trail)
             goal = self._goal(view, axes, chosen)
-            title = f"Swarm of probe {chosen.number}: {chosen.column}, {chosen.row}"
+            at = {"number": chosen.number, "column": chosen.column, "row": chosen.row}
+            title = iface("Swarm of probe {number}: {column}, {row}", **at)
             color = curves.color_of(chosen)
             swarm.draw_swarm(painter, places[-1], title, color, trail, axes, running.seconds, goal)
         return [place for place in places if place is not None]

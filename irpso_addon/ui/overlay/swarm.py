@@ -14,6 +14,7 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.scales import tick_text
 from ...solver.settings.resolve import prefit_model
 from ...solver.views.texel_probe import Particles, component_names
+from ..common.words import iface
 from .layout import Rectangle
 from .paint import DIM, HALO, SMALL, Painter
 
@@ -141,10 +142,10 @@ def draw_swarm(
     painter.dots(np.array([[area.x + 15 * s, area.top - 16 * s]]), color, 8)
     painter.text(title, area.x + 24 * s, area.top - 20 * s)
     if particles is None:
-        painter.text("No swarm is searching it", area.x + 24 * s, area.top - 40 * s, DIM, SMALL)
+        painter.text(iface("No swarm is searching it"), area.x + 24 * s, area.top - 40 * s, DIM, SMALL)
         return
     if not trail.live:
-        painter.text("the last swarm", area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
+        painter.text(iface("the last swarm"), area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
     _draw_key(painter, area, goal is not None)
     inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
     view = view_of(_FIRST_AZIMUTH + 2 * np.pi * seconds / _TURN_SECONDS, _ELEVATION) if len(axes) == 3 else np.eye(3)
@@ -241,7 +242,7 @@ def _draw_goal(painter: Painter, at: np.ndarray) -> None:
 def _draw_key(painter: Painter, area: Rectangle, with_goal: bool) -> None:
     s = painter.scale
     x, y = area.x + 15 * s, area.y + 14 * s
-    entries = ["particle", "its best", "best of all", *(["goal"] if with_goal else [])]
+    entries = [iface("particle"), iface("its best"), iface("best of all"), *([iface("goal")] if with_goal else [])]
     for i, text in enumerate(entries):
         at = np.array([[x, y]])
         if i == 0:
@@ -266,5 +267,5 @@ def star(at: np.ndarray, radius: float) -> np.ndarray:
 
 def _axis_text(axis: Axis) -> str:
     parameter, _, part = axis.name.partition(".")
-    words = f"{bpy.path.display_name(parameter)} {part.upper()}".strip()
-    return f"{words} {tick_text(axis.low)} to {tick_text(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words
+    words = f"{iface(bpy.path.display_name(parameter))} {part.upper()}".strip()
+    return f"{words} {tick_text(axis.low)} – {tick_text(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words

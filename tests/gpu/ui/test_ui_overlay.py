@@ -131,12 +131,12 @@ def test_observations_are_counted_from_one_in_the_legend():
 def test_the_legend_of_the_indirect_light_is_in_percent_of_the_light():
     shown, model = surface.Shown("indirect", limit=0.5), load_model("lambert")
     assert legend.scale_of(shown, model) == legend.Scale("Indirect", "% of the light", 50)
-    assert legend.caption(shown, ("a",), (0,)) == "Indirect light"
+    assert legend.caption(shown, ("a",), (0,)) == "Indirect Light"
 
 
 @pytest.mark.parametrize(
     ("component", "words"),
-    [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 to 1"), ("roughness", "Roughness 0.02 to 1")],
+    [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 – 1"), ("roughness", "Roughness 0.02 – 1")],
 )
 def test_swarm_axes_are_named_after_their_parameters(component, words):
     from irpso_addon.ui.overlay.swarm import _axis_text
