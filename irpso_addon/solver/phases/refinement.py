@@ -121,8 +121,14 @@ class RefinementPhase(TexturePhase):
             yield from self.acceptance.deciding(bands, seconds)
 
     def preview(self, targets: Sequence[Texture]) -> None:
-        """Write the better of both materials into other textures, before the acceptance test."""
-        inputs = {**self._best_and_work(), **self.domain.textures}
+        """Write the better of both materials into other textures, before the acceptance test.
+
+        Within a track of a widened loss only the best of the tracks before: such losses cannot be compared.
+        """
+        track, made = self.track
+        comparable = made == 0 or self._widening(track, made - 1) == 1
+        second = self.textures.bound("work", self.work if comparable else self.best)
+        inputs = {**self._material(self.best), **second, **self.domain.textures}
         self.passes.keep.run([*targets, *self.textures.of("result")], inputs, self._constants())
 
     def fitness(self) -> np.ndarray:

@@ -94,6 +94,22 @@ def test_the_mirror_start_and_a_wide_delta_recover_a_metal_with_a_wrong_normal(r
     assert right[0] < 0.1 < right[1] < right[2] - 0.05 and right[2] > 0.8, right
 
 
+def test_a_start_with_a_wide_delta_shows_no_worse_material(refinement):
+    model, shape = load_model("metallic_roughness"), (6, 6)
+    truth = materials(model, shape)
+    domain = observed(model, truth, shape, observations=24)
+    schedule = schedule_of(iterations=4, starts=True, start_iterations=5, widening=30.0)
+    bench = refinement(model, domain, truth, schedule, starts=model.starts, scale=0.1)
+    errors = []
+    while not bench.refinement.done:
+        bench.run(bench.refinement.iteration + 1)
+        parts = np.split(bench.refinement.halo(), np.cumsum([p.components for p in model.parameters])[:-1], axis=-1)
+        shown = {p.name: part.astype(np.float64) for p, part in zip(model.parameters, parts, strict=True)}
+        render = confidence_oracle.radiance(domain, model.name, shown)
+        errors.append(np.abs(render - domain.stack.values[..., :3]).mean())
+    assert max(errors) < 2 * errors[0], errors
+
+
 @pytest.mark.parametrize("card", [True, False])
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 def test_a_texel_takes_a_neighbours_better_material(refinement, card, entry):
