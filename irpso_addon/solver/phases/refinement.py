@@ -116,19 +116,13 @@ class RefinementPhase(TexturePhase):
         """Write the better of both materials into the resolved estimates; then run the acceptance test."""
         yield from self._ready(bands)
         targets = [*self.estimates.resolved, *self.textures.of("result")]
-        yield from self._run(bands, self.passes.keep, targets, self._best_and_work())
+        yield from self._run(bands, self.passes.keep, targets, self._comparable())
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
     def preview(self, targets: Sequence[Texture]) -> None:
-        """Write the better of both materials into other textures, before the acceptance test.
-
-        Within a track of a widened loss only the best of the tracks before: such losses cannot be compared.
-        """
-        track, made = self.track
-        comparable = made == 0 or self._widening(track, made - 1) == 1
-        second = self.textures.bound("work", self.work if comparable else self.best)
-        inputs = {**self._material(self.best), **second, **self.domain.textures}
+        """Write the better of both materials into other textures, before the acceptance test."""
+        inputs = {**self._comparable(), **self.domain.textures}
         self.passes.keep.run([*targets, *self.textures.of("result")], inputs, self._constants())
 
     def fitness(self) -> np.ndarray:
@@ -213,6 +207,15 @@ class RefinementPhase(TexturePhase):
 
     def _best_and_work(self) -> dict[str, Texture]:
         return {**self._material(self.best), **self.textures.bound("work", self.work)}
+
+    def _comparable(self) -> dict[str, Texture]:
+        """Return the best material and the one in work; within a track of a widened loss the best one twice.
+
+        A wider δ makes every loss smaller, so the material in work would always be the better one.
+        """
+        track, made = self.track
+        comparable = made == 0 or self._widening(track, made - 1) == 1
+        return {**self._material(self.best), **self.textures.bound("work", self.work if comparable else self.best)}
 
     def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
         constants = loss_constants(self.domain, widening * self.schedule.fitness.delta)
