@@ -187,8 +187,8 @@ def _table(head: str, rows: Iterable[tuple[Any, dict[str, Any]]]) -> list[str]:
         )
         lines.append([
             title, where, three[0]["texels"], _cell(unknown, 0), _cell(mean, 2), _removed(mean, 0.1), _cell(p95, 1),
-            _cell(percent, 1), _removed(percent, 1.0), *(_cell([row[key] for row in three], 3) for key in
-                                                   ("roughness", "metallic")), _cell(seconds, 0),
+            _cell(percent, 1), _removed(percent, 1.0),
+            *(_cell([row[key] for row in three], 3) for key in ("roughness", "metallic")), _cell(seconds, 0),
         ])  # fmt: skip
     return report.table(heads, lines)
 

@@ -215,9 +215,9 @@ def main() -> None:
     if unknown := sorted(set(groups) - set(GROUPS)):
         parser.error(f"there is no group {unknown[0]}; choose of {', '.join(GROUPS)}")
     WORK.mkdir(parents=True, exist_ok=True)
-    prepare(WORK)
     if "stills" in groups:
         make_stills(WORK)
+    prepare(WORK)
     in_window = [stage for stage in (panels, views) if stage.__name__ in groups]
     if not in_window:
         return

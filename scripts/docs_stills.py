@@ -1,6 +1,7 @@
 """Makes the guide's pictures that need no window: the sample capture, its lights, its recovery and its asset.
 
-make_stills() runs the program's commands and caches their results in a folder; `make docs-images` calls it.
+make_stills() runs the program's commands, opens the web page in Chromium, and caches results in a folder; `make
+docs-images` calls it.
 """
 
 from __future__ import annotations
@@ -188,9 +189,7 @@ def asset(work: Path) -> Image.Image:
 
 
 def web(work: Path) -> Image.Image:
-    """Return the web page of the result, with a photograph beside the render under its light. Needs Chromium."""
-    if not chromium():
-        raise SystemExit("Missing: chromium, for the picture of the web page. `make browser` installs it")
+    """Return the web page of the result in Chromium, a photograph beside the render under its light."""
     run("export", work / "result", "--format", "web", "-o", work / "web")
     with closing(Browser(900, 640)) as browser:
         browser.scheme("dark")
@@ -281,6 +280,8 @@ PICTURES = {
 
 def make_stills(work: Path, images: Path = IMAGES, only: tuple[str, ...] = ()) -> list[Path]:
     """Write the pictures, or those named in ``only``, into ``images``; return their paths. work: folder of results."""
+    if (not only or "web" in only) and not chromium():
+        raise SystemExit("Missing: chromium, for the picture of the web page. `make browser` installs it")
     prepare(work)
     images.mkdir(parents=True, exist_ok=True)
     made = []

@@ -73,7 +73,10 @@ find_shifts = blocking("find_shifts", shift_steps)
 
 
 def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
-    """Return shifts (K, 2) by correlation of edges with the mean of the others, and bool (K,): peak above noise."""
+    """Return shifts (K, 2) by correlation of edges with the mean of the others, and bool (K,): peak above noise.
+
+    Frames without such a peak are then correlated with single frames that have one.
+    """
     count, shape = len(frames), frames.shape[1:]
     spectra = []
     for k, frame in enumerate(frames):
@@ -97,9 +100,10 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
             break
     moved = [s * _phases(shape, *at) for s, at in zip(spectra, pixels, strict=True)]
     new = np.flatnonzero(trusted).tolist()
-    while new:  # a frame whose light is far from the mean's may match one neighbour, which may itself be placed so
+    while new:  # each wave tries only the frames that the wave before placed
         tried, new = new, []
         for k in np.flatnonzero(~trusted).tolist():
+            yield 0.4
             *shift, peak = max((_peak(spectra[k] * np.conj(moved[i]), shape) for i in tried), key=lambda t: t[2])
             if peak >= _PEAK:
                 pixels[k], trusted[k] = shift, True

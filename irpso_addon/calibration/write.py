@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -108,20 +109,27 @@ def _write_beside(out: Path, files: dict[Path, bytes]) -> None:
     If writing fails, no new file is left; if replacing fails, former ones before it are replaced.
     """
     partials = {path: path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}") for path in files}
-    new = [path for path in files if not path.exists()]
+    placed: list[Path] = []  # files that were not there before
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         for path, data in files.items():
             partials[path].write_bytes(data)
         for path, partial in partials.items():
+            former = path.exists()
             os.replace(partial, path)
+            placed += [] if former else [path]
     except OSError as error:
-        for path in new:
-            path.unlink(missing_ok=True)
+        _remove(placed)
         raise InputError(f"{out}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
-        for partial in partials.values():
-            partial.unlink(missing_ok=True)
+        _remove(partials.values())
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    """Delete those of these files that can be deleted."""
+    for path in paths:
+        with suppress(OSError):
+            path.unlink()
 
 
 def _lists(calibrated: Calibrated) -> dict[str, list[str]]:

@@ -167,7 +167,7 @@ def _cost(residual: np.ndarray) -> float:
 
 
 def outward_cosine(normals: np.ndarray, mask: np.ndarray) -> float:
-    """Return the mean cosine of tilt and outward direction at a mask's outline, −1…1; 0 without an outline.
+    """Return the mean cosine of tilt and the direction from the mask's centroid at its outline; 0 without an outline.
 
     normals: (P, 3), unit, of the pixels of the mask (H, W). The mean is weighted by tilt. Normals of a solid point
     outward; without an outline, relief and its inverse fit photographs equally well.

@@ -113,7 +113,7 @@ class RefinementPhase(TexturePhase):
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the better of both materials into the resolved estimates; then run the acceptance test."""
+        """Write the best material so far into the resolved estimates; then run the acceptance test."""
         yield from self._ready(bands)
         targets = [*self.estimates.resolved, *self.textures.of("result")]
         yield from self._run(bands, self.passes.keep, targets, self._comparable())
@@ -121,12 +121,12 @@ class RefinementPhase(TexturePhase):
             yield from self.acceptance.deciding(bands, seconds)
 
     def preview(self, targets: Sequence[Texture]) -> None:
-        """Write the better of both materials into other textures, before the acceptance test."""
+        """Write the best material so far into other textures, before the acceptance test."""
         inputs = {**self._comparable(), **self.domain.textures}
         self.passes.keep.run([*targets, *self.textures.of("result")], inputs, self._constants())
 
     def fitness(self) -> np.ndarray:
-        """Return (H, W) float32 over the domain: fitness of the better material; NaN where no texel is solved."""
+        """Return (H, W) float32 over the domain: fitness of the best material so far; NaN where no texel is solved."""
         self._write_result()
         return self.domain.packing.unpack(self.read("result")[..., 0], np.nan)
 
@@ -209,9 +209,9 @@ class RefinementPhase(TexturePhase):
         return {**self._material(self.best), **self.textures.bound("work", self.work)}
 
     def _comparable(self) -> dict[str, Texture]:
-        """Return the best material and the one in work; within a track of a widened loss the best one twice.
+        """Return the best material and the one in work, to keep the better; within a widened track the best one twice.
 
-        A wider δ makes every loss smaller, so the material in work would always be the better one.
+        With a robust loss, a wider δ makes every loss smaller: the material in work would always be the better one.
         """
         track, made = self.track
         comparable = made == 0 or self._widening(track, made - 1) == 1

@@ -20,6 +20,7 @@ from .paint import DIM, SMALL, Painter
 _BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # bar's height and least height, panel's width, in pixels at scale 1
 _BAR_SHARE = 0.3  # most height of the bar over that of the free space
 _AROUND = 62.0  # height of the panel without the bar, in pixels at scale 1
+_EDGE = 12.0  # from the panel's edge to its texts, in pixels at scale 1
 _TICK = 15.0  # least distance of ticks, in pixels at scale 1
 
 
@@ -65,19 +66,22 @@ def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
     return Scale(title, iface("± one sigma"), shown.limit)
 
 
-def legend_size(scale: float, free: Rectangle) -> tuple[float, float]:
-    """Return width and height of the legend's panel in pixels; smaller in a region with little free space."""
+def legend_size(scale: float, free: Rectangle, widest: float = 0.0) -> tuple[float, float]:
+    """Return width and height of the legend's panel in pixels; smaller in a region with little free space.
+
+    widest: width of its longest text in pixels.
+    """
     bar = max(_LEAST_BAR, min(_BAR, _BAR_SHARE * free.height / scale))
-    return _WIDTH * scale, (bar + _AROUND) * scale
+    return max(_WIDTH * scale, widest + 2 * _EDGE * scale), (bar + _AROUND) * scale
 
 
 def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
     """Draw a bar from blue (low) to red (high) with ticks, in an area of ``legend_size``."""
     s = painter.scale
     painter.panel(area)
-    painter.text(meaning.title, area.x + 12 * s, area.top - 19 * s)
-    painter.text(meaning.unit, area.x + 12 * s, area.top - 34 * s, DIM, SMALL)
-    bar = Rectangle(area.x + 12 * s, area.y + 13 * s, 14 * s, area.height - _AROUND * s)
+    painter.text(meaning.title, area.x + _EDGE * s, area.top - 19 * s)
+    painter.text(meaning.unit, area.x + _EDGE * s, area.top - 34 * s, DIM, SMALL)
+    bar = Rectangle(area.x + _EDGE * s, area.y + 13 * s, 14 * s, area.height - _AROUND * s)
     painter.triangles(*ramp(bar))
     for tick in ticks_to(meaning.top, min(6, int(bar.height / (_TICK * s)))):
         y = bar.y + bar.height * tick / meaning.top

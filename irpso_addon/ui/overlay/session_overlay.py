@@ -23,7 +23,7 @@ from ..session.probes import Probe
 from ..session.recovery import Session
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
-from .paint import Painter
+from .paint import SMALL, Painter
 from .place import Placement, to_pixels, transformed
 
 _log = logging.getLogger(__name__)
@@ -275,7 +275,8 @@ class SessionOverlay:
         item = shown[surface.blink_index() if scene.irpso.view.shown == "BLINK" else 0]
         color_scale = legend.scale_of(item, job.model)
         if color_scale is not None:
-            area = free.corner(*legend.legend_size(painter.scale, free))
+            widest = max(painter.width(color_scale.title), painter.width(color_scale.unit, SMALL))
+            area = free.corner(*legend.legend_size(painter.scale, free, widest))
             legend.draw_legend(painter, area, color_scale)
             return area
         if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has its own labels

@@ -25,6 +25,7 @@ _LIGHT_RIM = (0.85, 0.85, 0.88, 0.8)
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709, applied to display values: enough to separate dark from light
 _GOAL = (1.0, 1.0, 1.0, 1.0)
 _WIDTH, _HEIGHT = 264.0, 294.0  # pixels at scale 1
+_KEY_LINE = 16.0  # distance of the key's lines in pixels at scale 1
 _EMPTY = 56.0  # the height without a swarm
 _TURN_SECONDS = 40.0  # seconds of work per turn of the box
 _FIRST_AZIMUTH = 0.62  # first azimuth of the box, in radians
@@ -146,8 +147,8 @@ def draw_swarm(
         return
     if not trail.live:
         painter.text(iface("the last swarm"), area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
-    _draw_key(painter, area, goal is not None)
-    inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
+    lines = _draw_key(painter, area, goal is not None)
+    inside = area.inset(26 * s, (44 + _KEY_LINE * (lines - 1)) * s, 26 * s, 52 * s)
     view = view_of(_FIRST_AZIMUTH + 2 * np.pi * seconds / _TURN_SECONDS, _ELEVATION) if len(axes) == 3 else np.eye(3)
     _draw_box(painter, axes, view, inside, area)
     places = in_box(axes, np.stack(trail.positions))
@@ -239,11 +240,18 @@ def _draw_goal(painter: Painter, at: np.ndarray) -> None:
     painter.lines(cross, _GOAL, 1.4)
 
 
-def _draw_key(painter: Painter, area: Rectangle, with_goal: bool) -> None:
+def _draw_key(painter: Painter, area: Rectangle, with_goal: bool) -> int:
+    """Draw the key at the panel's bottom; return its number of lines, 2 where the language's words need them."""
     s = painter.scale
-    x, y = area.x + 15 * s, area.y + 14 * s
+    left, y = area.x + 15 * s, area.y + 14 * s
+    x = left
     entries = [iface("particle"), iface("its best"), iface("best of all"), *([iface("goal")] if with_goal else [])]
-    for i, text in enumerate(entries):
+    widths, right = [painter.width(text, SMALL) + 9 * s for text in entries], area.right - 8 * s
+    lines = 2 if left + sum(widths) + 17 * s * (len(entries) - 1) > right else 1
+    y += (lines - 1) * _KEY_LINE * s
+    for i, (text, width) in enumerate(zip(entries, widths, strict=True)):
+        if x > left and x + width > right:
+            x, y = left, y - _KEY_LINE * s
         at = np.array([[x, y]])
         if i == 0:
             painter.dots(at, DIM, 6.5)
@@ -254,7 +262,8 @@ def _draw_key(painter: Painter, area: Rectangle, with_goal: bool) -> None:
         else:
             painter.rings(at, _GOAL, 4.5, 1.5)
         painter.text(text, x + 9 * s, y - 3.5 * s, DIM, SMALL)
-        x += painter.width(text, SMALL) + 26 * s
+        x += width + 17 * s
+    return lines
 
 
 def star(at: np.ndarray, radius: float) -> np.ndarray:
@@ -268,4 +277,4 @@ def star(at: np.ndarray, radius: float) -> np.ndarray:
 def _axis_text(axis: Axis) -> str:
     parameter, _, part = axis.name.partition(".")
     words = f"{iface(bpy.path.display_name(parameter))} {part.upper()}".strip()
-    return f"{words} {tick_text(axis.low)} – {tick_text(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words
+    return f"{words} {tick_text(axis.low)} … {tick_text(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words

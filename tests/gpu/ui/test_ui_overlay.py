@@ -11,7 +11,7 @@ from mathutils.geometry import intersect_ray_tri
 from irpso_addon.capture.camera import Camera
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.views.texel_probe import Particles
-from irpso_addon.ui.overlay import flat, legend, surface
+from irpso_addon.ui.overlay import flat, legend, surface, swarm
 from irpso_addon.ui.overlay.dome import dome_of, frustum, guide_lines, light_colors, over_subject
 from irpso_addon.ui.overlay.layout import Rectangle, beside, free_rectangle, stacked, stacked_around
 from irpso_addon.ui.overlay.paint import rounded
@@ -93,6 +93,25 @@ def test_the_legend_gets_shorter_in_a_low_region_and_leaves_room_for_the_curves_
     assert None not in stacked_around(low.corner(width, height), low, [(290, 140)], 10)
 
 
+def test_the_legend_is_as_wide_as_its_longest_text():
+    assert legend.legend_size(2.0, Rectangle(0, 0, 900, 700), 300.0)[0] == 300 + 4 * 12
+
+
+@pytest.mark.parametrize("letter, lines", [(4.5, 1), (8.0, 2)])
+def test_the_key_of_the_swarm_stays_in_its_panel(letter, lines):
+    area, texts = Rectangle(100, 50, 264, 294), []
+    painter = SimpleNamespace(
+        scale=1.0, width=lambda text, size: letter * len(text), text=lambda text, x, y, *_: texts.append((text, x, y)),
+        dots=lambda *_: None, rings=lambda *_: None, triangles=lambda *_: None,
+    )  # fmt: skip
+    assert swarm._draw_key(painter, area, True) == lines
+    assert [text for text, _, _ in texts] == ["particle", "its best", "best of all", "goal"]
+    assert max(x + letter * len(text) for text, x, _ in texts) < area.right
+    assert min(y for _, _, y in texts) > area.y and len({y for _, _, y in texts}) == lines
+    for (text, x, y), (_, following, below) in zip(texts, texts[1:], strict=False):
+        assert following > x + letter * len(text) if below == y else below < y - 10
+
+
 def seen_with(show_overlays=True, mode="OBJECT", visible=True):
     """Why a viewport draws no maps on a mesh 'Cup', with its overlays, mode and visibility."""
     space = SimpleNamespace(overlay=SimpleNamespace(show_overlays=show_overlays))
@@ -136,7 +155,7 @@ def test_the_legend_of_the_indirect_light_is_in_percent_of_the_light():
 
 @pytest.mark.parametrize(
     ("component", "words"),
-    [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 – 1"), ("roughness", "Roughness 0.02 – 1")],
+    [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 … 1"), ("roughness", "Roughness 0.02 … 1")],
 )
 def test_swarm_axes_are_named_after_their_parameters(component, words):
     from irpso_addon.ui.overlay.swarm import _axis_text

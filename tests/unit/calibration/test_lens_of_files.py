@@ -85,3 +85,9 @@ def test_a_photograph_that_has_gone_is_named(tmp_path):
 def test_a_capture_that_states_its_lens_keeps_it(tmp_path):
     (tmp_path / "camera.toml").write_text("fov_degrees = 30.0\n")
     assert lens_of_files(folder_of(tmp_path, exif(focal_35mm=26), exif(focal_35mm=26)), decoder) == {}
+
+
+def test_four_photographs_without_a_lens_decide_for_all(tmp_path):
+    blocks = [*[exif()] * 3, exif(focal_35mm=26)]
+    assert lens_of_files(folder_of(tmp_path, *blocks), decoder).keys() == {"fov_degrees"}
+    assert lens_of_files(folder_of(tmp_path, exif(), *blocks), decoder) == {}
