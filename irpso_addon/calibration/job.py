@@ -30,6 +30,7 @@ AUTO = "auto"
 _LEAST_LIT = 0.5  # least fraction of the photographs with a light
 _SEARCH = 0.7  # fraction of the work in the search for balls
 _PHONE, _TOLERATED = 65.0, 2.0  # degrees: field of view of a phone; tolerated error of lights
+_RATIO = 1.6  # between the lamps' distance by their fall-off and the given one; a diameter for a radius makes it 2
 _FAR, _SIGNIFICANT = 5.0, 5.0  # image widths to a distant lamp; standard errors of a near one
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
@@ -174,7 +175,8 @@ def calibrate_steps(
         )
     warnings = [
         *unknown_lens(spec.views[number], camera, balls), *_ball_warnings(found), *contradictions,
-        *near_lamps(found, result, camera), *(w for ball in balls for w in ball.warnings),
+        *near_lamps(found, result, camera, radius, original_request.distance),
+        *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
@@ -252,17 +254,31 @@ def _ball_warnings(balls: Sequence[FoundBall]) -> list[str]:
     return warnings
 
 
-def near_lamps(balls: Sequence[FoundBall], result: Calibration, camera: Camera) -> list[str]:
-    """Return a warning if lights are output as distant, but fall off over the table like near ones."""
-    if result.near or not balls or not usable_balls(balls):
+def near_lamps(
+    balls: Sequence[FoundBall], result: Calibration, camera: Camera, radius: float | None, distance: float | None
+) -> list[str]:
+    """Return a warning if the light's fall-off over the table contradicts the result.
+
+    That is so if lights are output as distant but fall off like near ones, or if radius and distance, in one unit,
+    say another ratio by a factor of _RATIO or more.
+    """
+    if not balls or not usable_balls(balls):
         return []
     ball = usable_balls(balls)[0]
     inverse, error = ball.inverse
     if inverse * camera.width / ball.radius < 1 / _FAR or inverse < _SIGNIFICANT * error:
         return []
+    seen = f"the light falls off over the table like that of lamps about {1 / inverse:.0f} ball radii away"
+    if not result.near:
+        return [
+            f"{seen}; directions are those at the ball. For positions measure the distance and give --radius and"
+            " --distance"
+        ]
+    if radius is None or distance is None or 1 / _RATIO < inverse * distance / radius < _RATIO:
+        return []
     return [
-        f"the light falls off over the table like that of lamps about {1 / inverse:.0f} ball radii away; directions are"
-        " those at the ball. For positions measure the distance and give --radius and --distance"
+        f"{seen}, not {distance / radius:.0f}: the radius is half of the ball's diameter; measure again and give"
+        " --radius and --distance in one unit"
     ]
 
 

@@ -31,11 +31,12 @@ from ..pipeline.known_shape import KnownShape, known_shape_steps
 from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
 from .options.job import subject_of
-from .options.values import numbers_of_text, positive, silent, warn_quietly
+from .options.values import numbers_of_text, positive, silent, warn, warn_quietly
 from .options.videos import frames_of_videos
 
 NONE = "none"  # value of --ball
 _SHOWN_WARNINGS = 12
+_SAME_LENS = 0.05  # relative difference of the angles of one lens, by EXIF and as measured
 _WHOLE_IS_CARD = (
     "all of each photograph counts as the flat card; if it shows more, name the card's part by crop or corners in"
     " capture.toml and calibrate that"
@@ -194,8 +195,14 @@ def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) ->
     """Return the photographs, and the keys of their camera: ``keys``, or else those of their EXIF."""
     spec = read_photographs(Path(options.capture), options.colour_space, masks, options.frames)
     where = "--camera" if options.camera else "--fov"
-    if not keys and (keys := lens_of_files(spec, decode)):
-        where = "EXIF"
+    exif = {} if options.camera else lens_of_files(spec, decode)
+    if keys and exif and abs(exif["fov_degrees"] / keys["fov_degrees"] - 1) > _SAME_LENS:
+        given, read = (f"{one['fov_degrees']:.1f}°" for one in (keys, exif))
+        warn(
+            [f"--fov: {given} over the width, but the photographs' EXIF says {read}; omit --fov unless it was measured"]
+        )
+    elif not keys and exif:
+        keys, where = exif, "EXIF"
         if not silent(options):
             sys.stdout.write(f"camera: {keys['fov_degrees']:.1f}° over the width, as EXIF says; --fov overrides it\n")
     return (with_camera(spec, keys, where) if keys else spec), keys
@@ -243,8 +250,8 @@ def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
     if result.near and calibrated.spec.card_distance is None and len(calibrated.spec.views) == 1:
         lines.append(
-            "a flat card under these lights needs its distance from the camera in capture.toml; for a card under the"
-            f" balls: card_distance = {calibrated.card_distance:.6g}"
+            f"the table under the balls is {calibrated.card_distance:.6g} from the camera; for a flat card on it, give"
+            " recover --distance that number less the card's thickness"
         )
     lines += [f"warning: {warning}" for warning in calibrated.warnings[:_SHOWN_WARNINGS]]
     if len(calibrated.warnings) > _SHOWN_WARNINGS:

@@ -160,7 +160,9 @@ def _sight(
         if rival.score > _RIVAL * blob.score:
             ambiguity = max(ambiguity, angle)
         elif rival.saturated > 0 and angle > _SAME_LAMP:
-            warnings.append(f"{name}: a smaller highlight is clipped, too; expose less if that is the lamp")
+            warnings.append(
+                f"{name}: a smaller highlight is clipped, too; expose less if the cross in balls.png is on another"
+            )
     if ambiguity > _SAME_LAMP and sure:
         return (
             f"{name}: the highlight of the lamp is ambiguous: two highlights, {np.degrees(ambiguity):.0f}° apart, are"

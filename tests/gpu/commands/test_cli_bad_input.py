@@ -7,15 +7,18 @@ import re
 import shutil
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.commands.calibrate import _photographs
 from tests.builders import command_line as cli_maker
 from tests.builders.bad_input import CASES, GROUPS, LIGHTS, OUT, SHAPE
 from tests.builders.command_line import add_camera, add_mesh, listing, run_cli, save_scene
+from tests.builders.exif import exif, jpeg
 
 SQUARE = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
 UNIT = [(0, 0), (1, 0), (1, 1), (0, 1)]
@@ -131,3 +134,14 @@ ENV = {
     **os.environ,
     "PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH", "")]),
 }
+
+
+@pytest.mark.parametrize(("degrees", "warned"), [(40, True), (68.8, False)])
+def test_a_field_of_view_unlike_that_of_exif_is_warned_of(tmp_path, capsys, degrees, warned):
+    """26 mm of full frame's diagonal: 67.3° over the width of 4 : 3."""
+    for number in range(3):
+        (tmp_path / f"{number}.jpg").write_bytes(jpeg(4000, 3000, exif(focal_35mm=26)))
+    options = Namespace(capture=tmp_path, camera=None, colour_space="auto", frames=())
+    spec, keys = _photographs(options, {"fov_degrees": degrees}, [])
+    assert keys == {"fov_degrees": degrees} and spec.views[0].lens
+    assert ("40.0° over the width, but the photographs' EXIF says 67.3°" in capsys.readouterr().err) == warned

@@ -160,8 +160,17 @@ def test_the_fall_off_of_light_over_the_table_shows_the_lamps_distance(table, ne
 )
 def test_a_warning_says_that_lamps_are_near_where_they_count_as_distant(inverse, error, near, warned):
     ball = FoundBall("mirror", np.zeros((3, 2)), 30.0, 1.0, 0.9, inverse=(inverse, error))
-    warnings = near_lamps([ball], SimpleNamespace(near=near), EMPTY.camera)
+    warnings = near_lamps([ball], SimpleNamespace(near=near), EMPTY.camera, None, None)
     assert bool(warnings) == warned and all("about 33 ball radii" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize(
+    ("radius", "distance", "warned"), [(20, 700, False), (40, 700, True), (20, 350, True), (20, None, False)]
+)
+def test_a_diameter_for_the_radius_is_noticed_by_the_lights_fall_off(radius, distance, warned):
+    ball = FoundBall("mirror", np.zeros((3, 2)), 30.0, 1.0, 0.9, inverse=(0.03, 0.001))
+    warnings = near_lamps([ball], SimpleNamespace(near=True), EMPTY.camera, radius, distance)
+    assert bool(warnings) == warned and all("about 33 ball radii away, not 18" in warning for warning in warnings)
 
 
 def test_a_warning_says_by_how_much_an_unknown_lens_may_turn_lights():
