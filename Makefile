@@ -23,7 +23,7 @@ environment-docs:
 environment-bench:
 	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime bench cluster
 
-demo: $(OUT)/demo/capture/capture.toml ## photographs of a tile, rendered, to their material, in about three minutes
+demo: $(OUT)/demo/capture/capture.toml ## photographs of a tile, rendered, to their material, in three to ten minutes
 	$(RUN) -m irpso_addon recover $(OUT)/demo/capture --distance 508 --crop 25,51,378,378 --hold-out auto -o $(OUT)/demo
 	$(RUN) -m irpso_addon export $(OUT)/demo --format turntable --replace -o $(OUT)/demo/turntable.png
 	@echo "$(OUT)/demo/relit.png: photographs that it has not seen, beside the material under their lights"

@@ -6,7 +6,8 @@ import json
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +16,7 @@ from ..blender.materials import material
 from ..cluster.transport import joined
 from ..core.errors import InputError
 from ..core.files import write_json
+from ..core.interrupt import delayed_signals
 from ..core.progress_bar import StepBars
 from ..core.steps import run_steps
 from ..exports.asset import write_to_shelf
@@ -85,11 +87,14 @@ def _preview(options: Namespace, job: Job, work: float) -> bool:
     run = Run(job, StepBars(silent(options)))
     preview_work = run.first_plan().work
     try:
-        report, _, _ = _solved(options, run, folder, Saving(None), {PREVIEW: PART})
+        with ExitStack() as writing:
+            report, _, _, interrupted = _solved(options, run, folder, Saving(None), writing, {PREVIEW: PART})
     except InputError as error:  # which the whole job may not have
         warn([f"no preview: {error}"])
         return False
     (folder / LIVE).unlink(missing_ok=True)
+    if interrupted():
+        raise KeyboardInterrupt(f"{folder} holds the preview")
     if not silent(options):
         seconds = report["seconds"]["solve"] * work / preview_work
         time_left = forecast_text((seconds / _PACE_SPREAD, seconds * _PACE_SPREAD))
@@ -151,17 +156,20 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
     """Run to the end, write everything, and return the report. previewed: whether OUT/preview is of this run."""
     folder = Path(options.output)
     saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every)
-    report, found, started = _solved(options, run, folder, saving)
-    height = found.height if options.displacement else None
-    _, subject = make_material(run.job, subject_of(run.job), found, height)
-    material.save_blend(folder / BLEND)
-    if options.asset is not None:
-        shelf = shelf_of(options, options.asset)
-        report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
-    for name in (CHECKPOINT, *[LIVE] * options.live):
-        (folder / name).unlink(missing_ok=True)
-    if not previewed:
-        _remove_former_preview(folder / PREVIEW)
+    with ExitStack() as writing:
+        report, found, started, interrupted = _solved(options, run, folder, saving, writing)
+        height = found.height if options.displacement else None
+        _, subject = make_material(run.job, subject_of(run.job), found, height)
+        material.save_blend(folder / BLEND)
+        if options.asset is not None:
+            shelf = shelf_of(options, options.asset)
+            report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
+        for name in (CHECKPOINT, *[LIVE] * options.live):
+            (folder / name).unlink(missing_ok=True)
+        if not previewed:
+            _remove_former_preview(folder / PREVIEW)
+    if interrupted():
+        raise KeyboardInterrupt(f"{folder} holds the whole result")
     if not silent(options):
         sys.stdout.write(_summary(report, folder, time.perf_counter() - started))
     warn_quietly(options, report["warnings"])
@@ -169,17 +177,25 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
 
 
 def _solved(
-    options: Namespace, run: Run, folder: Path, saving: Saving, changes: Mapping[str, Any] = MappingProxyType({})
-) -> tuple[dict, ResultMaps, float]:
-    """Run to the end and write the maps into a folder; return the report, the maps, and when the search ended.
+    options: Namespace,
+    run: Run,
+    folder: Path,
+    saving: Saving,
+    writing: ExitStack,
+    changes: Mapping[str, Any] = MappingProxyType({}),
+) -> tuple[dict, ResultMaps, float, Callable[[], bool]]:
+    """Run to the end and write the maps into a folder.
 
-    changes: settings in the report that replace the options of these names.
+    Return the report, the maps, when the search ended, and what tells whether a signal has come since then: until
+    ``writing`` is closed, the first one does nothing else. changes: settings in the report that replace the options of
+    these names.
     """
     run_steps(run.open())
     with run.recovery as recovery:
         live = LivePicture(folder / LIVE, recovery)
         history = History(recovery, run.truth, live.show if options.live else None)
         seconds, unsaved = drive(recovery, history, saving, silent(options))
+        interrupted = writing.enter_context(delayed_signals())  # no checkpoint holds the rest, which takes seconds
         maps = run.maps()
         warnings = [*unsaved, *live.warnings, *run.device_warnings()]
     started = time.perf_counter()
@@ -189,7 +205,7 @@ def _solved(
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
     write_maps(found.written, folder, report, pictures, found.derived)
-    return report, found, started
+    return report, found, started, interrupted
 
 
 def _summary(report: dict, folder: Path, seconds: float) -> str:

@@ -1,6 +1,7 @@
 """Runs that are killed, and checkpoints that cannot be written: nothing is lost but what came after the last one."""
 
 import json
+import os
 import random
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.images.exr import read_exr
+from irpso_addon.commands import recover
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.files import replacing_file
 from irpso_addon.pipeline import drive
@@ -65,6 +67,15 @@ def test_a_run_killed_repeatedly_gives_the_same_maps_bit_for_bit(capture, tmp_pa
     for name, values in whole.items():
         np.testing.assert_array_equal(resumed[name], values)
     assert {path.name for path in out.iterdir()} == {path.name for path in (tmp_path / "whole").iterdir()}
+
+
+@pytest.mark.parametrize("step", ["pictures_of", "write_maps", "make_material"])
+def test_a_signal_while_the_result_is_written_loses_nothing(capture, tmp_path, monkeypatch, step):
+    real = getattr(recover, step)
+    monkeypatch.setattr(recover, step, lambda *words: (os.kill(os.getpid(), signal.SIGINT), real(*words))[1])
+    code, _, err = run_cli("recover", capture, *OPTIONS[:4], "--iterations", 3, "--quiet", "-o", tmp_path / "out")
+    assert code == 130 and err.strip() == f"irpso: interrupted; {tmp_path / 'out'} holds the whole result"
+    assert {"report.json", "normal.png", "material.blend"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
 def test_a_resumed_run_keeps_its_kind_of_pass(capture, tmp_path):
