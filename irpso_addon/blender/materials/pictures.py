@@ -15,8 +15,11 @@ from ..scenes import cycles, table_top
 from .material import TAG
 
 _SAMPLES = 32  # of a pixel
-_CARD, _LYING, _MESH = (0.0, -0.4, 1.0), (0.0, -1.0, 1.0), (0.6, -1.0, 0.5)  # from the subject to the camera
+_CARD, _MESH = (0.0, -0.4, 1.0), (0.6, -1.0, 0.5)  # from the subject to the camera
 _LAMP = (-0.45, 0.25, 1.0)  # in the camera's axes
+_FRONT = (0.0, -0.01, 1.0)  # from straight above, the camera's vertical would not be the card's
+# A card's tilt in radians in a turntable. Tilted by 0.24 toward the lamp, it reflects the lamp into the camera.
+_TILT = 0.26
 _SUN, _SKY = 0.06, 0.6  # half of the lamp's angle in radians; radiance of the zenith
 _RIM = 1.04  # of the subject's extent
 _EXPOSURE = 0.85
@@ -27,18 +30,28 @@ def icon(obj: Any, side: int) -> np.ndarray:
 
     A card is seen from above, a mesh from the side; under one lamp and a sky, so that metal has something to show.
     """
-    return _pictures(obj, side, _CARD, [0.0])[0]
+    from mathutils import Matrix
+
+    return _pictures(obj, side, _CARD, [Matrix.Identity(3)])[0]
 
 
 def turntable(obj: Any, side: int, count: int) -> list[np.ndarray]:
-    """Return ``count`` pictures like ``icon`` of an object that turns once, counterclockwise seen from above, while
-    camera, lamp and sky stand still. A card lies on the table, seen at 45°.
+    """Return ``count`` pictures like ``icon`` of an object that moves while camera, lamp and sky stand still.
+
+    A mesh turns once about its vertical, counterclockwise seen from above. A card faces the camera and tilts by _TILT
+    to all sides in turn, counterclockwise from the right, so that highlights run over it.
     """
-    return _pictures(obj, side, _LYING, [2 * np.pi * number / count for number in range(count)])
+    from mathutils import Matrix, Vector
+
+    angles = [2 * np.pi * number / count for number in range(count)]
+    if TAG not in obj:
+        return _pictures(obj, side, _MESH, [Matrix.Rotation(angle, 3, "Z") for angle in angles])
+    axes = [Vector((-np.sin(angle), np.cos(angle), 0.0)) for angle in angles]
+    return _pictures(obj, side, _FRONT, [Matrix.Rotation(_TILT, 3, axis) for axis in axes])
 
 
-def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[float]) -> list[np.ndarray]:
-    """Return the pictures of an object turned by angles in radians about a card's normal, or a mesh's vertical."""
+def _pictures(obj: Any, side: int, card_from: Sequence[float], rotations: Sequence[Any]) -> list[np.ndarray]:
+    """Return the pictures of an object under rotations (3 × 3) about its middle, in a card's axes or the world's."""
     import bpy
     from mathutils import Matrix, Vector
 
@@ -47,10 +60,8 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], turns: Sequence[f
     before = obj.matrix_world.copy()
     middle = before @ (sum((Vector(corner) for corner in obj.bound_box), Vector()) / 8)
     about = Matrix.Translation(middle)
-    placed = [
-        about @ Matrix.Rotation(turn, 4, upright.col[2]) @ about.inverted() @ before if turn else before
-        for turn in turns
-    ]
+    turns = [(upright @ rotation @ upright.transposed()).to_4x4() for rotation in rotations]
+    placed = [about @ turn @ about.inverted() @ before for turn in turns]
     pictures = []
     temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # Blender also removes it when the process is ended
     with table_top.own_scene("IRPSO pictures") as scene, temporary as folder:

@@ -8,6 +8,7 @@ import pytest
 
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.core.errors import InputError
+from irpso_addon.exports import turntable
 from irpso_addon.exports.asset import Shelf, write_to_shelf
 from irpso_addon.exports.catalog import CATALOGS, catalog_id
 from irpso_addon.exports.turntable import write_turntable
@@ -19,13 +20,14 @@ from tests.builders.command_line import run_cli, write_card
 RED = (0.6, 0.05, 0.05)
 
 
-def red_card(folder=None):
+def red_card(folder=None, lower=RED):
     """A red, matt card, wider than high, in the open file. folder: of its images, None packs them."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     values = {
         "normal": np.tile(np.float32([0, 0, 1]), (12, 20, 1)),
         "base_color": np.tile(np.float32(RED), (12, 20, 1)),
     }
+    values["base_color"][:6] = lower
     maps = Maps(load_model("lambert"), values, np.ones((12, 20), bool))
     obj = card_object("leaf", 12, 20)
     apply_material(obj, build_material(maps, "leaf", folder))
@@ -124,21 +126,23 @@ def test_recover_and_export_write_assets(tmp_path):
     assert len(ids) == 1
 
 
-def test_a_turntable_shows_the_card_from_all_sides_and_leaves_it_as_it_was(card, tmp_path):
+def test_a_turntable_tilts_the_card_to_all_sides_and_leaves_it_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(turntable, "_SIDE", 200)
+    card = red_card(lower=RED[::-1])
     result = SimpleNamespace(name="red leaf")
     before, place = counts(), card.matrix_world.copy()
     found = write_turntable(result, tmp_path / "new", lambda: card)
     assert found["output"] == str(tmp_path / "new" / "red_leaf_turntable.png")
     assert {**counts(), "images": 0} == {**before, "images": 0} and card.matrix_world == place
     picture = read_png(found["output"])[0].astype(float) / 255
-    stills = np.split(picture, 8, axis=1)
+    stills = [still for row in np.split(picture, 2) for still in np.split(row, 4, axis=1)]  # row 0 is at the top
     shown = [(np.abs(still - picture[0, 0]) > 0.1).any(axis=-1) for still in stills]
-    # The card is 20 wide and 12 high, and lies slanted by 45°: cos 45° of its depth shows.
-    for number, mask in enumerate(shown):
+    # The card is 20 wide and 12 high; tilted by 0.26 toward a side, cos 0.26 of its size along that side shows.
+    corners = np.array([[x, y] for x in (-10, 10) for y in (-6, 6)])
+    for number, (still, mask) in enumerate(zip(stills, shown, strict=True)):
         rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-        turn = np.radians(45 * number)
-        wide = 20 * abs(np.cos(turn)) + 12 * abs(np.sin(turn))
-        deep = (20 * abs(np.sin(turn)) + 12 * abs(np.cos(turn))) * np.cos(np.pi / 4)
-        assert np.ptp(rows) / np.ptp(columns) == pytest.approx(deep / wide, rel=0.05)
-    colour = stills[0][shown[0]].mean(axis=0)
-    assert colour[0] > 2 * colour[1:].max()
+        side = np.array([np.cos(np.pi / 4 * number), np.sin(np.pi / 4 * number)])
+        wide, high = np.ptp(corners + (np.cos(0.26) - 1) * (corners @ side)[:, None] * side, axis=0)
+        assert np.ptp(rows) / np.ptp(columns) == pytest.approx(high / wide, rel=0.02)
+        upper, lower = (still[rows[len(rows) // 2] + away, columns[len(columns) // 2]] for away in (-25, 25))
+        assert upper[0] > 2 * upper[1:].max() and lower[2] > 2 * lower[:2].max()
