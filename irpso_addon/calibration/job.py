@@ -276,9 +276,14 @@ def near_lamps(
         ]
     if radius is None or distance is None or 1 / _RATIO < inverse * distance / radius < _RATIO:
         return []
+    larger = inverse * distance / radius < 1
+    reason = (
+        "the radius is half of the ball's diameter"
+        if larger
+        else "the two have different units, or the lamp's beam is narrow"
+    )
     return [
-        f"{seen}, not {distance / radius:.0f}: the radius is half of the ball's diameter; measure again and give"
-        " --radius and --distance in one unit"
+        f"{seen}, not {distance / radius:.0f}: {reason}; measure again and give --radius and --distance in one unit"
     ]
 
 

@@ -31,6 +31,7 @@ _NAMES_OR_PATHS = ("model", "preset")
 _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # defaults that do not apply to cards
 _OF_CARDS = ("distance", "crop", "corners", "card_width")  # defaults that do not apply to meshes
+_AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
     "texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "relighting_highlights_psnr_db", "warnings",
@@ -172,7 +173,7 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     state = {"name": job.name, "words": list(job.listed), "state": "begun"}
     write_json(file, plain(state))
     words = [*job.words, "-o", str(folder), *["--resume"] * resume, *["--quiet"] * silent(options)]
-    started = time.perf_counter()
+    started, interrupted = time.perf_counter(), False
     try:
         if job.rig is not None:
             words[1] = str(_under_rig(job.rig, Path(words[1]), output / f"{job.name}_capture", options))
@@ -181,14 +182,17 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
         except CheckpointError as error:  # of other options, photographs or another version
             _say(options, f"{job.name}: starts again ({error})")
             report = recover.run(options.parse([word for word in words if word != "--resume"]))
+        interrupted = report.get(recover.INTERRUPTED, False)
         state |= {"state": "done", "result": {key: report[key] for key in _REPORTED if key in report}}
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("start the batch again to continue") from None
+        raise KeyboardInterrupt(_AGAIN) from None
     except (InputError, MemoryError) as error:
         state |= {"state": "failed", "error": " ".join(str(error).splitlines())}
         sys.stderr.write(f"irpso: job '{job.name}' failed: {state['error']}\n")
     state["took"] = round(time.perf_counter() - started, 1)
     write_json(file, plain(state))
+    if interrupted:
+        raise KeyboardInterrupt(_AGAIN)
     return state
 
 

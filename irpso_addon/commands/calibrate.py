@@ -250,8 +250,9 @@ def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
     if result.near and calibrated.spec.card_distance is None and len(calibrated.spec.views) == 1:
         lines.append(
-            f"the table under the balls is {calibrated.card_distance:.6g} from the camera; for a flat card on it, give"
-            " recover --distance that number less the card's thickness"
+            f"the table under the balls is {calibrated.card_distance:.6g} from the"
+            f" {'camera' if camera.perspective else 'plane of the balls'}; for a flat card on it, give recover"
+            " --distance that number less the card's thickness"
         )
     lines += [f"warning: {warning}" for warning in calibrated.warnings[:_SHOWN_WARNINGS]]
     if len(calibrated.warnings) > _SHOWN_WARNINGS:

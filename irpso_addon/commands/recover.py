@@ -37,6 +37,8 @@ from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
 from .options.values import shelf_of, silent, warn, warn_quietly
 
+INTERRUPTED = "interrupted"  # key of a report: a signal came when the search had ended
+_FINISHING = "irpso: the result is being written; interrupt again to stop at once"
 PREVIEW = "preview"  # folder of a long recovery's preview, in the result's, and a setting in its report
 _LONG_SECONDS = 1200  # forecast from which on a recovery has a preview by default
 _PACE_SPREAD = 1.2  # largest ratio of the seconds per texel of the whole and of its preview, either way
@@ -142,6 +144,8 @@ def _each_slot(options: Namespace) -> dict:
         slot_options = Namespace(**{**vars(options), **slot})
         try:
             reports[label] = _recover(slot_options, job_of(slot_options, opened=True))
+            if reports[label].get(INTERRUPTED):
+                raise KeyboardInterrupt(f"{folder / label} holds its result, the slots after it have none")
         except InputError as error:
             raise InputError(f"slot '{label}': {error}") from error
     if options.dry_run:
@@ -161,15 +165,15 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
         height = found.height if options.displacement else None
         _, subject = make_material(run.job, subject_of(run.job), found, height)
         material.save_blend(folder / BLEND)
-        if options.asset is not None:
-            shelf = shelf_of(options, options.asset)
-            report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
         for name in (CHECKPOINT, *[LIVE] * options.live):
             (folder / name).unlink(missing_ok=True)
         if not previewed:
             _remove_former_preview(folder / PREVIEW)
     if interrupted():
-        raise KeyboardInterrupt(f"{folder} holds the whole result")
+        report[INTERRUPTED] = True
+    if options.asset is not None:
+        shelf = shelf_of(options, options.asset)
+        report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
     if not silent(options):
         sys.stdout.write(_summary(report, folder, time.perf_counter() - started))
     warn_quietly(options, report["warnings"])
@@ -187,15 +191,15 @@ def _solved(
     """Run to the end and write the maps into a folder.
 
     Return the report, the maps, when the search ended, and what tells whether a signal has come since then: until
-    ``writing`` is closed, the first one does nothing else. changes: settings in the report that replace the options of
+    ``writing`` is closed, the first one only prints a line. changes: settings in the report that replace the options of
     these names.
     """
     run_steps(run.open())
     with run.recovery as recovery:
         live = LivePicture(folder / LIVE, recovery)
         history = History(recovery, run.truth, live.show if options.live else None)
+        interrupted = writing.enter_context(delayed_signals(_FINISHING))  # from when no checkpoint holds the result
         seconds, unsaved = drive(recovery, history, saving, silent(options))
-        interrupted = writing.enter_context(delayed_signals())  # no checkpoint holds the rest, which takes seconds
         maps = run.maps()
         warnings = [*unsaved, *live.warnings, *run.device_warnings()]
     started = time.perf_counter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,8 +23,10 @@ def signals_interrupt() -> bool:
 
 
 @contextmanager
-def delayed_signals() -> Iterator[Callable[[], bool]]:
+def delayed_signals(notice: str = "") -> Iterator[Callable[[], bool]]:
     """Delay the first SIGINT or SIGTERM; yields a function that returns whether one has come.
+
+    notice: a line to print on standard error at the first signal.
 
     An exception in the middle of an iteration leaves swarms partly advanced, which no checkpoint can continue. A second
     signal interrupts at once.
@@ -35,6 +38,8 @@ def delayed_signals() -> Iterator[Callable[[], bool]]:
         if came:
             raise KeyboardInterrupt
         came = True
+        if notice:
+            os.write(2, f"\n{notice}\n".encode())
 
     before = {number: signal.signal(number, note) for number in SIGNALS}
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -44,6 +45,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
 
     A checkpoint that fails (a full disk) adds the warning, does not stop the run, and leaves the former file unchanged.
     SIGINT and SIGTERM write a last checkpoint and raise KeyboardInterrupt, or InputError where it cannot be written.
+    One that comes during the last iterations is raised again at the end.
     """
     saver = _Saver(recovery, history, saving)
     if saving.resume and saving.path:
@@ -78,6 +80,8 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
                 raise KeyboardInterrupt
             saver.save(saving.path, running=True)
             raise KeyboardInterrupt(f"{saving.path} holds the run so far, go on with --resume")
+    if interrupted():
+        signal.raise_signal(signal.SIGINT)
     return saver.seconds, saver.warnings
 
 

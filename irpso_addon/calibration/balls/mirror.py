@@ -161,7 +161,8 @@ def _sight(
             ambiguity = max(ambiguity, angle)
         elif rival.saturated > 0 and angle > _SAME_LAMP:
             warnings.append(
-                f"{name}: a smaller highlight is clipped, too; expose less if the cross in balls.png is on another"
+                f"{name}: a smaller highlight is clipped, too; expose less if the cross in the picture of the balls is"
+                " not on the lamp"
             )
     if ambiguity > _SAME_LAMP and sure:
         return (

@@ -254,7 +254,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
             return table, (yield from shading_light_steps(spec, keys, shading, table)), None
         r, g, b = self.albedo
         albedo = (r, g, b) if self.kind == "matte" and min(r, g, b) > 0 else None
-        request = Request(self.kind, self.lights, self.distance if self.radius else None, albedo)
+        request = Request(self.kind, self.lights, (self.distance or None) if self.radius else None, albedo)
         found = yield from calibrate_steps(
             spec, balls, request, decode, self.radius or None, self.camera or None, self.dropped.splitlines()
         )

@@ -1,6 +1,8 @@
 """``batch``: several recoveries from a list, stopped and started again."""
 
 import json
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.cli import build_parser
 from irpso_addon.commands import batch, recover
+from irpso_addon.solver.views.history import History
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
 
@@ -64,6 +67,24 @@ def test_a_batch_writes_its_recoveries_and_one_report_and_skips_finished_jobs(li
     monkeypatch.setattr(recover, "run", lambda options: begun.append(options.output) or run(options))
     assert run_cli("batch", listed / "list.toml", "-o", out, "--json")[0] == 2
     assert begun == [str(out / "none")] and (out / "first" / "maps.exr").stat().st_mtime_ns == kept
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_a_signal_at_the_end_of_a_job_ends_the_batch_and_keeps_the_job(listed, monkeypatch, late):
+    """In the last iterations of the search, and while the result is written."""
+    where, name = (recover, "write_maps") if late else (History, "record_due")
+    out, real = listed / "out", getattr(where, name)
+
+    def signalled(*words):
+        if late or words[0]._recovery.progress.done:
+            os.kill(os.getpid(), signal.SIGINT)
+        return real(*words)
+
+    monkeypatch.setattr(where, name, signalled)
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", out, "--quiet")
+    assert code == 130 and "start the batch again" in err and not (out / "second").exists()
+    monkeypatch.setattr(where, name, real)
+    assert "first: done before" in run_cli("batch", listed / "list.toml", "-o", out)[1]
 
 
 def test_a_job_with_changed_options_or_a_missing_result_runs_again(listed, monkeypatch):

@@ -135,6 +135,11 @@ def test_what_is_marked_stays_when_lights_of_the_same_photographs_are_found_agai
     assert (settings.framing, tuple(settings.crop), settings.picture_scale) == ("CROP", (3, 2, 40, 30), 0.5)
 
 
+def test_a_ball_of_known_radius_gives_directions_without_a_lamp_distance(photographs):
+    assert press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr"), radius=RADIUS) == {"FINISHED"}
+    assert not bpy.context.scene.irpso.near_lights
+
+
 def test_a_string_makes_positions_of_one_balls_directions_and_a_correction_keeps_it(photographs):
     mask = {"found_by": "MASK", "mask": str(photographs.parent / "ball.exr")}
     press(photographs, **mask, radius=RADIUS, distance=9.0)

@@ -165,12 +165,18 @@ def test_a_warning_says_that_lamps_are_near_where_they_count_as_distant(inverse,
 
 
 @pytest.mark.parametrize(
-    ("radius", "distance", "warned"), [(20, 700, False), (40, 700, True), (20, 350, True), (20, None, False)]
+    ("radius", "distance", "warned"),
+    [
+        (20, 700, None),
+        (40, 700, "not 18: the radius is half"),
+        (20, 1400, "not 70: the two have different units"),
+        (20, None, None),
+    ],
 )
 def test_a_diameter_for_the_radius_is_noticed_by_the_lights_fall_off(radius, distance, warned):
     ball = FoundBall("mirror", np.zeros((3, 2)), 30.0, 1.0, 0.9, inverse=(0.03, 0.001))
     warnings = near_lamps([ball], SimpleNamespace(near=True), EMPTY.camera, radius, distance)
-    assert bool(warnings) == warned and all("about 33 ball radii away, not 18" in warning for warning in warnings)
+    assert len(warnings) == bool(warned) and all(f"about 33 ball radii away, {warned}" in one for one in warnings)
 
 
 def test_a_warning_says_by_how_much_an_unknown_lens_may_turn_lights():
