@@ -19,6 +19,7 @@ from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
+from .balls.checks import ball_warnings, near_lamps, unknown_lens
 from .balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
 from .balls.detect.search import search_steps
 from .balls.lights import KINDS, Calibration, FoundLight, Request, calibration_steps
@@ -29,9 +30,6 @@ from .photographs import calibrated_table
 AUTO = "auto"
 _LEAST_LIT = 0.5  # least fraction of the photographs with a light
 _SEARCH = 0.7  # fraction of the work in the search for balls
-_PHONE, _TOLERATED = 65.0, 2.0  # degrees: field of view of a phone; tolerated error of lights
-_RATIO = 1.6  # between the lamps' distance by their fall-off and the given one; a diameter for a radius makes it 2
-_FAR, _SIGNIFICANT = 5.0, 5.0  # image widths to a distant lamp; standard errors of a near one
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
     " --ball none finds lights by the subject's own shading"
@@ -174,7 +172,7 @@ def calibrate_steps(
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
-        *unknown_lens(spec.views[number], camera, balls), *_ball_warnings(found), *contradictions,
+        *unknown_lens(spec.views[number], camera, balls), *ball_warnings(found), *contradictions,
         *near_lamps(found, result, camera, radius, original_request.distance),
         *(w for ball in balls for w in ball.warnings),
     ]  # fmt: skip
@@ -220,71 +218,6 @@ def _too_small(ball: FoundBall, camera: Camera) -> InputError:
         f"the {ball.kind} ball at {x:.0f},{camera.height - y:.0f} has a radius of {ball.radius:.0f} pixels, too small"
         " for the search to measure it; paint a mask that is white on the ball, or give its place as X,Y,R (--ball)"
     )
-
-
-def unknown_lens(view: ViewSpec, camera: Camera, balls: Sequence[Ball]) -> list[str]:
-    """Return a warning if the lens is unknown and the balls lie far off the axis.
-
-    An unknown lens is taken as orthographic. Its rays, and so the lights, are off by their angle to the axis.
-    """
-    if camera.perspective or view.lens:
-        return []
-    centres = np.array([ball.outline[:-1].mean(axis=0) for ball in balls])
-    offset = np.linalg.norm(centres - (camera.width / 2, camera.height / 2), axis=-1).max() / (camera.width / 2)
-    degrees = np.degrees(np.arctan(offset * np.tan(np.radians(_PHONE / 2))))
-    if degrees < _TOLERATED:
-        return []
-    return [
-        f"the field of view is unknown, so a very long lens is assumed; if it is a phone's ({_PHONE:.0f}° over the"
-        f" width), the lights are off by about {degrees:.0f}°: give --fov"
-    ]
-
-
-def _ball_warnings(balls: Sequence[FoundBall]) -> list[str]:
-    """Return warnings about balls that the search found but that are unused, or without shadow."""
-    used, warnings = usable_balls(balls) if balls else [], []
-    for ball in balls:
-        where = f"the {ball.kind} ball of radius {ball.radius:.0f} pixels that was found"
-        if ball not in used:
-            fault = "size" if ball.kind == used[0].kind else "kind"
-            reason = f"of another {fault} than the surest one" if ball.exact else "too small for the search"
-            warnings.append(f"{where} is left out: {reason}; to use it, give --ball")
-        elif ball.shadow is None:
-            warnings.append(f"{where} throws no visible shadow, which would confirm it; look at balls.png")
-    return warnings
-
-
-def near_lamps(
-    balls: Sequence[FoundBall], result: Calibration, camera: Camera, radius: float | None, distance: float | None
-) -> list[str]:
-    """Return a warning if the light's fall-off over the table contradicts the result.
-
-    That is so if lights are output as distant but fall off like near ones, or if radius and distance, in one unit,
-    say another ratio by a factor of _RATIO or more.
-    """
-    if not balls or not usable_balls(balls):
-        return []
-    ball = usable_balls(balls)[0]
-    inverse, error = ball.inverse
-    if inverse * camera.width / ball.radius < 1 / _FAR or inverse < _SIGNIFICANT * error:
-        return []
-    seen = f"the light falls off over the table like that of lamps about {1 / inverse:.0f} ball radii away"
-    if not result.near:
-        return [
-            f"{seen}; directions are those at the ball. For positions measure the distance and give --radius and"
-            " --distance"
-        ]
-    if radius is None or distance is None or 1 / _RATIO < inverse * distance / radius < _RATIO:
-        return []
-    larger = inverse * distance / radius < 1
-    reason = (
-        "the radius is half of the ball's diameter"
-        if larger
-        else "the two have different units, or the lamp's beam is narrow"
-    )
-    return [
-        f"{seen}, not {distance / radius:.0f}: {reason}; measure again and give --radius and --distance in one unit"
-    ]
 
 
 def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:

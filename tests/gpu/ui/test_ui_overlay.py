@@ -158,10 +158,8 @@ def test_the_legend_of_the_indirect_light_is_in_percent_of_the_light():
     [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 … 1"), ("roughness", "Roughness 0.02 … 1")],
 )
 def test_swarm_axes_are_named_after_their_parameters(component, words):
-    from irpso_addon.ui.overlay.swarm import _axis_text
-
     (axis,) = choose_axes([component], [], load_model("principled"))
-    assert _axis_text(axis) == words
+    assert swarm._axis_text(axis) == words
 
 
 def test_curves_plot_log_error_over_iteration():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.calibration.balls.ball import Ball
+from irpso_addon.calibration.balls.checks import near_lamps, unknown_lens
 from irpso_addon.calibration.balls.detect import falloff, shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
 from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
@@ -14,7 +15,6 @@ from irpso_addon.calibration.balls.detect.outline import fitted
 from irpso_addon.calibration.balls.detect.search import search_steps
 from irpso_addon.calibration.balls.lights import FoundLight, Request, calibration_steps
 from irpso_addon.calibration.balls.second_opinion import contradiction
-from irpso_addon.calibration.job import near_lamps, unknown_lens
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Light
 from irpso_addon.core.errors import InputError
