@@ -11,7 +11,6 @@ import numpy as np
 
 from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
-from ..capture.inspect.room_light import message as room_light_message
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.optional import present
@@ -23,8 +22,8 @@ from ..results.derived_map import DerivedMap, indirect_map
 from ..results.derived_maps import DerivedMaps, derived_maps
 from ..results.maps import Maps
 from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
+from ..solver.lights.checks import light_warnings
 from ..solver.lights.refine import contradiction
-from ..solver.lights.room_light import room_light
 from ..solver.views.held_out import preview_names
 from ..solver.views.pictures import confidence_preview, error_preview
 from .job import Job
@@ -111,10 +110,10 @@ def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
 
 
 def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
-    """Return warnings of room light, of estimated lights, or of intensities that the capture does not state."""
+    """Return warnings of room light, of the lights' order, of estimated lights, or of intensities not stated."""
     job, lights = run.job, run.lights
     fitted = subset(domain, job.fitted)
-    warnings = [text] if (text := room_light_message(room_light(fitted, job.seed))) else []
+    warnings = light_warnings(fitted, job.seed)
     if lights is not None and (lights.factors != 1).any():
         return warnings + lights.warnings(job.lights.intensities == "estimate")
     if any(tuple(observation.light.intensity) != _UNSTATED for observation in job.capture.observations):

@@ -23,9 +23,11 @@ from ..noise import images_read, noise_of
 from ..read import read_spec
 from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
 from ..types import Capture
-from . import checks, room_light, sufficiency, units
+from . import checks, shading, sufficiency, units
 from .damage import without_damaged_steps
 from .frames import Finding, Frames, add_frame, brightest, brightness, counted, frame_steps, frames_of, shrunk
+from .light_order import light_order_message
+from .room_light import room_light, room_light_message
 
 _T = TypeVar("_T")
 _FLAT = 0.05  # flatness: a noise of 1 % becomes about 20 % perpendicular to the plane
@@ -158,12 +160,16 @@ def _room_light_findings(capture: Capture, frames: Frames) -> Iterator[Finding]:
     lights = [capture.observations[index].light for index in frames.indices]
     if len(lights) < sufficiency.FEWEST or not all(light.distant for light in lights):
         return
-    values = np.stack(frames.thumbnails)[:, shrunk(frames.mask.astype(float), frames.factors) > 0.99]
-    chosen = np.random.default_rng(0).permutation(values.shape[1])[: room_light.PIXELS]
+    values = _some_pixels(frames)
     lamps = np.array([np.multiply(light.vector, np.mean(light.intensity)) for light in lights])
-    part = room_light.room_light(values[:, chosen], values[:, chosen] > 0, lamps[:, None])
-    if text := room_light.message(part):
+    if text := room_light_message(room_light(values, values > 0, lamps[:, None])):
         yield Finding("room_light", text)
+
+
+def _some_pixels(frames: Frames) -> np.ndarray:
+    """Return (K, T) samples of randomly chosen pixels inside the mask."""
+    values = np.stack(frames.thumbnails)[:, shrunk(frames.mask.astype(float), frames.factors) > 0.99]
+    return values[:, np.random.default_rng(0).permutation(values.shape[1])[: shading.PIXELS]]
 
 
 def _numbered(what: str, total: int, steps: Generator[None, None, _T]) -> Generator[str, None, _T]:
@@ -273,7 +279,7 @@ def _enough_for(shortfalls: dict[str, list[sufficiency.Shortfall]]) -> str:
 
 
 def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: Frames) -> Iterator[Finding]:
-    """Yield findings of light axes that are mirrored relative to one camera's images."""
+    """Yield findings of lights whose axes are mirrored, or whose order differs, relative to one camera's images."""
     observations = [capture.observations[i] for i in frames.indices]
     on_card = capture.card_distance is not None and len(capture.cameras) == 1
     if len(observations) < 3 or not (on_card or all(observation.light.distant for observation in observations)):
@@ -289,6 +295,10 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
             yield Finding("lights_reversed", message)
         return
     if checks.flatness(directions) < sufficiency.FLAT_USELESS:
+        return
+    values = _some_pixels(frames)
+    if text := light_order_message(values, values > 0, (directions * power[:, None])[:, None]):
+        yield Finding("lights_order", f"{spec.source}: {text}")
         return
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)

@@ -1,0 +1,60 @@
+"""Lights in another order than the photographs, on surfaces of the float64 oracles: found, without false alarms."""
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture.inspect.light_order import light_order_message
+from irpso_addon.capture.inspect.report import inspect_capture
+from tests.builders.captures import decode_png, write_png
+from tests.unit.capture.test_room_light import LIGHTS, SURFACES, photographs
+
+SHUFFLED = np.random.default_rng(3).permutation(24)
+# Neighbours of a spiral are so close that a list moved by one place does no harm; these are far apart.
+SCATTERED = {name: lights[np.random.default_rng(4).permutation(len(lights))] for name, lights in LIGHTS.items()}
+
+
+def message(surface, order, lights="wide"):
+    """Return the message for lights in another order, under room light of 2 %."""
+    values = photographs(surface, SCATTERED[lights], 0.02)[0].mean(axis=-1)
+    return light_order_message(values, values > 0, SCATTERED[lights][order, None])
+
+
+@pytest.mark.parametrize("lights", LIGHTS)
+@pytest.mark.parametrize("surface", SURFACES)
+def test_lights_in_order_are_right(surface, lights):
+    assert message(surface, np.arange(len(LIGHTS[lights])), lights) == ""
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize(("move", "text"), [(-1, "one place further up"), (2, "2 places further down")])
+def test_a_moved_list_is_recognised(surface, move, text):
+    assert text in message(surface, np.roll(np.arange(24), -move))
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_a_shuffled_list_is_recognised(surface):
+    assert "no better than lights in a random order" in message(surface, SHUFFLED)
+
+
+def test_a_reversed_list_is_recognised():
+    assert "the list reversed" in message("clay", np.arange(24)[::-1])
+
+
+def test_seven_photographs_are_too_few():
+    values = photographs("clay", LIGHTS["wide"][:7], 0)[0].mean(axis=-1)
+    assert light_order_message(values, values > 0, LIGHTS["wide"][:7][[4, 2, 6, 0, 5, 1, 3], None]) == ""
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_inspect_names_the_list(shuffled, tmp_path):
+    pixels, mask = photographs("glazed", LIGHTS["wide"], 0)
+    images = np.zeros((len(pixels), *mask.shape, 3))
+    images[:, mask] = pixels
+    for number, image in enumerate(images):
+        write_png(tmp_path / f"{number}.png", np.rint(65535 * np.clip(0.8 * image, 0, 1)).astype(int), bits=16)
+    write_png(tmp_path / "mask.png", 255 * mask.astype(int)[..., None].repeat(3, axis=-1))
+    (tmp_path / "filenames.txt").write_text("\n".join(f"{number}.png" for number in range(len(images))))
+    np.savetxt(tmp_path / "light_directions.txt", LIGHTS["wide"][SHUFFLED if shuffled else np.arange(24)])
+    found = [finding.message for finding in inspect_capture(tmp_path, decode_png).findings if "order" in finding.code]
+    assert len(found) == shuffled
+    assert all("compare the list of lights with the photographs" in text and str(tmp_path) in text for text in found)
