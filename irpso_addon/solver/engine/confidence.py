@@ -14,7 +14,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters
 from ..kernels.kernels import confidence_pass
 from ..settings.groups import Fitness
-from ..state.textures import DomainTextures, Estimates, loss_constants
+from ..state.textures import DomainTextures, loss_constants
 
 
 def deviation_pass(
@@ -47,12 +47,15 @@ class Confidence:
         self._targets: list[Texture] = []  # reused: the pass keeps the frame buffer of every target
 
     def measuring(
-        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
+        self, domain: DomainTextures, materials: Mapping[str, Texture], bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each."""
+        """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each.
+
+        materials: textures by sampler name, as of ``Estimates.bindings``.
+        """
         if not self._targets:
-            self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
-        inputs = {**domain.textures, **estimates.bindings(resolved)}
+            self._targets = [textures.empty(texture.width, texture.height) for texture in materials.values()]
+        inputs = {**domain.textures, **materials}
         constants = loss_constants(domain, self._fitness.delta)
         yield from self._pass.in_bands("confidence", bands, seconds, self._targets, inputs, constants)
 

@@ -14,8 +14,8 @@ from ...results.maps import Maps
 from ..kernels.kernels import residual_pass, sampled_residual_pass
 from ..phases.phase import Phase
 from ..settings.groups import Fitness
+from ..state.alternatives import Alternatives
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
-from .alternatives import Alternatives
 from .confidence import Confidence
 
 _SAMPLED = 4096  # texels of a mean: a sixty-fourth of 512², with a standard error of about 1 %
@@ -68,7 +68,8 @@ class Diagnostics:
                 settings = self._model, self._fixed, self._fitness, self._domain.defines
                 self._measures = Confidence(*settings), Alternatives(*settings)
             for measure in self._measures:
-                yield from measure.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)
+                materials = self._estimates.bindings(self._resolved)
+                yield from measure.measuring(self._domain, materials, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:
         """Return the last measure of ``finding``."""

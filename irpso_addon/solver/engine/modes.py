@@ -34,7 +34,7 @@ def with_modes(maps: Maps) -> Maps:
     finite = np.isfinite(features).all(axis=1)
     if not finite.any():
         return maps
-    materials = mixture(features[finite], Materials().count)
+    materials = mixture(features[finite], np.ones(np.count_nonzero(finite)), Materials().count)
     count = len(materials[0])
     weights, deviance_sums = np.zeros(count), np.zeros((count, len(names)))
     material = np.zeros(maps.covered.shape, np.uint8)

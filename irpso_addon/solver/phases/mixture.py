@@ -60,15 +60,18 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
     return np.column_stack(features)
 
 
-def material_table(features: np.ndarray, count: int) -> np.ndarray:
+def material_table(features: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
     """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/materials/shared.glsl.
 
-    features: (n, d), d ≤ 12; rows that differ by less than 1 are equal; rows that are not finite are ignored.
+    features: (n, d), d ≤ 12; rows that differ by less than 1 are equal; rows that are not finite are ignored. weights:
+    (n,) above 0.
     Expectation maximisation (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of
     k-means++ (Arthur and Vassilvitskii 2007).
     """
-    finite = features[np.isfinite(features).all(axis=1)]
-    share, mean, variance = mixture(finite if len(finite) else np.zeros((1, features.shape[1])), count)
+    finite = np.isfinite(features).all(axis=1)
+    if not finite.any():
+        features, weights, finite = np.zeros((1, features.shape[1])), np.ones(1), np.ones(1, bool)
+    share, mean, variance = mixture(features[finite], weights[finite], count)
     inverse = 1.0 / (1.0 + variance)
     table = np.zeros((_ROWS, len(share), 4), np.float32)
     for row, values in ((0, mean), (3, inverse)):
@@ -78,13 +81,16 @@ def material_table(features: np.ndarray, count: int) -> np.ndarray:
     return table
 
 
-def mixture(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (K,) shares, (K, d) means and (K, d) variances of at most ``count`` Gaussians over (n, d) numbers."""
-    mean = _seeds(x, count)
+def mixture(x: np.ndarray, weights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (K,) shares, (K, d) means and (K, d) variances of at most ``count`` Gaussians over (n, d) numbers.
+
+    weights: (n,) of the rows of x.
+    """
+    mean = _seeds(x, weights, count)
     variance = np.ones_like(mean)
     share = np.full(len(mean), 1.0 / len(mean))
     for _ in range(_ROUNDS):
-        weight = memberships(x, share, mean, variance)
+        weight = weights[:, None] * memberships(x, share, mean, variance)
         texels = weight.sum(axis=0)
         large = texels >= min(_LEAST_TEXELS, texels.max())
         weight, texels = weight[:, large], texels[large]
@@ -103,12 +109,16 @@ def memberships(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np
     return weight / weight.sum(axis=1, keepdims=True)
 
 
-def _seeds(x: np.ndarray, count: int) -> np.ndarray:
-    """Return rows of x: first the one nearest the median, then each drawn by its squared distance from earlier ones."""
+def _seeds(x: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+    """Return rows of x: first the one nearest the median, then each drawn by weight times squared distance from them.
+
+    The distance is that from the nearest row drawn before.
+    """
     draw = np.random.default_rng(0)
     chosen = [int(np.argmin(((x - np.median(x, axis=0)) ** 2).sum(axis=1)))]
     squared = ((x - x[chosen[0]]) ** 2).sum(axis=1)
     while len(chosen) < count and squared.max() > 1.0:
-        chosen.append(int(np.searchsorted(np.cumsum(squared), draw.random() * squared.sum())))
+        chances = weights * squared
+        chosen.append(int(np.searchsorted(np.cumsum(chances), draw.random() * chances.sum())))
         squared = np.minimum(squared, ((x - x[chosen[-1]]) ** 2).sum(axis=1))
     return x[chosen]

@@ -11,22 +11,28 @@ from ...gpu.bands import Bands
 from ...gpu.textures import Texture
 from ..kernels.refinement import SPREAD_REACH
 from ..settings.resolve import ResolvedMaterials
+from ..state.alternatives import Alternatives
 from ..state.textures import SOLVED, texel_states
 from .mixture import features_of, material_table, sampled
 from .refinement import BEST, SPREAD, RefinementPhase, Track
 
 _TABLE = "materials"  # name in a state
+_AT_ONCE = 0.1  # seconds of a band of the alternatives
+_LEAST_WEIGHT = 0.02  # of a texel in the mixture
 
 
 class SharedMaterialsPhase(RefinementPhase):
     """A Phase: a refinement whose rounds begin with the materials of a sample of the whole domain (mixture.py).
 
     Each round estimates the mixture again. A tile or a rank takes the whole domain's sample before an iteration whose
-    ``reach`` is not 0; without it, its own sample replaces the whole's.
+    ``reach`` is not 0; without it, its own sample replaces the whole's. A texel has weight in the mixture as far as its
+    photographs contradict distant alternatives (state/alternatives.py): those that show no highlight, and fit matt
+    paint as well as a polished surface, leave the decision to those that do.
     """
 
     resolved: ResolvedMaterials
     _table: Texture | None = None
+    _alternatives: Alternatives | None = None
 
     @property
     def reach(self) -> int:
@@ -34,18 +40,39 @@ class SharedMaterialsPhase(RefinementPhase):
         return SPREAD_REACH if self._in_round and self._table is None and not self.done else 0
 
     def sample(self) -> np.ndarray:
-        """Return this tile's part of the sample, as ``mixture.sampled`` does."""
+        """Return this tile's part of the sample, as ``mixture.sampled`` does, with a last column of weights."""
         self._ensure_ready()
         packed = np.concatenate([self.reader.read(texture) for texture in self.best[:-1]], axis=-1)
         values = self.domain.packing.unpack(packed[..., : self.model.components])
         domain = self.domain.domain
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
-        return sampled(rows + domain.origin[1], columns + domain.origin[0], values[rows, columns])
+        sample = sampled(rows + domain.origin[1], columns + domain.origin[0], values[rows, columns])
+        rows, columns = (sample[:, 1:3] - domain.origin[::-1]).astype(int).T
+        return np.column_stack([sample, self._weights(rows, columns)])
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Estimate the materials of this round. sample: of the whole domain."""
         features = features_of(self.model, self.resolved.parameters, sample)
-        self._table = textures.upload(material_table(features, self.resolved.materials.count))
+        self._table = textures.upload(material_table(features, sample[:, -1], self.resolved.materials.count))
+
+    def _weights(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return (n,) weights of texels: 1 minus the likelihood ratio of the best alternative, mean of the numbers."""
+        if self._alternatives is None:
+            fixed = {p.name for p in self.model.parameters} - {p.name for p in self.resolved.parameters}
+            self._alternatives = Alternatives(self.model, fixed, self.schedule.fitness, self.domain.defines)
+        packing = self.domain.packing
+        chosen = np.zeros(self.domain.domain.shape, bool)
+        chosen[rows, columns] = True
+        best = {f"u_estimate_{i}": texture for i, texture in enumerate(self.best[:-1])}
+        for _ in self._alternatives.measuring(
+            self.domain.where(packing.pack(chosen).astype(bool)), best, Bands(), _AT_ONCE
+        ):
+            pass
+        deviances = [packing.unpack(value)[rows, columns] for value in self._alternatives.read().values()]
+        if not deviances:
+            return np.ones(len(rows))
+        ratios = np.exp(-0.5 * np.maximum(np.nan_to_num(np.concatenate(deviances, axis=-1, dtype=np.float64)), 0.0))
+        return _LEAST_WEIGHT + (1 - _LEAST_WEIGHT) * (1 - ratios.mean(axis=-1))
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration, as RefinementPhase does."""
@@ -71,6 +98,9 @@ class SharedMaterialsPhase(RefinementPhase):
         """Free shaders and textures."""
         super().close()
         self._table = None
+        if self._alternatives is not None:
+            self._alternatives.close()
+            self._alternatives = None
 
     @property
     def _in_round(self) -> bool:

@@ -6,7 +6,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from ...reflectance.model import ReflectanceModel
-from ..engine.alternatives import varied
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
@@ -26,6 +25,7 @@ from ..settings.resolve import (
     resolve,
 )
 from ..settings.schedule import Schedule
+from ..state.alternatives import varied
 from ..state.phase_textures import (
     TextureTable,
     indirect_table,

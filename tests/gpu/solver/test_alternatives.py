@@ -8,10 +8,10 @@ import pytest
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.alternatives import Alternatives
 from irpso_addon.solver.engine.modes import with_modes
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.alternatives import Alternatives
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import make_domain, pack_layers, unit
@@ -53,7 +53,7 @@ def alternatives(domain, model, values, scale, fixed=(), fitness=STANDARD.fitnes
     uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), pack.pack(scale.astype(np.float32)))
     estimates = Estimates(model, {name: pack.pack(value) for name, value in values.items()})
     work = Alternatives(model, fixed, fitness, uploaded.defines)
-    for _ in work.measuring(uploaded, estimates, False, Bands(), 0.25):
+    for _ in work.measuring(uploaded, estimates.bindings(), Bands(), 0.25):
         pass
     found = work.read()
     work.close()

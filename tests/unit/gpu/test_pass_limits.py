@@ -10,7 +10,6 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model, shipped_models
-from irpso_addon.solver.engine.alternatives import Alternatives
 from irpso_addon.solver.engine.confidence import Confidence
 from irpso_addon.solver.kernels import kernels
 from irpso_addon.solver.kernels import refinement as refinement_kernels
@@ -34,6 +33,7 @@ from irpso_addon.solver.settings.resolve import (
     resolve,
 )
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.state.alternatives import Alternatives
 from irpso_addon.solver.views import display
 
 SAMPLERS, IMAGES = 16, 8

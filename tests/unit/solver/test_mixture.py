@@ -23,7 +23,7 @@ def share_at(table, point):
 
 
 def test_groups_that_lie_apart_are_found_with_their_shares_means_and_variances(groups):
-    share, mean, variance = mixture(np.concatenate(groups), 3)
+    share, mean, variance = mixture(np.concatenate(groups), np.ones(sum(map(len, groups))), 3)
     order = np.argsort(-share)
     np.testing.assert_allclose(share[order], np.array(SIZES) / sum(SIZES), atol=0.01)
     np.testing.assert_allclose(mean[order], [group.mean(axis=0) for group in groups], atol=0.05)
@@ -33,7 +33,7 @@ def test_groups_that_lie_apart_are_found_with_their_shares_means_and_variances(g
 @pytest.mark.parametrize("count", [3, 8])
 def test_the_share_of_a_material_is_how_many_of_the_sample_are_like_it(groups, count):
     x = np.concatenate(groups)
-    table = material_table(x, count)
+    table = material_table(x, np.ones(len(x)), count)
     for point in [*np.array(MIDDLES), (1.5, 2.5, 7.0), (3.5, 4.5, 4.5)]:
         alike = np.exp(-0.5 * ((x - point) ** 2).sum(axis=1)).mean()
         assert share_at(table, np.asarray(point)) == pytest.approx(alike, rel=0.1, abs=2e-3)
@@ -41,7 +41,7 @@ def test_the_share_of_a_material_is_how_many_of_the_sample_are_like_it(groups, c
 
 @pytest.mark.parametrize("texels", [1, 2, 500])
 def test_a_surface_of_one_material_has_one(texels):
-    table = material_table(np.tile([2.0, 5.0, 0.0, 1.0], (texels, 1)), 16)
+    table = material_table(np.tile([2.0, 5.0, 0.0, 1.0], (texels, 1)), np.ones(texels), 16)
     assert table.shape == (7, 1, 4)
     assert share_at(table, np.array([2.0, 5.0, 0.0, 1.0])) == pytest.approx(1 / 1.25**2)  # of the least variance
 
@@ -49,8 +49,10 @@ def test_a_surface_of_one_material_has_one(texels):
 def test_texels_of_nan_are_no_material(groups):
     x = np.concatenate(groups)
     spoilt = np.concatenate([x[:1000], np.full((5, 3), np.nan), x[1000:]])
-    np.testing.assert_array_equal(material_table(spoilt, 4), material_table(x, 4))
-    assert np.isfinite(material_table(np.full((3, 3), np.nan), 4)).all()
+    np.testing.assert_array_equal(
+        material_table(spoilt, np.ones(len(spoilt)), 4), material_table(x, np.ones(len(x)), 4)
+    )
+    assert np.isfinite(material_table(np.full((3, 3), np.nan), np.ones(3), 4)).all()
 
 
 def test_the_sample_is_that_of_the_whole_whatever_the_parts_and_their_order():

@@ -14,7 +14,7 @@ from ..kernels.free_parameters import build_free_parameters, has_basis
 from ..kernels.kernels import alternatives_pass
 from ..kernels.linear_weights import MAX_WEIGHTS, linear_weights
 from ..settings.groups import Fitness
-from ..state.textures import DomainTextures, Estimates, loss_constants
+from .textures import DomainTextures, loss_constants
 
 
 class Alternatives:
@@ -42,14 +42,18 @@ class Alternatives:
         self._targets: list[Texture] = []
 
     def measuring(
-        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
+        self, domain: DomainTextures, materials: Mapping[str, Texture], bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each."""
+        """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each.
+
+        materials: textures by sampler name, as of ``Estimates.bindings``.
+        """
         if self._pass is None:
             return
         if not self._targets:
-            self._targets = [textures.empty(*estimates.size) for _ in self._pass.kernel.targets]
-        inputs = {**domain.textures, **estimates.bindings(resolved)}
+            size = next((texture.width, texture.height) for texture in materials.values())
+            self._targets = [textures.empty(*size) for _ in self._pass.kernel.targets]
+        inputs = {**domain.textures, **materials}
         constants = loss_constants(domain, self._fitness.delta)
         yield from self._pass.in_bands("alternatives", bands, seconds, self._targets, inputs, constants)
 
