@@ -63,10 +63,9 @@ class SharedMaterialsPhase(RefinementPhase):
         packing = self.domain.packing
         chosen = np.zeros(self.domain.domain.shape, bool)
         chosen[rows, columns] = True
+        part = self.domain.where(packing.pack(chosen).astype(bool))
         best = {f"u_estimate_{i}": texture for i, texture in enumerate(self.best[:-1])}
-        for _ in self._alternatives.measuring(
-            self.domain.where(packing.pack(chosen).astype(bool)), best, Bands(), _AT_ONCE
-        ):
+        for _ in self._alternatives.measuring(part, best, Bands(), _AT_ONCE):
             pass
         deviances = [packing.unpack(value)[rows, columns] for value in self._alternatives.read().values()]
         if not deviances:

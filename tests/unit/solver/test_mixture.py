@@ -46,6 +46,15 @@ def test_a_surface_of_one_material_has_one(texels):
     assert share_at(table, np.array([2.0, 5.0, 0.0, 1.0])) == pytest.approx(1 / 1.25**2)  # of the least variance
 
 
+def test_a_texel_counts_by_its_weight(groups):
+    """The mixture of weighted texels is that of texels which occur as often as their weights say."""
+    times = np.random.default_rng(3).integers(1, 4, sum(map(len, groups)))
+    x = np.concatenate(groups)
+    weighted, repeated = mixture(x, 0.5 * times, 3), mixture(np.repeat(x, times, axis=0), np.ones(times.sum()), 3)
+    for found, expected in zip(weighted, repeated, strict=True):
+        np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), rtol=1e-3)
+
+
 def test_texels_of_nan_are_no_material(groups):
     x = np.concatenate(groups)
     spoilt = np.concatenate([x[:1000], np.full((5, 3), np.nan), x[1000:]])
