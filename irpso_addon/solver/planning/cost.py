@@ -15,6 +15,7 @@ from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
     Resolved,
     ResolvedIndirect,
+    ResolvedMaterials,
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
@@ -155,8 +156,9 @@ def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) 
     if isinstance(resolved, ResolvedPrefit):
         return _prefit_cost(resolved, schedule)
     table = phase_table(resolved, model, schedule)
+    geometry = FLOAT4 * _GEOMETRY if isinstance(resolved, ResolvedMaterials) else 0  # of the texels in the sample
     return PhaseCost(
-        table.atlas_tiles, table.bytes_per_texel(), table.bytes_per_texel(kept=True),
+        table.atlas_tiles, table.bytes_per_texel() + geometry, table.bytes_per_texel(kept=True),
         *_neighbour_reads(resolved, schedule), evaluations=_evaluations(resolved, model, schedule),
     )  # fmt: skip
 
