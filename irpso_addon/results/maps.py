@@ -24,7 +24,7 @@ class Maps:
     one component, at most π/2. tiles: the maps' UDIM tiles, side by side from the left. margin: (H, W) bool, texels
     past UV seams with the values of the seam's other side, or None. wrapped: whether the UV square may continue at its
     opposite border, as of a mesh unwrapped all around. alternatives: parameter name → (H, W, components), the deviance,
-    −9 to 9, of materials far from the estimate in that number against the estimate (solver/engine/alternatives.py);
+    −9 to 9, of materials far from the estimate in that number against the estimate (solver/state/alternatives.py);
     measured with the confidence, else None. two_modes: parameter name → (H, W) bool, covered texels whose material
     leaves that number open; {} before solver.modes.with_modes.
     """

@@ -8,6 +8,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from ..capture.images.exr import write_exr
 from ..core.errors import InputError
 from ..core.files import check_writable, synced
 from ..core.png import encode_png
+from ..core.steps import available_cores
 from ..core.udim import tile_part, tile_stem
 from ..reflectance.model import ReflectanceModel
 from .derived_map import DerivedMap
@@ -126,32 +128,32 @@ def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[
 def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Callable[[str], str]) -> list[str]:
     """Write maps, residual, confidence and maps.exr; return the names."""
     everything: dict[str, dict[str, np.ndarray]] = {}
+    files: dict[str, dict[str, dict[str, np.ndarray]]] = {}  # name of an EXR file → its parts
     names = []
     for table in tables:
         values = map_values(table, maps)
         everything[table.name] = exr_channels(values)
         stem = stem_of(table.name)
         encode_png(folder / f"{stem}.png", encoded_values(table, values), bits=16)
-        write_exr(folder / f"{stem}.exr", {table.name: everything[table.name]})
-        names += [f"{stem}.png", f"{stem}.exr"]
+        files[f"{stem}.exr"] = {table.name: everything[table.name]}
+        names.append(f"{stem}.png")
     outside = ~maps.covered
     if maps.residual is not None:
         residual = np.where(outside, 0, np.asarray(maps.residual, np.float32).reshape(outside.shape))
         everything["residual"] = exr_channels(residual[..., None])
-        names.append(f"{stem_of('residual')}.exr")
-        write_exr(folder / names[-1], {"residual": everything["residual"]})
+        files[f"{stem_of('residual')}.exr"] = {"residual": everything["residual"]}
     if maps.confidence is not None:
         parts = {}
         for name, deviation in maps.confidence.items():
             deviation = np.asarray(deviation, np.float32).reshape(*outside.shape, -1)
             parts[f"confidence_{name}"] = exr_channels(np.where(outside[..., None], 0, deviation))
-        names.append(f"{stem_of('confidence')}.exr")
-        write_exr(folder / names[-1], parts)
+        files[f"{stem_of('confidence')}.exr"] = parts
         everything |= parts
     everything["coverage"] = exr_channels(maps.covered[..., None].astype(np.float32))
-    names.append(f"{stem_of('maps')}.exr")
-    write_exr(folder / names[-1], everything)
-    return names
+    files[f"{stem_of('maps')}.exr"] = everything
+    with ThreadPoolExecutor(len(available_cores())) as pool:  # OpenEXR compresses without the interpreter's lock
+        list(pool.map(lambda name: write_exr(folder / name, files[name]), reversed(files)))  # the largest first
+    return [*names, *files]
 
 
 def _write_derived(derived: Sequence[DerivedMap], tiles: Sequence[int], folder: Path) -> list[str]:

@@ -1,6 +1,6 @@
 // Materials that the surface shares (solver/phases/mixture.py): Gaussians over all free parameters but the normal.
 // Reads u_materials, one column per material: rows 0 to 2 the means of 12 numbers, rows 3 to 5 their inverse variances,
-// row 6 in x the fraction of the surface that has the material.
+// row 6 in x the fraction of the surface that has the material, by the texels' weights (shared_materials.py).
 
 #include "free_parameters.glsl"
 

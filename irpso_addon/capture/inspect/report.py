@@ -299,7 +299,6 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
     values = _some_pixels(frames)
     if text := light_order_message(values, values > 0, (directions * power[:, None])[:, None]):
         yield Finding("lights_order", f"{spec.source}: {text}")
-        return
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
     agreement, count = checks.mirror_agreement(normals, mask)

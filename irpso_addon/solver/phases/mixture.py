@@ -90,10 +90,10 @@ def mixture(x: np.ndarray, weights: np.ndarray, count: int) -> tuple[np.ndarray,
     variance = np.ones_like(mean)
     share = np.full(len(mean), 1.0 / len(mean))
     for _ in range(_ROUNDS):
-        weight = weights[:, None] * memberships(x, share, mean, variance)
+        weight = memberships(x, share, mean, variance)
         texels = weight.sum(axis=0)
-        large = texels >= min(_LEAST_TEXELS, texels.max())
-        weight, texels = weight[:, large], texels[large]
+        weight = weights[:, None] * weight[:, texels >= min(_LEAST_TEXELS, texels.max())]
+        texels = weight.sum(axis=0)
         mean = (weight.T @ x) / texels[:, None]
         variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _LEAST_VARIANCE)
         share = texels / texels.sum()
@@ -110,9 +110,9 @@ def memberships(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np
 
 
 def _seeds(x: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Return rows of x: first the one nearest the median, then each drawn by weight times squared distance from them.
+    """Return rows of x: the one nearest the median, then each drawn with a probability of weight × squared distance.
 
-    The distance is that from the nearest row drawn before.
+    The distance is that to the nearest earlier seed.
     """
     draw = np.random.default_rng(0)
     chosen = [int(np.argmin(((x - np.median(x, axis=0)) ** 2).sum(axis=1)))]

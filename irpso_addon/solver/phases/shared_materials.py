@@ -25,9 +25,9 @@ class SharedMaterialsPhase(RefinementPhase):
     """A Phase: a refinement whose rounds begin with the materials of a sample of the whole domain (mixture.py).
 
     Each round estimates the mixture again. A tile or a rank takes the whole domain's sample before an iteration whose
-    ``reach`` is not 0; without it, its own sample replaces the whole's. A texel has weight in the mixture as far as its
-    photographs contradict distant alternatives (state/alternatives.py): those that show no highlight, and fit matt
-    paint as well as a polished surface, leave the decision to those that do.
+    ``reach`` is not 0; without it, its own sample replaces the whole's. A texel's weight in the mixture is 1
+    minus the likelihood ratio of its best distant alternative (state/alternatives.py), mean of the searched numbers:
+    texels without a highlight, which fit matt paint as well as a polished surface, leave the decision to the others.
     """
 
     resolved: ResolvedMaterials
@@ -60,6 +60,8 @@ class SharedMaterialsPhase(RefinementPhase):
         if self._alternatives is None:
             fixed = {p.name for p in self.model.parameters} - {p.name for p in self.resolved.parameters}
             self._alternatives = Alternatives(self.model, fixed, self.schedule.fitness, self.domain.defines)
+        if not self._alternatives.measured:
+            return np.ones(len(rows))
         packing = self.domain.packing
         chosen = np.zeros(self.domain.domain.shape, bool)
         chosen[rows, columns] = True
@@ -68,8 +70,6 @@ class SharedMaterialsPhase(RefinementPhase):
         for _ in self._alternatives.measuring(part, best, Bands(), _AT_ONCE):
             pass
         deviances = [packing.unpack(value)[rows, columns] for value in self._alternatives.read().values()]
-        if not deviances:
-            return np.ones(len(rows))
         ratios = np.exp(-0.5 * np.maximum(np.nan_to_num(np.concatenate(deviances, axis=-1, dtype=np.float64)), 0.0))
         return _LEAST_WEIGHT + (1 - _LEAST_WEIGHT) * (1 - ratios.mean(axis=-1))
 

@@ -41,6 +41,11 @@ class Alternatives:
             self._pass = alternatives_pass(model, build_free_parameters(model, fixed), solved, fitness, defines)
         self._targets: list[Texture] = []
 
+    @property
+    def measured(self) -> bool:
+        """Whether any number has alternatives."""
+        return self._pass is not None
+
     def measuring(
         self, domain: DomainTextures, materials: Mapping[str, Texture], bands: Bands, seconds: float
     ) -> Iterator[None]:

@@ -6,9 +6,12 @@ import pytest
 from irpso_addon.capture.inspect.light_order import light_order_message
 from irpso_addon.capture.inspect.report import inspect_capture
 from tests.builders.captures import decode_png, write_png
+from tests.builders.domains import unit
 from tests.unit.capture.test_room_light import LIGHTS, SURFACES, photographs
 
 SHUFFLED = np.random.default_rng(3).permutation(24)
+# Of a metal most light is in highlights, and nothing is said of it.
+MATT = [surface for surface in SURFACES if surface != "metal"]
 # Neighbours of a spiral are so close that a list moved by one place does no harm; these are far apart.
 SCATTERED = {name: lights[np.random.default_rng(4).permutation(len(lights))] for name, lights in LIGHTS.items()}
 
@@ -25,19 +28,48 @@ def test_lights_in_order_are_right(surface, lights):
     assert message(surface, np.arange(len(LIGHTS[lights])), lights) == ""
 
 
-@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("surface", MATT)
 @pytest.mark.parametrize(("move", "text"), [(-1, "one place further up"), (2, "2 places further down")])
 def test_a_moved_list_is_recognised(surface, move, text):
     assert text in message(surface, np.roll(np.arange(24), -move))
 
 
-@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("surface", MATT)
 def test_a_shuffled_list_is_recognised(surface):
     assert "no better than lights in a random order" in message(surface, SHUFFLED)
 
 
 def test_a_reversed_list_is_recognised():
     assert "the list reversed" in message("clay", np.arange(24)[::-1])
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_unstated_intensities_are_no_wrong_order(surface):
+    values = photographs(surface, SCATTERED["wide"], 0)[0].mean(axis=-1)
+    values = values * np.exp(np.random.default_rng(1).uniform(-0.7, 0.7, (24, 1)))
+    assert light_order_message(values, values > 0, SCATTERED["wide"][:, None]) == ""
+
+
+@pytest.mark.parametrize("count", [12, 24, 48])
+def test_nearly_flat_brushed_metal_raises_no_alarm(count):
+    """Its highlights follow no matt shading, in any order."""
+    rng = np.random.default_rng(count)
+    lights = unit(
+        rng.normal(size=(count, 3)) * (1, 1, 0) + (0, 0, 0.6) + np.abs(rng.normal(size=(count, 1))) * (0, 0, 1)
+    )
+    normals = unit(rng.normal(scale=0.14, size=(400, 3)) * (1, 1, 0) + (0, 0, 1))
+    cosine, half = np.maximum(lights @ normals.T, 0), np.maximum(unit(lights + (0, 0, 1)) @ normals.T, 0)
+    values = cosine * (0.02 + half**60)
+    values = np.maximum(values + rng.normal(scale=0.003 * values.max(), size=values.shape), 0)
+    assert light_order_message(values, values > 0, lights[:, None]) == ""
+
+
+def test_a_ring_is_the_same_from_every_place():
+    """A moved ring is a turned one: its errors are those of the right order."""
+    angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    ring = unit(np.stack([np.cos(angles), np.sin(angles), np.full(12, 1.0)], axis=-1))
+    values = photographs("clay", ring, 0)[0].mean(axis=-1)
+    assert light_order_message(values, values > 0, np.roll(ring, 2, axis=0)[:, None]) == ""
 
 
 def test_seven_photographs_are_too_few():
