@@ -23,8 +23,8 @@ def light_order_message(values: np.ndarray, usable: np.ndarray, lamps: np.ndarra
 
     values, usable, lamps: as of ``shading.bright_samples``. A robust fit of matt shading, with a factor for each
     photograph, has larger errors with the lights in a wrong order. The lights are compared with the reversed list, with
-    the list moved by one or two places, and with random orders. Silent on lights that are turned or mirrored as a whole,
-    so on a moved or reversed ring; on lists of which a small part is wrong; on metals.
+    the list moved by one or two places, and with random orders. Silent on lights turned or mirrored as a whole, so
+    on a moved or reversed ring; on lists of which a small part is wrong; on metals.
     """
     samples = bright_samples(values, usable, lamps)
     if samples is None or len(values) < _FEWEST:
