@@ -3,7 +3,7 @@
 import numpy as np
 
 from irpso_addon.capture.images.exr import write_exr
-from tests.oracles.reflectance import unit
+from tests.oracles.reflectance import MODELS, unit
 
 SIDE = 72
 
@@ -41,11 +41,14 @@ def ball():
 
 
 def write_ball(folder, count=16):
-    """Write photographs of a matt ball under lamps and its mask, without light files; return the light directions."""
+    """Write photographs of a rough ball under lamps and its mask, without light files; return the light directions."""
     normals, mask = ball()
+    surface = {"base_color": np.full((*mask.shape, 3), 0.5), "roughness": np.full(mask.shape, 0.85)}
+    surface |= {"normal": normals, "specular": np.full(mask.shape, 0.5)}
     directions, strengths = lamps(count)
     write_exr(folder / "mask.exr", {"": {"Y": mask.astype(np.float32)}})
     for number, (light, strength) in enumerate(zip(directions, strengths, strict=True)):
-        grey = np.where(mask, 0.5 * strength * np.maximum(normals @ light, 0), 0).astype(np.float32)
+        shown = MODELS["principled"](surface, light, np.array([0.0, 0.0, 1.0]))[..., 0]
+        grey = np.where(mask, strength * shown, 0).astype(np.float32)
         write_exr(folder / f"{number:02}.exr", {"": dict.fromkeys("RGB", grey)})
     return directions
