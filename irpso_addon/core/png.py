@@ -61,7 +61,7 @@ def _filtered(values: np.ndarray, bits: int) -> bytes:
     bytes_per_pixel = codes.shape[2] * codes.itemsize
     rows = codes.reshape(len(codes), -1).view(np.uint8)
     filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
-    filtered[:, 0] = 1
+    filtered[:, 0] = 1  # the filter's number; photographs deflate well with it
     filtered[:, 1:] = rows
     filtered[:, 1 + bytes_per_pixel :] -= rows[:, :-bytes_per_pixel]
     return filtered.tobytes()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .shading import WIDTH, bright_samples, shading_errors
+from .shading import bright_samples, shading_errors
 
 _FEWEST = 8  # photographs
 _MOVES = (1, -1, 2, -2)  # places by which a list may be moved
@@ -57,13 +57,11 @@ def light_order_message(values: np.ndarray, usable: np.ndarray, lamps: np.ndarra
 def _error(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> float:
     """Return the median error of shading with a factor for each photograph, of mean 1 in the logarithm."""
     for _ in range(_SCALINGS):
-        errors = shading_errors(values, used, lamps)
-        shading = np.maximum(values + errors, 0)
-        weights = used * (shading > 0) / (1 + (errors / WIDTH) ** 2)
-        products, squares = ((weights * one * values).sum(axis=1) for one in (shading, values))
+        errors, weights = shading_errors(values, used, lamps)
+        products, squares = ((weights * one * values).sum(axis=1) for one in (values + errors, values))
         factors = np.clip(products / np.maximum(squares, 1e-12), 0.5, 2)
         values = values * (factors / np.exp(np.log(factors).mean()))[:, None]
-    return float(np.median(np.abs(shading_errors(values, used, lamps))[used]))
+    return float(np.median(np.abs(shading_errors(values, used, lamps)[0])[used]))
 
 
 def _moved(move: int) -> str:

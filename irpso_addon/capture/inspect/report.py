@@ -150,19 +150,19 @@ def _image_steps(
         if frames.names:
             facts.append((f"brightness{f', {spec.views[camera].name}' * (len(groups) > 1)}", brightness(frames)))
             findings += yield from _numbered("Comparing images", 0, frame_steps(frames))
-            findings += _geometry_findings(spec, capture, camera, frames)
-            findings += _room_light_findings(capture, frames)
+            pixels = _some_pixels(frames)
+            findings += _geometry_findings(spec, capture, camera, frames, pixels)
+            findings += _room_light_findings(capture, frames, pixels)
     findings += _place_findings(spec, capture, groups[0])
 
 
-def _room_light_findings(capture: Capture, frames: Frames) -> Iterator[Finding]:
+def _room_light_findings(capture: Capture, frames: Frames, pixels: np.ndarray) -> Iterator[Finding]:
     """Yield a finding of room light, under distant lights only: near ones need the pixels' positions."""
     lights = [capture.observations[index].light for index in frames.indices]
     if len(lights) < sufficiency.FEWEST or not all(light.distant for light in lights):
         return
-    values = _some_pixels(frames)
     lamps = np.array([np.multiply(light.vector, np.mean(light.intensity)) for light in lights])
-    if text := room_light_message(room_light(values, values > 0, lamps[:, None])):
+    if text := room_light_message(room_light(pixels, pixels > 0, lamps[:, None])):
         yield Finding("room_light", text)
 
 
@@ -278,7 +278,9 @@ def _enough_for(shortfalls: dict[str, list[sufficiency.Shortfall]]) -> str:
     return "; ".join([*([", ".join(met)] if met else []), *([f"not for {', '.join(unmet)}"] if unmet else [])])
 
 
-def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: Frames) -> Iterator[Finding]:
+def _geometry_findings(
+    spec: CaptureSpec, capture: Capture, index: int, frames: Frames, pixels: np.ndarray
+) -> Iterator[Finding]:
     """Yield findings of lights whose axes are mirrored, or whose order differs, relative to one camera's images."""
     observations = [capture.observations[i] for i in frames.indices]
     on_card = capture.card_distance is not None and len(capture.cameras) == 1
@@ -296,8 +298,7 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
         return
     if checks.flatness(directions) < sufficiency.FLAT_USELESS:
         return
-    values = _some_pixels(frames)
-    if text := light_order_message(values, values > 0, (directions * power[:, None])[:, None]):
+    if text := light_order_message(pixels, pixels > 0, (directions * power[:, None])[:, None]):
         yield Finding("lights_order", f"{spec.source}: {text}")
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)

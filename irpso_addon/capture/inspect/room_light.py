@@ -23,7 +23,7 @@ def room_light(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) -> flo
     if samples is None:
         return 0.0
     relative, used, lamps = samples
-    losses = np.array([_loss(shading_errors(relative - offset, used, lamps)) for offset in _OFFSETS])
+    losses = np.array([_loss(shading_errors(relative - offset, used, lamps)[0]) for offset in _OFFSETS])
     best, without = int(losses.argmin()), losses[int(np.abs(_OFFSETS).argmin())]
     return float(_OFFSETS[best]) if _OFFSETS[best] >= _LEAST and without > _BETTER * losses[best] else 0.0
 

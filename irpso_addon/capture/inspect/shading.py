@@ -34,10 +34,10 @@ def bright_samples(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) ->
     return values[:, chosen] / bright[chosen], used[:, chosen], lamps
 
 
-def shading_errors(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> np.ndarray:
-    """Return (K, P) errors of the fit b·l to values (K, P), with one b for every pixel; 0 where a sample is not used.
+def shading_errors(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (K, P) errors of the fit b·l to values (K, P), with one b for every pixel, and the samples' weights.
 
-    Iteratively reweighted least squares with Cauchy's weights.
+    Both are 0 where a sample is not used. Iteratively reweighted least squares with Cauchy's weights.
     """
     target, weight = np.where(used, values, 0), used.astype(np.float64)
     error = np.zeros_like(target)
@@ -48,4 +48,4 @@ def shading_errors(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> n
         shading = np.einsum("kti,ti->kt", lamps, scaled)
         error = np.where(used, np.maximum(shading, 0) - target, 0)
         weight = used * (shading > 0) / (1 + (error / WIDTH) ** 2)
-    return error
+    return error, weight

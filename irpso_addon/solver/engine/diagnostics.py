@@ -67,8 +67,8 @@ class Diagnostics:
             if self._measures is None:
                 settings = self._model, self._fixed, self._fitness, self._domain.defines
                 self._measures = Confidence(*settings), Alternatives(*settings)
+            materials = self._estimates.bindings(self._resolved)
             for measure in self._measures:
-                materials = self._estimates.bindings(self._resolved)
                 yield from measure.measuring(self._domain, materials, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:

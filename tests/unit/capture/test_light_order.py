@@ -5,9 +5,9 @@ import pytest
 
 from irpso_addon.capture.inspect.light_order import light_order_message
 from irpso_addon.capture.inspect.report import inspect_capture
-from tests.builders.captures import decode_png, write_png
+from tests.builders.captures import decode_png
 from tests.builders.domains import unit
-from tests.unit.capture.test_room_light import LIGHTS, SURFACES, photographs
+from tests.unit.capture.test_room_light import LIGHTS, SURFACES, photographs, write_photographs
 
 SHUFFLED = np.random.default_rng(3).permutation(24)
 # Of a metal most light is in highlights, and nothing is said of it.
@@ -79,14 +79,8 @@ def test_seven_photographs_are_too_few():
 
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_inspect_names_the_list(shuffled, tmp_path):
-    pixels, mask = photographs("glazed", LIGHTS["wide"], 0)
-    images = np.zeros((len(pixels), *mask.shape, 3))
-    images[:, mask] = pixels
-    for number, image in enumerate(images):
-        write_png(tmp_path / f"{number}.png", np.rint(65535 * np.clip(0.8 * image, 0, 1)).astype(int), bits=16)
-    write_png(tmp_path / "mask.png", 255 * mask.astype(int)[..., None].repeat(3, axis=-1))
-    (tmp_path / "filenames.txt").write_text("\n".join(f"{number}.png" for number in range(len(images))))
-    np.savetxt(tmp_path / "light_directions.txt", LIGHTS["wide"][SHUFFLED if shuffled else np.arange(24)])
+    lights = LIGHTS["wide"][SHUFFLED if shuffled else np.arange(24)]
+    write_photographs(tmp_path, *photographs("glazed", LIGHTS["wide"], 0), lights)
     found = [finding.message for finding in inspect_capture(tmp_path, decode_png).findings if "order" in finding.code]
     assert len(found) == shuffled
     assert all("compare the list of lights with the photographs" in text and str(tmp_path) in text for text in found)

@@ -32,6 +32,17 @@ def photographs(surface, lights, part, size=40):
     return np.maximum(images / scale + np.random.default_rng(1).normal(scale=0.004, size=images.shape), 0), mask
 
 
+def write_photographs(folder, pixels, mask, lights):
+    """Write ``photographs`` of 16 bits, their mask, and lists of their names and lights."""
+    images = np.zeros((len(pixels), *mask.shape, 3))
+    images[:, mask] = pixels
+    for number, image in enumerate(images):
+        write_png(folder / f"{number}.png", np.rint(65535 * np.clip(0.8 * image, 0, 1)).astype(int), bits=16)
+    write_png(folder / "mask.png", 255 * mask.astype(int)[..., None].repeat(3, axis=-1))
+    (folder / "filenames.txt").write_text("\n".join(f"{number}.png" for number in range(len(images))))
+    np.savetxt(folder / "light_directions.txt", lights)
+
+
 @pytest.mark.parametrize("lights", LIGHTS)
 @pytest.mark.parametrize("surface", SURFACES)
 def test_a_dark_room_is_dark_on_every_surface(surface, lights):
@@ -56,15 +67,7 @@ def test_photographs_too_few_to_tell_are_not_accused():
 
 @pytest.mark.parametrize(("part", "expected"), [(0.0, 0), (0.25, 1)])
 def test_inspect_says_that_the_room_was_not_dark(part, expected, tmp_path):
-    pixels, mask = photographs("clay", LIGHTS["wide"], part)
-    images = np.zeros((len(pixels), *mask.shape, 3))
-    images[:, mask] = pixels
-    for number, image in enumerate(images):
-        write_png(tmp_path / f"{number}.png", np.rint(65535 * np.clip(0.8 * image, 0, 1)).astype(int), bits=16)
-    write_png(tmp_path / "mask.png", 255 * mask.astype(int)[..., None].repeat(3, axis=-1))
-    names = "\n".join(f"{number}.png" for number in range(len(images)))
-    (tmp_path / "filenames.txt").write_text(names)
-    np.savetxt(tmp_path / "light_directions.txt", LIGHTS["wide"])
+    write_photographs(tmp_path, *photographs("clay", LIGHTS["wide"], part), LIGHTS["wide"])
     found = [finding for finding in inspect_capture(tmp_path, decode_png).findings if finding.code == "room_light"]
     assert len(found) == expected
     assert all("comes from no lamp" in finding.message and "--dark" in finding.message for finding in found)
