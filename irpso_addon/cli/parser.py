@@ -222,7 +222,8 @@ def _add_tile(commands: argparse._SubParsersAction) -> None:
 
 def _add_demo(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("demo", help="run the paper's experiment, from rendering to material", epilog=EPILOG)
-    add.add_argument("-o", "--output", default="out/demo", metavar="OUT", help="folder for the result")
+    add.add_argument("-o", "--output", default="out/paper", metavar="OUT",
+                     help="folder for the result (default out/paper)")  # fmt: skip
     add.add_argument("--quick", action="store_true", help="small sizes: under three minutes on two CPU cores")
     add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or your own .toml (default swarm)")
     add.add_argument("--seed", type=seed, default=0, metavar="S", help="seed of the random numbers (default 0)")

@@ -16,9 +16,10 @@ from ..capture.types import Light
 from ..core.progress_bar import ProgressBar
 from ..demo import experiment, pictures
 from ..gpu import context, probe
+from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.report import build_report, ground_truth_errors, quantiles
-from ..results.write import BLEND, check_output_folder, write_maps
+from ..results.write import BLEND, check_output_folder, check_replaces_nothing, write_maps
 from ..solver.settings.schedule import load_schedule
 from .options.values import silent
 
@@ -30,6 +31,8 @@ def run(options: Namespace) -> dict:
     """Run the experiment; write figures, maps, material and report into the output folder and into its joint/."""
     started = time.perf_counter()
     folder = check_output_folder(options.output)
+    for place in (folder, folder / experiment.JOINT):  # before minutes of work
+        check_replaces_nothing(place, load_model(experiment.MODEL))
     schedule = load_schedule(options.preset)
     probe.probe()
     context.ensure()
@@ -103,7 +106,10 @@ def _write(
     write_maps(_turned(found, staged), folder, report, figures)
     joint_figures = {"preview": pictures.comparison(view, joint.maps.values, light)}
     write_maps(
-        _turned(found, joint.maps), folder / "joint", {**report, "runs": {"joint": errors["joint"]}}, joint_figures
+        _turned(found, joint.maps),
+        folder / experiment.JOINT,
+        {**report, "runs": {"joint": errors["joint"]}},
+        joint_figures,
     )
     material.apply_material(subject, material.build_material(_turned(found, joint.maps), subject.name))
     material.save_blend(folder / BLEND)

@@ -175,6 +175,9 @@ CAPTURES = {
     "photographs in the output folder": (prepared(photographs_in_out, recover()), r"out: holds the photographs"),
     "a picture that a map would replace": (
         prepared(picture_in_out, recover()), r"normal.png: would be replaced, but no recovery wrote it"),
+    "a picture that a map of the paper's experiment would replace": (
+        prepared(picture_in_out, lambda f: ["demo", "--quick", "--quiet", "-o", f / OUT]),
+        r"normal.png: would be replaced, but no recovery wrote it"),
     "one photograph to calibrate": (
         lambda f: ["calibrate", f / "card" / "000.exr", "-o", f / OUT, "--quiet"], r"000.exr: is one photograph; give"),
     "lamps inside of the ball": (

@@ -34,6 +34,13 @@ def test_every_option_of_a_command_is_described(command):
     assert options_of(parsers()[command]) - set(OPTION.findall(PAGES)) <= {"--output", "--quiet"}
 
 
+def test_the_papers_experiment_and_make_demo_write_into_different_folders():
+    makefile = (DOCS.parent / "Makefile").read_text(encoding="utf-8")
+    default = cli.build_parser().parse_args(["demo"]).output
+    demo, paper = (makefile.split(f"\n{target}:")[1].split("\n\n")[0] for target in ("demo", "paper"))
+    assert default == "out/paper" and "-o $(OUT)/paper" in paper and "-o $(OUT)/demo" in demo
+
+
 def test_no_option_is_described_that_does_not_exist():
     examples = [line for line in PAGES.splitlines() if line.startswith(("irpso ", "$ irpso "))]
     tables = [line.split("|")[1] for line in PAGES.splitlines() if line.startswith("| `--")]
