@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,6 +76,12 @@ def display_image(parameters: Sequence[Parameter], values: Sequence[np.ndarray])
     elif image.shape[-1] == 2:
         image = np.concatenate([image, np.zeros_like(image[..., :1])], axis=-1)
     return np.clip(np.nan_to_num(image), 0, 1).astype(np.float32)
+
+
+def on_one_scale(rows: Sequence[PreviewRow]) -> list[PreviewRow]:
+    """Return rows of one unit with the same error shown as red: the largest 99th percentile of a row, rounded up."""
+    maximum = max((default_maximum([row.error], row.compared) for row in rows), default=None)
+    return [replace(row, maximum=maximum) for row in rows]
 
 
 def preview(rows: Sequence[PreviewRow], columns: Sequence[str] = ("Ground truth", "Recovered", "Error")) -> np.ndarray:

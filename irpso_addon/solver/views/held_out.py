@@ -15,7 +15,7 @@ from ...core.steps import one_step
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.maps import Maps
-from ...results.preview import PreviewRow, preview
+from ...results.preview import PreviewRow, on_one_scale, preview
 from .forward import rendered
 from .pictures import SHOWN_WHITE, Indirect, image_psnr, image_row, no_indirect
 
@@ -80,7 +80,7 @@ def relit_steps(
         lit = render[..., :3] + indirect(k)
         rows.append((yield from threaded(partial(image_row, domain, maps, k, name, lit))))
     figures = yield from threaded(lambda: _figures(names, rows, bright))
-    picture = yield from threaded(lambda: preview(rows, ("Photograph", "Relit", "Error")))
+    picture = yield from threaded(lambda: preview(on_one_scale(rows), ("Photograph", "Relit", "Error")))
     return {"relit": picture}, figures
 
 

@@ -12,7 +12,7 @@ from ...geometry.domain import Domain
 from ...results.false_color import false_color
 from ...results.map_tables import map_tables
 from ...results.maps import UNKNOWN, Maps
-from ...results.preview import PreviewRow, default_maximum, display_image, gallery, preview
+from ...results.preview import PreviewRow, default_maximum, display_image, gallery, on_one_scale, preview
 from ...results.report import error_unit, parameter_error
 from .forward import rendered
 
@@ -47,7 +47,7 @@ def error_preview(
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
     if rows:
         chosen = chosen[:1]
-    rows += image_rows(domain, maps, chosen, [names[k] for k in chosen], indirect)
+    rows += on_one_scale(image_rows(domain, maps, chosen, [names[k] for k in chosen], indirect))
     return preview(rows, ("Reference", "Recovered", "Error"))
 
 
@@ -120,8 +120,8 @@ def image_rows(
 def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray) -> PreviewRow:
     """Return the photograph of an observation, its render (H, W, 3 or more), and the difference in % of white.
 
-    Samples of weight 0 show the photograph, without a difference. Clipped samples differ only where the render is
-    darker: both pictures are clipped at white.
+    Both have one exposure: white is the photograph's 99.5th percentile. Samples of weight 0 show the photograph,
+    without a difference. Clipped samples differ only where the render is darker: both pictures are clipped at white.
     """
     layer = domain.stack.layer(k)
     samples, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0

@@ -1,13 +1,18 @@
 """Pictures of a result: what no light told anything of is no part of them."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from irpso_addon.core.encode import linear_from_srgb
+from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
-from irpso_addon.solver.views.pictures import image_rows
+from irpso_addon.solver.views import held_out, pictures
+from irpso_addon.solver.views.pictures import image_row, image_rows
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
 from tests.builders.domains import make_domain
@@ -30,6 +35,31 @@ def first_row(domain):
     model = load_model("lambert")
     values = {p.name: np.full((*domain.shape, p.components), p.default, np.float32) for p in model.parameters}
     return image_rows(domain, Maps(model, values, domain.solvable), [0], ["Image 0"])[0]
+
+
+def test_a_photograph_and_its_render_have_one_exposure():
+    domain = make_domain(6, 8, holes=False)
+    photograph = domain.stack.layer(0)[..., :3]
+    row = image_row(domain, Maps(load_model("lambert"), {}, domain.solvable), 0, "Image 0", photograph / 2)
+    shown = domain.solvable & (row.reference < 1).all(axis=-1)
+    half = linear_from_srgb(row.reference[shown]) / 2
+    assert shown.sum() > 20
+    np.testing.assert_allclose(linear_from_srgb(row.recovered[shown]), half, atol=1e-4)
+
+
+@pytest.mark.parametrize("module", [pictures, held_out])
+def test_the_errors_of_all_photographs_have_one_scale(module, monkeypatch):
+    domain = make_domain(6, 8, holes=False)
+    model = load_model("lambert")
+    values = {p.name: np.full((*domain.shape, p.components), p.default, np.float32) for p in model.parameters}
+    maps, capture = Maps(model, values, domain.solvable), SimpleNamespace(observations=[SimpleNamespace(name="")] * 9)
+    shown = []
+    monkeypatch.setattr(module, "preview", lambda rows, _: shown.extend(rows))
+    if module is pictures:
+        pictures.error_preview(domain, maps, None, [""] * 9)
+    else:
+        run_steps(held_out.relit_steps(domain, maps, [0, 1], capture))
+    assert len(shown) > 1 and len({row.maximum for row in shown}) == 1 and shown[0].maximum
 
 
 def test_texels_without_a_material_are_black_in_the_recovered_picture():

@@ -13,6 +13,7 @@ from irpso_addon.results.preview import (
     convergence,
     display_image,
     gallery,
+    on_one_scale,
     preview,
     strip,
 )
@@ -98,6 +99,16 @@ def test_a_preview_enlarges_tiny_maps_texel_by_texel_and_shows_reference_and_res
     assert magenta[:, 0].min() == cyan[:, 0].min()
     assert magenta[:, 0].max() < cyan[:, 0].max()
     assert magenta[:, 1].max() < cyan[:, 1].min()
+
+
+def test_rows_on_one_scale_have_the_red_of_the_largest_error_that_counts():
+    image, counted = np.zeros((4, 5, 3), np.float32), np.ones((4, 5), bool)
+    counted[0, 0] = False
+    large = np.full((4, 5), 8.5)
+    large[0, 0] = 90.0
+    rows = [PreviewRow("a", image, image, np.full((4, 5), 3.0), "%"),
+            PreviewRow("b", image, image, large, "%", counted=counted)]  # fmt: skip
+    assert [row.maximum for row in on_one_scale(rows)] == [10.0, 10.0] and on_one_scale([]) == []
 
 
 def test_large_maps_are_reduced_by_averaging():
