@@ -32,11 +32,12 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     intensities = read_intensities(path) if path.exists() else [(0, (1.0, 1.0, 1.0))] * len(names)
     _same_count(path, len(intensities), len(names))
     shots = []
-    for (_, name), (line, vector), (row, intensity) in zip(names, lights, intensities, strict=True):
+    for (number, name), (line, vector), (row, intensity) in zip(names, lights, intensities, strict=True):
         # Errors name the intensity's line if the direction is valid.
         valid = any(vector) and all(abs(v) < float("inf") for v in vector)
         where = f"{path}: line {row}" if row and valid else f"{folder / DIRECTIONS}: line {line}"
-        image = ImageRef(find_image(folder, name), colour_space=colour_space)
+        named_in = f"its name in {folder / FILENAMES}: line {number}"
+        image = ImageRef(find_image(folder, name), colour_space=colour_space, named_in=named_in)
         shots.append(ObservationSpec(name, image, vector, where, intensity))
     mask = next((folder / m for m in MASKS if (folder / m).exists()), None)
     camera = folder / "camera.toml"

@@ -33,7 +33,7 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
         if len(words) != 4:
             raise CaptureError(f"{where}: is not 'name x y z'; complete it", "light_columns")
         name = words[0].strip("\"'")
-        image = ImageRef(find_image(path.parent, name), colour_space=colour_space)
+        image = ImageRef(find_image(path.parent, name), colour_space=colour_space, named_in=f"its name in {where}")
         shots.append(ObservationSpec(image.path.name, image, tuple(numbers(words[1:], where)), where))
     view = ViewSpec("camera", camera_maker({}, str(path)), str(path), lens=False)
     return CaptureSpec(path.resolve().parent.name, "RTI light positions", path, tuple(shots), (view,))

@@ -88,7 +88,7 @@ def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef
     space = row.get("colour_space", "auto")
     if space not in COLOUR_SPACES:
         raise CaptureError(f"{where}: colour_space must be one of {', '.join(COLOUR_SPACES)}", "value")
-    return ImageRef(path.parent / text(row, key, where), part, layer, space)
+    return ImageRef(path.parent / text(row, key, where), part, layer, space, f"'{key}' in {where}")
 
 
 def has_lens(table: Mapping[str, Any]) -> bool:

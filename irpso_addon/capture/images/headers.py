@@ -73,9 +73,14 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
-        raise CaptureError(f"{path}: this image is not there; put it there or take its line out", "missing") from error
+        raise missing(path) from error
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}); check what it is", "missing") from error
+
+
+def missing(path: Path, named_in: str = "its name") -> CaptureError:
+    """Return the error for a file that does not exist. named_in: what to correct if the file is elsewhere."""
+    return CaptureError(f"{path}: this image is not there; put it there, or correct {named_in}", "missing")
 
 
 def truncated(path: Path) -> CaptureError:

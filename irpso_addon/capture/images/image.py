@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Literal
@@ -13,7 +14,7 @@ from ..errors import CaptureError
 from .colour_profile import ColourProfile, ProfileError, profile_of_h273, profile_of_icc
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
-from .headers import ImageHeader, read_bytes, read_header
+from .headers import ImageHeader, missing, read_bytes, read_header
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
@@ -25,12 +26,16 @@ KnownBy = Literal["file", "format", "depth", "guess"]
 
 @dataclass(frozen=True)
 class ImageRef:
-    """Reference to an image: file, part of a multi-part EXR by name or number, layer, colour space."""
+    """Reference to an image: file, part of a multi-part EXR by name or number, layer, colour space.
+
+    named_in: place of the file's name in the capture's files, for errors.
+    """
 
     path: Path
     part: str | int | None = None
     layer: str | None = None
     colour_space: str = "auto"
+    named_in: str = field(default="its name", compare=False)
 
     def __str__(self) -> str:
         return str(self.path) if self.part is None else f"{self.path}: part {self.part!r}"
@@ -102,6 +107,9 @@ class ImageStore:
 
     def size(self, image: ImageRef) -> tuple[int, int]:
         """Return (width, height) from the file's header. Raises CaptureError if it cannot be read."""
+        with suppress(OSError):  # a folder without permission: reading reports it
+            if not image.path.exists():
+                raise missing(image.path, image.named_in)
         if is_exr(image.path):
             part = self._part(image)
             colour_channels(part, image.layer, str(image))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import CaptureError
+from .headers import missing
 from .linearise import Picture
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def _opened(path: Path) -> RawPy:
             "no_decoder",
         ) from error
     if not path.is_file():
-        raise CaptureError(f"{path}: this image is not there; put it there or take its line out", "missing")
+        raise missing(path)
     try:
         return rawpy.imread(str(path))
     except (rawpy.LibRawError, OSError) as error:

@@ -65,8 +65,9 @@ def lights(change):
 
 # What breaks a sound DiLiGenT folder, the file that the message names, and a word of it.
 DILIGENT = {
-    "a missing image": (remove("002.exr"), "002.exr", "not there"),
-    "a name of no file": (replace("filenames.txt", "002", "oops"), "oops.exr", "not there"),
+    "a missing image": (remove("002.exr"), "002.exr", "not there; .*name in .*filenames.txt: line 3"),
+    "a name of no file": (
+        replace("filenames.txt", "002", "oops"), "oops.exr", "not there; .*name in .*filenames.txt: line 3"),
     "no filenames": (remove("filenames.txt"), "filenames.txt", "not there"),
     "no directions": (remove("light_directions.txt"), "light_directions.txt", "not there"),
     "empty filenames": (write("filenames.txt", "\n# none\n\n"), "filenames.txt", "empty"),
@@ -141,7 +142,11 @@ TABLES = {
     "half a size": ("fov_d", "width = 8\nfov_d", "width and height"),
     "a wrong size": ("fov_d", "width = 9\nheight = 6\nfov_d", "8×6.*9×6"),
     "no image": ('image = "000.exr"', "", "names no image"),
-    "an image that is missing": ("000.exr", "999.exr", "999.exr: this image is not there"),
+    "an image that is missing": (
+        "000.exr",
+        "999.exr",
+        r"999.exr: this image is not there; put it there, or correct 'image' in .*toml: observation 1",
+    ),
     "no light": ("light_direction = [0, 0, 1]", "", "light_direction and light_position"),
     "two lights": ("light_d", "light_position = [1, 2, 3]\nlight_d", "light_direction and light_position"),
     "a light of two numbers": ("[0, 0, 1]", "[0, 1]", "list of 3"),
@@ -155,7 +160,7 @@ TABLES = {
     "a part that is a fraction": ("light_d", "part = 1.5\nlight_d", "name or the number"),
     "a layer that is not there": ("light_d", "layer = 'x'\nlight_d", "no image layer 'x'"),
     "a later format": ("\n[[camera]]", "format = 2\n[[camera]]", "format = 1"),
-    "a mask that is missing": ("fov_d", "mask = 'no.exr'\nfov_d", "no.exr"),
+    "a mask that is missing": ("fov_d", "mask = 'no.exr'\nfov_d", "no.exr: .*correct 'mask' in .*toml: camera front"),
 }
 
 LP = {
@@ -165,7 +170,7 @@ LP = {
     "text in a column": ("1\nmy a.exr 0 up 1\n", "line 2: 'up' is not a number"),
     "a zero light": ("1\na.exr 0 0 0\n", "line 2: the light direction is zero"),
     "a NaN light": ("1\na.exr 0 nan 0\n", "line 2: the light is not a number"),
-    "a missing image": ("1\nb.exr 0 0 1\n", "b.exr: this image is not there"),
+    "a missing image": ("1\nb.exr 0 0 1\n", "b.exr: this image is not there; .*its name in .*: line 2"),
     "no lines": ("0\n", "lists no images"),
     "nothing": ("", "is empty"),
     "junk": (b"\xfe\xff\x80\0", "is no text file"),
