@@ -63,6 +63,7 @@ def _places(arrangement: layout.Layout) -> Iterator[str]:
 
 
 def _page(arrangement: layout.Layout, count: int) -> str:
+    card = f"{arrangement.card_distance:.0f}"
     ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(arrangement.camera))
     crop = ",".join(map(str, layout.tile_crop(arrangement.camera)))
     lengths = f"--radius {layout.BALL_RADIUS:g} --distance {layout.LAMP_DISTANCE:g}"
@@ -78,6 +79,10 @@ Find the lights from the ball, then recover the maps of the tile. Type in this f
 
     irpso calibrate photographs {lengths} -o capture
     irpso recover capture --distance {round(arrangement.card_distance):d} --crop {crop} -o result
+
+{layout.BALL_RADIUS:g} is the ball's radius: half of the diameter that a caliper shows.
+{layout.LAMP_DISTANCE:g} is the string, from the ball's middle to the lamp: use a tape. {card} is from camera to tile.
+All are millimetres, so the lamps' positions in capture/ are too. The maps have no unit: 0 to 1, normals of length 1.
 
 The ball is searched; where it is too small for that, give its place: --ball {ball} --kind mirror.
 

@@ -69,6 +69,12 @@ def test_the_page_names_commands_that_exist(sample):
         cli.build_parser().parse_args(words[1:])
 
 
+def test_the_page_explains_the_lengths_of_its_commands_and_the_units(sample, found):
+    page = (sample / "README.txt").read_text()
+    assert "\n20 is the ball's radius: half of the diameter" in page and "\nAll are millimetres" in page
+    assert "\n950 is the string" in page and f" {round(found.card_distance)} is from camera to tile" in page
+
+
 def normals_at(found, x, y):
     """Return unit normals of the tile where rays through pixels (…), from the lower left corner, meet it: float64."""
     camera = found.camera
