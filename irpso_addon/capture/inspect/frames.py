@@ -117,8 +117,8 @@ def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
         worst = int(np.argmax(frames.clipped))
         yield Finding(
             "clipped",
-            f"{names[worst]}: {frames.clipped[worst]:.1%} of its pixels are clipped and get weight 0"
-            f" ({np.mean(frames.clipped):.1%} of all images'); expose shorter",
+            f"{names[worst]}: {frames.clipped[worst]:.1%} of its pixels are clipped, brighter than the file"
+            f" can hold ({np.mean(frames.clipped):.1%} of all images'); take the photographs with a shorter exposure",
         )
     thumbnails = np.stack(frames.thumbnails)
     small = [shrunk(thumbnail, _factors(thumbnail.shape, _COMPARED)) for thumbnail in thumbnails]
@@ -131,7 +131,7 @@ def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
         yield Finding(
             "shifted",
             f"{names[k]}: is shifted by {shifts[k][0]:+d} px right, {shifts[k][1]:+d} px up against the others"
-            f" ({counted(len(moved), 'frame is', 'frames are')}); align the frames",
+            f" ({counted(len(moved), 'frame is', 'frames are')}); irpso develop --register moves frames back",
         )
 
 

@@ -236,7 +236,7 @@ def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
         yield Finding(
             "lights_not_unit",
             f"{wheres[odd.argmax()]}: {counted(odd.sum(), 'direction is', 'directions are')} not of unit length; they"
-            " are used as directions, so check that they are no positions",
+            " are used as directions: if they are positions of lamps, give them as light_position in a capture.toml",
         )
     flat = checks.flatness(directions)
     if flat < _FLAT and lack is None:
@@ -312,8 +312,8 @@ def _geometry_findings(
             f" of all lights, or flip the images {'left to right' if axis == 'x' else 'upside down'} (y is up)",
         )
     elif border >= _ENOUGH / 5 and out_x < _TURNED and out_y < _TURNED:
-        message = f"{where}: normals point inward all along the mask; negate x and y of all lights if it is no hollow"
-        yield Finding("turned", message)
+        message = "by its shading the subject is a hollow; if it bulges outward, negate x and y of all lights"
+        yield Finding("turned", f"{where}: {message}")
 
 
 def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iterator[Finding]:
@@ -325,7 +325,10 @@ def _place_findings(spec: CaptureSpec, capture: Capture, frames: Frames) -> Iter
         return
     for view in spec.views:
         if not view.lens:
-            message = "has no lens and is assumed 2 units of the light positions wide; give fov_degrees or world_width"
+            message = (
+                "has no field of view, so the picture is taken for 2 units wide, in the unit of the light positions;"
+                " add fov_degrees, the lens's angle over the width, or world_width, the width of what it shows"
+            )
             yield Finding("lens", f"{view.where}: {message}")
     problems: list[units.Problem] = []
     if len(capture.cameras) > 1:

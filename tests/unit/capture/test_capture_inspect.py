@@ -43,6 +43,7 @@ def test_a_sound_capture_has_facts_and_no_findings(tmp_path):
 def test_lights_of_another_length_than_1_are_reported_with_their_line(tmp_path):
     found = report(tmp_path, lights=RINGS * np.where(np.arange(12) == 3, 1.01, 1)[:, None])
     assert found.codes == {"lights_not_unit"} and "line 4: 1 direction is not" in finding(found, "lights_not_unit")
+    assert "give them as light_position in a capture.toml" in finding(found, "lights_not_unit")
     assert checks.not_unit(np.array([[0, 0, 1], [0, 0, 1.0009], [0, 0, 1.0011]])).tolist() == [False, False, True]
 
 
@@ -230,6 +231,7 @@ def test_a_shifted_frame_is_reported_with_its_shift(tmp_path, move):
     found = report(tmp_path, frames)
     message = finding(found, "shifted")
     assert "004.exr" in message and f"{move[0]:+d} px right, {move[1]:+d} px up" in message
+    assert "develop --register" in message
     shifts = run_steps(checks.shift_steps(frames))
     assert shifts[4].tolist() == list(move) and not np.delete(shifts, 4, axis=0).any()
 
@@ -263,6 +265,7 @@ def test_clipped_pixels_are_counted(tmp_path):
     found = inspect_capture(tmp_path, decode_png)
     assert found.codes == {"clipped", "encoding"}  # the codes are linear, which no chunk states
     assert f"{(codes == 255).all(axis=-1).mean():.1%}" in finding(found, "clipped")
+    assert "weight 0" not in finding(found, "clipped") and "shorter exposure" in finding(found, "clipped")
 
 
 @pytest.mark.parametrize(
@@ -270,7 +273,7 @@ def test_clipped_pixels_are_counted(tmp_path):
     [
         ((1, -1, 1), "mirrored", "negate y"),
         ((-1, 1, 1), "mirrored", "negate x"),
-        ((-1, -1, 1), "turned", "negate x and y"),
+        ((-1, -1, 1), "turned", "if it bulges outward, negate x and y"),
         ((1, 1, -1), "lights_reversed", "toward the light"),
     ],
 )

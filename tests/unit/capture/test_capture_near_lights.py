@@ -118,7 +118,8 @@ def test_inspect_reports_a_camera_without_a_width_beside_positioned_lamps(tmp_pa
     assert "lens" not in codes(tmp_path / "card")
     kept = [line for line in table.read_text().splitlines() if not line.startswith(("orthographic", "world_width"))]
     table.write_text("\n".join(kept))
-    assert "lens" in codes(tmp_path / "card")
+    (message,) = [f.message for f in inspect_capture(tmp_path / "card", goals=()).findings if f.code == "lens"]
+    assert "add fov_degrees, the lens's angle over the width, or world_width" in message
 
 
 @pytest.mark.parametrize(("focal", "odd"), [(50.0, True), (2000.0, False), (6000 / 36 * 50, False), (8e5, True)])
