@@ -13,6 +13,7 @@ from .camera import Camera
 from .errors import CaptureError, raise_all
 from .framing import Framing
 from .images.encoding import Encoding, LitImage, encoding_of
+from .images.exif import SAME_STOPS
 from .images.image import ImageRef, ImageStore
 from .images.linearise import Decoder, Samples
 from .types import Capture, LeftOut, Light, Observation, triple
@@ -86,7 +87,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
     raise_all(faults)
     read = zip(spec.observations, lights, sizes, strict=True)
     shots = [(shot, light, size) for shot, light, size in read if light and size]
-    cameras, masks = [], []
+    cameras, masks, warnings = [], [], []
     for index, view in enumerate(spec.views):
         yield
         of_view = [(shot, size) for shot, _, size in shots if shot.camera == index]
@@ -94,6 +95,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         _check_orientations([shot.image for shot, _ in of_view], store, faults)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
+        warnings += _exposure_warnings([shot for shot, _ in of_view], store)
     raise_all(faults)
     tested = [
         LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
@@ -113,7 +115,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
     )
     return Capture(
         spec.name, observations, tuple(cameras), tuple(masks), spec.source, spec.card_distance, spec.left_out,
-        encoding,
+        encoding, tuple(warnings),
     )  # fmt: skip
 
 
@@ -209,6 +211,25 @@ def _check_orientations(images: list[ImageRef], store: ImageStore, faults: list[
         )
         for image, tag in zip(images, orientations, strict=True)
         if tag != usual
+    ]
+
+
+def _exposure_warnings(shots: list[ObservationSpec], store: ImageStore) -> list[str]:
+    """Return a warning if one camera's images have different exposures by EXIF, and their lights equal intensities."""
+    if len({shot.intensity for shot in shots}) != 1:
+        return []  # intensities may account for the exposures
+    exposed = [(shot.image, exposure.amount) for shot in shots if (exposure := store.exposure(shot.image))]
+    if not exposed:
+        return []
+    stops = np.log2([amount for _, amount in exposed])
+    stops -= np.sort(stops)[len(stops) // 2]
+    worst, count = int(np.abs(stops).argmax()), int((np.abs(stops) >= SAME_STOPS).sum())
+    if not count:
+        return []
+    return [
+        f"{exposed[worst][0]}: by EXIF it is exposed {abs(stops[worst]):.1f} stops"
+        f" {'more' if stops[worst] > 0 else 'less'} than most ({count} of {len(stops)} photographs differ), which"
+        " counts as a stronger or weaker lamp; set the exposure by hand, or scale with irpso develop --exposure exif"
     ]
 
 

@@ -93,7 +93,7 @@ class Capture:
 
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
     None if unknown. Raises InputError if it is not above 0. left_out: listed observations that were excluded.
-    encoding: of files that were read with colour_space "auto".
+    encoding: of files that were read with colour_space "auto". warnings: of reading the headers.
     """
 
     name: str
@@ -104,6 +104,7 @@ class Capture:
     card_distance: float | None = None
     left_out: tuple[LeftOut, ...] = ()
     encoding: Encoding | None = None
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.card_distance is not None and not 0 < self.card_distance < math.inf:

@@ -98,11 +98,11 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
 
 
 def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
-    """Return warnings of reading a capture: images left out, an encoding that radiance contradicts.
+    """Return warnings of reading a capture: images left out, other exposures, an encoding that radiance contradicts.
 
     reads: whether images are read to test the encoding, unless it is tested already. Panels must not read.
     """
-    lines = [f"left out: {image.why}" for image in capture.left_out]
+    lines = [*(f"left out: {image.why}" for image in capture.left_out), *capture.warnings]
     encoding = capture.encoding
     if encoding is None or encoding.known_by == "format" or not (reads or encoding.is_tested):
         return lines

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...capture.images.exif import exposure_of
+from ...capture.images.exif import SAME_STOPS, exposure_of
 from ...capture.images.headers import read_bytes
 from ...core.errors import InputError
 from ...core.files import natural
-from .frames import SAME_STOPS
 
 _NUMBER = r"\d+(?:\.\d+)?"
 # The end of a name, after a blank, _ or -: seconds as in 1-60s, 0.5s or 16ms, or stops as in ev-2, ev_1.3 or +2EV.

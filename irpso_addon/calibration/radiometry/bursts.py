@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...capture.images.exif import exposure_of, time_of
+from ...capture.images.exif import SAME_STOPS, exposure_of, time_of
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.inspect.checks import middle_window
@@ -16,7 +16,7 @@ from ...core.errors import InputError
 from ...core.files import natural
 from ..register import find_shifts, moved_back
 from .brackets import Bracket
-from .frames import SAME_STOPS, Frame
+from .frames import Frame
 
 KINDS = ("exif", "pictures")
 _PAUSE = 1.0  # seconds: longest pause within a burst; EXIF often has whole seconds

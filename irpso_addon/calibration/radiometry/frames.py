@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ...capture.images.exif import SAME_STOPS
 from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import samples_of_picture
 from ...core.errors import InputError
 from .response import Response
 
-SAME_STOPS = 1 / 6  # stops: exposures that differ by less than half of a third-stop are the same setting
 FLAT_FLOOR = 0.1  # of the flat's mean: division by less would amplify noise more than tenfold
 _LIT_PERCENTILE = 99.0  # percentile of frame − dark frame that must be positive
 _CLIPPED_PATCH = 0.02  # of a patch's pixels

@@ -7,12 +7,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...capture.images.exif import SAME_STOPS
 from ...capture.images.image import ImageStore
 from ...core.errors import InputError
 from ...core.files import natural
 from ..developing.corrections_file import Photograph
 from ..radiometry.develop import Shot
-from ..radiometry.frames import SAME_STOPS
 from .rig import Rig
 
 _SAME_LENGTH = 0.01  # relative difference of focal lengths

@@ -27,6 +27,7 @@ _DIAGONAL_35MM = math.hypot(36.0, 24.0)  # millimetres
 _SAME_SHAPE = 0.01  # relative tolerance of proportions: beyond it a picture counts as cropped
 _TIME, _SUBSECOND = 36867, 37521  # when the photograph was taken
 _MAKE, _MODEL, _LENS, _FOCAL_LENGTH = 271, 272, 42036, 37386
+SAME_STOPS = 1 / 6  # stops: exposures that differ by less than half of a third-stop are the same setting
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
 
 
@@ -82,7 +83,11 @@ def orientation_of(tags: dict[int, Any]) -> int:
 
 def exposure_of(data: bytes) -> Exposure | None:
     """Return the exposure of a JPEG, PNG, HEIC or TIFF file (DNG and many raw files are TIFF); None without one."""
-    tags = tiff_tags(_exif_block(data))
+    return exposure_in(tiff_tags(_exif_block(data)))
+
+
+def exposure_in(tags: dict[int, Any]) -> Exposure | None:
+    """Return the exposure in the tags of a file; None without one."""
     seconds, f_number, iso = (_positive(tags.get(tag)) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
     return Exposure(seconds, f_number, iso) if seconds else None
 

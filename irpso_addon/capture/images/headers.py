@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.png import SIGNATURE, png_chunks
 from ..errors import CaptureError
-from .exif import JPEG_START, open_jpeg, orientation_of, tiff_tags
+from .exif import JPEG_START, Exposure, exposure_in, exposure_of, open_jpeg, orientation_of, tiff_tags
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
@@ -32,6 +32,7 @@ class ImageHeader:
     bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
     (of HEIF 1: libheif applies it). states: the encoding that the file states, "srgb" or "linear", "" for none; a
     colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of ITU-T H.273.
+    exposure: by EXIF, None without.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class ImageHeader:
     states: str = ""
     icc: bytes = b""
     cicp: tuple[int, int] | None = None
+    exposure: Exposure | None = None
 
 
 def read_header(path: Path) -> ImageHeader:
@@ -57,7 +59,8 @@ def read_header(path: Path) -> ImageHeader:
         header = _hdr(path, data)
     elif is_heif(data):
         heif = heif_header(data, str(path))
-        header = ImageHeader("HEIF", heif.width, heif.height, heif.bits, 1, "srgb", heif.icc, heif.cicp)
+        exposure = exposure_of(data)
+        header = ImageHeader("HEIF", heif.width, heif.height, heif.bits, 1, "srgb", heif.icc, heif.cicp, exposure)
     else:
         what = "is no PNG, JPEG, TIFF, HDR, HEIC or EXR image; replace it by one" if data else "is empty; copy it again"
         raise CaptureError(f"{path}: {what}", "image_unknown")
@@ -98,11 +101,12 @@ def _png(path: Path, data: bytes) -> ImageHeader:
         states = "srgb"
     elif b"gAMA" in chunks:
         states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
-    orientation = orientation_of(tiff_tags(chunks.get(b"eXIf", b"")))
+    tags = tiff_tags(chunks.get(b"eXIf", b""))
     # cICP overrides iCCP (Portable Network Graphics, third edition, 4.3).
     cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
     icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
-    return ImageHeader("PNG", width, height, 16 if bits == 16 else 8, orientation, states, icc, cicp)
+    bits, turn = 16 if bits == 16 else 8, orientation_of(tags)
+    return ImageHeader("PNG", width, height, bits, turn, states, icc, cicp, exposure_in(tags))
 
 
 def _png_icc(chunk: bytes) -> bytes:
@@ -119,7 +123,7 @@ def _jpeg(path: Path, data: bytes) -> ImageHeader:
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
     states = "srgb" if icc or tags.get(_COLOUR_SPACE) == _SRGB else ""
-    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc)
+    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags))
 
 
 def _tiff(path: Path, data: bytes) -> ImageHeader:
@@ -133,7 +137,7 @@ def _tiff(path: Path, data: bytes) -> ImageHeader:
     states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else ""
     bits, icc = 32 if is_float else 16 if depth > 8 else 8, tags.get(_ICC_PROFILE, b"")
     icc = icc if isinstance(icc, bytes) else b""
-    return ImageHeader("TIFF", width, height, bits, orientation_of(tags), states, icc)
+    return ImageHeader("TIFF", width, height, bits, orientation_of(tags), states, icc, None, exposure_in(tags))
 
 
 def _hdr(path: Path, data: bytes) -> ImageHeader:

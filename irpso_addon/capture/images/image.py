@@ -12,6 +12,7 @@ import numpy as np
 from ...core.errors import InputError
 from ..errors import CaptureError
 from .colour_profile import ColourProfile, ProfileError, profile_of_h273, profile_of_icc
+from .exif import Exposure, exposure_of
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import ImageHeader, missing, read_bytes, read_header
@@ -127,6 +128,12 @@ class ImageStore:
     def orientation(self, image: ImageRef) -> int:
         """Return the EXIF orientation that reading a file applies, 1 for none."""
         return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
+
+    def exposure(self, image: ImageRef) -> Exposure | None:
+        """Return the exposure by EXIF, None without one. Raises CaptureError if the file cannot be read."""
+        if is_exr(image.path):
+            return None
+        return exposure_of(read_bytes(image.path)) if is_raw(image.path) else self._header(image.path).exposure
 
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""

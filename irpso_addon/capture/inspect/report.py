@@ -107,6 +107,7 @@ def inspect_steps(
         capture = yield from _numbered("Looking at headers", len(spec.observations), build_steps(spec, decoder))
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
+    findings += [Finding("exposure", text) for text in capture.warnings]
     texels, corners = 0, None
     try:
         if framing.corners == AUTO:

@@ -8,10 +8,12 @@ from irpso_addon.blender.images import decode
 from irpso_addon.capture import write_exr
 from irpso_addon.capture.inspect.report import inspect_steps
 from irpso_addon.core.errors import InputError
+from irpso_addon.pipeline.result import capture_warnings
 from irpso_addon.ui.operators import capture_import
 from irpso_addon.ui.properties import findings
 from irpso_addon.ui.session import scene_capture
-from tests.builders.captures import LIGHTS, shade, sphere, write_diligent
+from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
+from tests.builders.exif import exif
 from tests.builders.scene_captures import add_camera, add_light, created, image_of, write_views
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -61,6 +63,19 @@ def test_another_file_than_a_capture_is_reported_in_one_line_and_changes_nothing
         bpy.ops.irpso.import_capture(filepath=str(tmp_path / chosen) if chosen else "")
     assert len(str(caught.value).strip().splitlines()) == 1
     assert {name: getattr(scene.irpso, name) for name in before} == before
+
+
+def test_other_exposures_by_exif_are_findings_of_the_check_and_warnings_of_the_result(scene, tmp_path):
+    write_diligent(tmp_path / "a")
+    for k, seconds in enumerate((60, 60, 30, 60, 60)):
+        codes = np.random.default_rng(k).integers(20, 200, (24, 24, 3))
+        write_png(tmp_path / "a" / f"{k:03d}.png", codes, 8, chunk(b"eXIf", exif((1, seconds))))
+    (tmp_path / "a" / "filenames.txt").write_text("".join(f"{k:03d}.png\n" for k in range(5)))
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path / "a"))
+    (found,) = [item.message for item in scene.irpso.findings if item.code == "exposure"]
+    assert found.startswith("002.png: by EXIF it is exposed 1.0 stops more")
+    (warning,) = capture_warnings(scene_capture.capture_of(scene), reads=False)  # as the panel draws them
+    assert warning.endswith(found)
 
 
 def test_findings_of_the_check_are_kept_as_settings(scene, tmp_path):
