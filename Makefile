@@ -26,8 +26,9 @@ environment-bench:
 demo: $(OUT)/demo/capture/capture.toml ## photographs of a tile, rendered, to their material, in three to ten minutes
 	$(RUN) -m irpso_addon recover $(OUT)/demo/capture --distance 508 --crop 25,51,378,378 --hold-out auto -o $(OUT)/demo
 	$(RUN) -m irpso_addon export $(OUT)/demo --format turntable --replace -o $(OUT)/demo/turntable.png
-	@echo "$(OUT)/demo/relit.png: photographs that it has not seen, beside the material under their lights"
+	@echo "$(OUT)/demo/relit.png: photographs that were left out of the recovery, beside the material under their lights"
 	@echo "$(OUT)/demo/turntable.png: the tile tilting under a lamp"
+	@echo "$(OUT)/demo/material.blend: the material in Blender; docs/worked_example.md explains the figures above"
 
 # Numbers that a photographer knows: the ball's radius and the string of the lamp, in millimetres.
 $(OUT)/demo/capture/capture.toml: $(OUT)/demo/sample/README.txt
