@@ -1,6 +1,6 @@
 """What the phase Surface does to normals: cards of waves, fine waves, tilted tiles and pyramids, with and without it.
 
-Usage: python -m benchmarks.surface [--size 48] [--rounds 2] [--weight 1]
+Usage: python -m benchmarks.surface [--size 48] [--rounds 2] [--weight 1] [--smoothness 1]
 
 A card's slopes are those of its relief at the texels' centres; tiles tilt and end independently of each other, so that
 their borders are steps of the surface. Materials differ from patch to patch. The program renders the true maps under
@@ -105,8 +105,10 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=48, help="texels along a side")
     parser.add_argument("--rounds", type=int, default=2, help="of the phase")
     parser.add_argument("--weight", type=float, default=1.0, help="of the phase")
+    parser.add_argument("--smoothness", type=float, default=1.0, help="of the phase")
     options = parser.parse_args()
-    schedule = load_schedule("standard").replaced(surface_rounds=options.rounds, surface_weight=options.weight)
+    settings = {f"surface_{name}": getattr(options, name) for name in ("rounds", "weight", "smoothness")}
+    schedule = load_schedule("standard").replaced(**settings)
     context.ensure()
     print("| relief | material | lights | noise | mean ° | change | median ° | change | 95 % ° | change |")
     print("|---|---|---|---|---|---|---|---|---|---|")

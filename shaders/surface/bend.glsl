@@ -1,20 +1,12 @@
-// Over W×H texels: sets the normals to those of the relaxed slopes, s = s₀ − P Cᵀ μ (relax.glsl). The change is limited
-// to TOLERANCE standard deviations of the samples: (s − s₀)ᵀ P⁻¹ (s − s₀) ≤ TOLERANCE². The linear parameters move to
-// their optimum for the new normal, to first order. If the deviance rises by more than TOLERANCE², the estimate stays.
-// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance, geometry and packing.
-// Writes o_estimate.
+// Over W×H texels: sets the normals to those of the final slopes (settle.glsl, smooth.glsl). The linear parameters move
+// to their optimum for the new normal, to first order. If the deviance rises by more than TOLERANCE², the estimate stays.
+// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance and geometry. Writes
+// o_estimate.
 
 #include "common/estimate.glsl"
 #include "surface/normal_matrix.glsl"
 #include "surface/slopes.glsl"
-#include "surface/loops.glsl"
 #include "prior/loss_unit.glsl"
-
-float multiplier_at(ivec2 place)
-{
-    ivec2 other = packed_at(place);
-    return other.x >= 0 ? texelFetch(u_field, other, 0).z : 0.0;
-}
 
 // Sets the normal n in c and moves the linear parameters to their optimum for it.
 void set_normal(ivec2 texel, vec3 n, inout float c[12])
@@ -51,19 +43,11 @@ bool texel_kernel(ivec2 texel)
 {
     float c[12];
     material_to(estimate_at(texel), c);
-    if (state_at(texel) == TEXEL_SOLVED) {
-        ivec2 place = domain_texel_of(texel);
-        vec4 field = texelFetch(u_field, texel, 0);
-        vec2 ct_mu = c_transpose(field.z, multiplier_at(place - ivec2(1, 0)), multiplier_at(place - ivec2(1, 1)),
-                                 multiplier_at(place - ivec2(0, 1)));
-        vec2 delta = covariance_times(texelFetch(u_covariance, texel, 0).xyz, ct_mu);
-        float deviance = dot(ct_mu, delta);
-        if (deviance > 0.0) {
-            delta *= min(1.0, TOLERANCE * inversesqrt(deviance));
-            set_normal(texel, normal_of(grid_at(texel), field.xy - delta), c);
-            if (!fits_samples(texel, c)) {
-                material_to(estimate_at(texel), c);
-            }
+    vec3 covariance = texelFetch(u_covariance, texel, 0).xyz;
+    if (state_at(texel) == TEXEL_SOLVED && covariance.x + covariance.z > 0.0) {
+        set_normal(texel, normal_of(grid_at(texel), texelFetch(u_field, texel, 0).xy), c);
+        if (!fits_samples(texel, c)) {
+            material_to(estimate_at(texel), c);
         }
     }
     write_estimate(c);

@@ -80,3 +80,41 @@ def relaxed(slopes, covariance, begins, weight):
     dual = lsq_linear(half.T, target, (-kappa, kappa), method="bvls", tol=1e-14, max_iter=10000)
     correction = np.einsum("hwij,hwj->hwi", covariance, (c.T @ dual.x).reshape(slopes.shape))
     return slopes - correction
+
+
+def smoothed(slopes, covariance, area, solvable, likeness=0.1):
+    """Return (H, W, 2) posterior slopes under a plane through each texel's neighbours plus relief of a variance t².
+
+    area: (H, W) of a texel, whose root converts ``likeness`` from a slope of the surface. A texel with fewer than three
+    like neighbours keeps its slope. t² is DerSimonian and Laird's, from explicit hat matrices.
+    """
+    result, variance = slopes.copy(), np.trace(covariance, axis1=-2, axis2=-1) / 2
+    takes_part = solvable & (variance > 0)
+    for row, column in np.argwhere(takes_part):
+        own, around = slopes[row, column], []
+        for r, c in np.argwhere(takes_part):
+            if 0 < max(abs(r - row), abs(c - column)) <= 2:
+                around.append((r, c))
+        index = tuple(np.array(around, int).reshape(-1, 2).T)
+        y, v = slopes[index] - own, variance[index]
+        k = np.exp(-0.5 * (y**2).sum(axis=1) / (likeness**2 * area[row, column] + v + variance[row, column]))
+        if k.sum() < 3:
+            continue
+        x = np.column_stack([np.ones(len(around)), index[1] - column, index[0] - row])
+
+        def fit(precision, x=x, y=y):
+            normal = x.T @ (precision[:, None] * x)
+            inverse = np.linalg.inv(normal + np.diag([0, 1, 1]) * 1e-4 * normal[0, 0])
+            return inverse @ x.T @ (precision[:, None] * y), inverse, x @ inverse @ x.T
+
+        w = k / v
+        plane, _, hat = fit(w)
+        # The sum of squares that the plane leaves, its expectation at t² = 0, and what a unit of t² adds to that.
+        q = 0.5 * ((w[:, None] * y**2).sum() - ((x.T @ (w[:, None] * y)) * plane).sum())
+        freedom = k.sum() - np.diag(hat) @ (k * w)
+        t2 = max((q - freedom) / (w.sum() - np.diag(hat) @ w**2), 0)
+        plane, inverse, _ = fit(k / (v + t2))
+        unexplained = (t2 + inverse[0, 0]) * np.eye(2)
+        p = covariance[row, column]
+        result[row, column] = own + p @ np.linalg.solve(p + unexplained, plane[0])
+    return result

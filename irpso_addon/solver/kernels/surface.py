@@ -15,9 +15,9 @@ from .kernels import FITNESS, FLOAT_2D, OBSERVATIONS, PACKING, fitness_defines, 
 from .refinement import slope_renders
 
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
-SWEEPS = 7  # in a round: each reads adjacent texels, and the normals one texel further
-NOISE_REACH, REACH = 2, SWEEPS + 1
-_NOISE_TAPS = 24  # shaders/common/taps.glsl
+SWEEPS = 7  # in a round: each reads adjacent texels; then settle.glsl one texel further, and smooth.glsl a window
+_TAPS, _WINDOW = 24, 2  # neighbours, and the largest distance of them: shaders/common/taps.glsl
+NOISE_REACH, REACH = _WINDOW, SWEEPS + 1 + _WINDOW
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,8 @@ class SurfacePasses:
     variance: Pass
     information: Pass
     relax: Pass
+    settle: Pass
+    smooth: Pass
     bend: Pass
 
     def close(self) -> None:
@@ -42,9 +44,9 @@ def build_surface_passes(
     """Compile the passes of the surface phase."""
     free, slopes = _slopes(model, resolved, schedule)
     defines = {
-        **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _NOISE_TAPS,
+        **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _TAPS,
         "NOISE_FREEDOM": f"{Prior().noise_freedom:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
-        "TOLERANCE": f"{resolved.surface.tolerance:.9f}",
+        "TOLERANCE": f"{resolved.surface.tolerance:.9f}", "SMOOTHNESS": f"{resolved.surface.smoothness:.9f}",
     }  # fmt: skip
     numbers = packed(model)
     samplers: Samplers = {
@@ -62,6 +64,8 @@ def build_surface_passes(
         variance=make("prior/variance", Output("o_noise")),
         information=make("surface/information", Output("o_field"), Output("o_covariance")),
         relax=make("surface/relax", Output("o_field")),
+        settle=make("surface/settle", Output("o_field")),
+        smooth=make("surface/smooth", Output("o_field")),
         bend=make("surface/bend", Output("o_estimate", numbers), how="fragment"),
     )
 

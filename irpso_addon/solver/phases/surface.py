@@ -86,7 +86,14 @@ class SurfacePhase(TexturePhase):
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the materials with bent normals into the resolved estimates."""
-        yield from self._in_bands("bend", self.passes.bend, self.estimates.resolved, bands, seconds)
+        textures, passes = self.textures, self.passes
+        slopes = textures.spares("field")
+        yield from self._in_bands("settle", passes.settle, slopes, bands, seconds)
+        if self.resolved.surface.smoothness > 0:
+            smoothed = textures.spares("noise")
+            yield from self._in_bands("smooth", passes.smooth, smoothed, bands, seconds, field=slopes)
+            slopes = smoothed
+        yield from self._in_bands("bend", passes.bend, self.estimates.resolved, bands, seconds, field=slopes)
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
@@ -95,8 +102,16 @@ class SurfacePhase(TexturePhase):
         return False
 
     def _in_bands(
-        self, name: str, work: Pass, targets: Sequence[Texture], bands: Bands, seconds: float, momentum: float = 0.0
+        self,
+        name: str,
+        work: Pass,
+        targets: Sequence[Texture],
+        bands: Bands,
+        seconds: float,
+        momentum: float = 0.0,
+        field: Sequence[Texture] = (),
     ) -> Iterator[None]:
         inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures}
+        inputs |= self.textures.bound("field", field) if field else {}
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_momentum": momentum}
         return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)

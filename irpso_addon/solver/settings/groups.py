@@ -341,6 +341,10 @@ class Surface:
         "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0, above=True,
         soft_max=10, precision=1,
     )  # fmt: skip
+    smoothness: float = setting(
+        "Smoothness", "Part of the slopes' variance of noise that a plane through the neighboring texels' slopes may"
+        " reduce; relief that it does not follow stays. 0 is off", 0.0, soft_max=1, precision=2,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,8 @@ LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 OFF = load_schedule("standard").replaced(
     prefit_iterations=0, refinement_rounds=0, materials_rounds=0, prior_rounds=0, surface_rounds=0
 )
-ON = OFF.replaced(surface_rounds=2)
+ON = OFF.replaced(surface_rounds=2)  # with the preset's smoothness
+LOOPS = ON.replaced(surface_smoothness=0.0)
 NO_EDGES = SeamEdges(*(np.zeros((0, *shape)) for shape in ((2,), (2,), (2,), (), (), (2, 3))))
 recover = pytest.fixture(recoveries)
 
@@ -161,9 +162,8 @@ def test_slopes_and_their_covariance_are_those_of_float64(bench, kind):
 def test_normals_follow_their_slopes_and_albedo_follows_the_normals(bench):
     domain, normal = cracked()
     normal = unit(normal + 0.01 * np.random.default_rng(6).normal(size=normal.shape))
-    made = bench(
-        LAMBERT, domain, {"normal": normal, "base_color": _albedo(domain, normal)}, ON.replaced(loss="l2", shadow=0.0)
-    )
+    schedule = LOOPS.replaced(loss="l2", shadow=0.0)
+    made = bench(LAMBERT, domain, {"normal": normal, "base_color": _albedo(domain, normal)}, schedule)
     made.run()
     field, covariance, begins = made.read("field"), made.read("covariance"), made.read("covariance")[..., 3] > 0
     pull = np.einsum("lhwi,l->hwi", oracle.circulation(begins), field[..., 2][begins])
@@ -175,6 +175,32 @@ def test_normals_follow_their_slopes_and_albedo_follows_the_normals(bench):
     moved = np.abs(after - before)
     assert np.median(moved) > 2e-5
     assert np.median(np.abs(found["base_color"] - after)) < 0.1 * np.median(moved)
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+@pytest.mark.parametrize("smoothness", [1.0, 0.3])
+def test_slopes_move_to_the_plane_of_their_neighbours_as_far_as_noise_explains(bench, smoothness, entry):
+    domain = make_domain(9, 11, 6, holes=True)
+    y, x = np.mgrid[: domain.shape[0], : domain.shape[1]]
+    domain = replace(domain, bake=replace(domain.bake, position=np.stack([x, y, 0 * x], axis=-1).astype(np.float32)))
+    rng, shape = np.random.default_rng(5), domain.shape
+    # Loops that bind nothing, and a fit that may become as bad as it will: the slopes alone decide.
+    schedule = ON.replaced(surface_smoothness=smoothness, surface_tolerance=1e4)
+    made = bench(LAMBERT, domain, subject(9, 11)[1], schedule, entry)
+    made.run()
+    root = 0.04 * (rng.normal(size=(*shape, 2, 2)) * rng.uniform(0.3, 1.5, (*shape, 1, 1)) + 0.3 * np.eye(2))
+    covariance = root @ np.swapaxes(root, -1, -2)
+    covariance[np.linalg.det(oracle.grid_of(domain)) == 0] = 0  # holes on both sides: no slope
+    # Left a plane with noise, right a relief that no plane follows, between them a step.
+    slopes = np.stack([0.03 * x, -0.02 * y], axis=-1) + np.einsum("hwij,hwj->hwi", root, rng.normal(size=(*shape, 2)))
+    slopes += np.where(x[..., None] > 5, 0.15 * rng.normal(size=(*shape, 2)) + 0.6, 0.0)
+    made.put("field", np.concatenate([slopes, np.zeros_like(slopes)], axis=-1))
+    made.put("covariance", np.stack([*covariance.reshape(*shape, 4)[..., [0, 1, 3]].transpose(2, 0, 1), 0 * x], -1))
+    wanted = oracle.smoothed(slopes, smoothness * covariance, np.ones(shape), domain.solvable)
+    inside = domain.solvable & (covariance[..., 0, 0] > 0)
+    moved = np.linalg.norm(wanted - slopes, axis=-1)
+    assert np.median(moved[inside & (x < 5)]) > 0.005
+    np.testing.assert_allclose(made.found()["normal"][inside], normals_of(wanted)[inside], atol=2e-5)
 
 
 def _albedo(domain, normal):
@@ -252,7 +278,7 @@ def whole():
 def test_tiles_find_the_same_maps(whole, resident):
     domain, wanted, _ = whole
     boxes = [(0, 0, 9, 24), (9, 0, 23, 11), (9, 11, 23, 13)]
-    options = {"boxes": boxes, "halo": 8, "on_device": None if resident else 1}
+    options = {"boxes": boxes, "halo": 10, "on_device": None if resident else 1}
     with TiledRecovery(domain, LAMBERT, ON, 1, entry="fragment", **options) as run:
         run.step()
         assert bits_of(run.maps()) == wanted
