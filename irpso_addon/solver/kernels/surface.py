@@ -1,4 +1,4 @@
-"""The kernels of the surface phase, which makes normals integrable."""
+"""The kernels of the surface phase, which makes normals integrable and smooth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Integrability: normals are bent toward one surface, within the uncertainty that their samples leave."""
+"""Normals of one surface: integrable and smooth, within the uncertainty that their samples leave."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ from .phase import Acceptance, TexturePhase
 class SurfacePhase(TexturePhase):
     """A Phase: iteration 0 measures the noise of the samples, iteration 1 the covariance of the slopes.
 
-    Each round relaxes the slopes (shaders/surface/relax.glsl). In the end the normals are bent, and the linear
-    parameters adapt (bend.glsl). A texel keeps its old estimates if its samples or the acceptance test reject the new.
+    Each round relaxes the slopes (shaders/surface/relax.glsl). In the end they are smoothed (smooth.glsl), the normals
+    are bent, and the linear parameters adapt (bend.glsl). A texel keeps its old estimates if its samples or the
+    acceptance test reject the new.
     """
 
     shared = ("noise", "field", "covariance")

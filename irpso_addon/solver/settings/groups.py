@@ -327,7 +327,9 @@ class Prior:
 
 @dataclass(frozen=True)
 class Surface:
-    """Integrability: normals are bent toward one surface. shaders/surface/relax.glsl states the problem."""
+    """Normals of one surface: integrable (shaders/surface/relax.glsl), and as smooth as their noise allows
+    (smooth.glsl).
+    """
 
     rounds: int = setting(
         "Rounds", "Number of rounds, of seven sweeps each. A sweep turns normals so that the slopes of neighboring"
@@ -342,8 +344,9 @@ class Surface:
         soft_max=10, precision=1,
     )  # fmt: skip
     smoothness: float = setting(
-        "Smoothness", "Part of the slopes' variance of noise that a plane through the neighboring texels' slopes may"
-        " reduce; relief that it does not follow stays. 0 is off", 0.0, soft_max=1, precision=2,
+        "Smoothness", "Afterward, slopes move toward the plane of their neighbors' slopes as far as noise explains the"
+        " difference. This multiplies the variance of the noise: 1 is as measured, 0 is off", 0.0, soft_max=2,
+        precision=2,
     )  # fmt: skip
 
 

@@ -143,7 +143,7 @@ class ResolvedPrior:
 
 @dataclass(frozen=True)
 class ResolvedSurface:
-    """Integrability of the normals, for one model. parameters: all free ones."""
+    """The phase that makes normals belong to one surface, for one model. parameters: all free ones."""
 
     parameters: tuple[Parameter, ...]
     surface: Surface
