@@ -177,6 +177,8 @@ def run_all(targets: list[Path], jobs: int, timeout: float, arguments: list[str]
     """Run pytest on every target, ``jobs`` at a time, and print a line for each; return what became of them."""
     # No threads of llvmpipe: a race between them damages the heap (docs/install.md), and small draws wait for them.
     os.environ.setdefault("LP_NUM_THREADS", "0")
+    # As many processes run as there are cores: OpenBLAS's threads would wait for one another, even over 3×3 matrices.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     results = []
     with ThreadPoolExecutor(jobs) as pool:
         for result in pool.map(lambda target: run_pytest(target, timeout, arguments, no_gpu), targets):
