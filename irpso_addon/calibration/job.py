@@ -226,13 +226,15 @@ def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: fl
         return
     if radius is not None and request.distance <= radius:
         raise InputError(
-            f"--distance {request.distance:g}: puts the lamps into the ball, whose --radius is {radius:g}; give both in"
-            " one unit"
+            f"--lamp-distance {request.distance:g}: puts the lamps into the ball, whose --radius is {radius:g}; give"
+            " both in one unit"
         )
     if camera.perspective and radius is None:
-        raise InputError("--distance: needs --radius, which sets its unit (--radius 1: the distance is in radii)")
+        raise InputError("--lamp-distance: needs --radius, which sets its unit (--radius 1: the distance is in radii)")
     if not camera.perspective and not view.lens:
-        raise InputError("--distance: has no unit; give --fov and --radius, or --camera with world_width in that unit")
+        raise InputError(
+            "--lamp-distance: has no unit; give --fov and --radius, or --camera with world_width in that unit"
+        )
 
 
 def _refuse_radii(spec: CaptureSpec, number: int) -> None:

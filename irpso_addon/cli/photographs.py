@@ -50,7 +50,7 @@ def add_calibrate(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--lights", choices=("auto", "distant", "near"), default="auto", help="kind of lights (default auto)"
     )
-    add.add_argument("--distance", type=float, metavar="D",
+    add.add_argument("--lamp-distance", "--distance", type=float, metavar="D",
                      help="known distance from the balls to all lights, in the unit of --radius")  # fmt: skip
     add.add_argument("--albedo", metavar="A|R,G,B",
                      help="albedo of matte balls (default: intensities are relative to the first light)")  # fmt: skip

@@ -66,7 +66,8 @@ def _calibrated(options: Namespace) -> dict:
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
     spec, keys = _photographs(options, keys, masks)
-    request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
+    lamp_distance = positive("--lamp-distance", options.lamp_distance)
+    request = Request(options.kind, options.lights, lamp_distance, _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
     calibrated = bar.run(steps, lambda part: (part, "reading"))
@@ -89,9 +90,9 @@ def _check_ballless(options: Namespace) -> None:
     """Raise InputError for an option that contradicts --ball none."""
     if options.ball != [NONE]:
         raise InputError("--ball none: finds lights without a ball; omit the other --ball")
-    for name, default in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
+    for name, default in (("kind", AUTO), ("radius", None), ("lamp_distance", None), ("albedo", None), ("view", None)):
         if getattr(options, name) != default:
-            raise InputError(f"--{name}: applies to balls; leave it out with --ball none")
+            raise InputError(f"--{name.replace('_', '-')}: applies to balls; leave it out with --ball none")
     if options.flat and options.blend:
         raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
     if options.flat and options.inside_out:

@@ -65,7 +65,7 @@ def _places(arrangement: layout.Layout) -> Iterator[str]:
 def _page(arrangement: layout.Layout, count: int) -> str:
     ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(arrangement.camera))
     crop = ",".join(map(str, layout.tile_crop(arrangement.camera)))
-    lengths = f"--radius {layout.BALL_RADIUS:g} --distance {layout.LAMP_DISTANCE:g}"
+    lengths = f"--radius {layout.BALL_RADIUS:g} --lamp-distance {layout.LAMP_DISTANCE:g}"
     return f"""A capture to practise on
 ========================
 

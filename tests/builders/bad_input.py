@@ -178,8 +178,9 @@ CAPTURES = {
     "one photograph to calibrate": (
         lambda f: ["calibrate", f / "card" / "000.exr", "-o", f / OUT, "--quiet"], r"000.exr: is one photograph; give"),
     "lamps inside of the ball": (
-        lambda f: ["calibrate", f / "card", "-o", f / OUT, "--fov", 40, "--radius", 32, "--distance", 9, "--quiet"],
-        r"--distance 9: puts the lamps into the ball, whose --radius is 32"),
+        lambda f: ["calibrate", f / "card", "-o", f / OUT, "--fov", 40, "--radius", 32, "--lamp-distance", 9,
+                   "--quiet"],
+        r"--lamp-distance 9: puts the lamps into the ball, whose --radius is 32"),
     "two cameras and no mesh": (broken("card", second_camera), r"2 cameras"),
     "images without a number in them": (broken("card", nothing_to_see), r"no image of capture"),
 }  # fmt: skip

@@ -116,7 +116,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         "--ball": "Lights From", "--kind mirror": "Mirror", "--kind matte": "Matte", "--kind": "Surface",
         "--view": "Camera", "--flat without --blend": "Lights From: Flat Card", "--flat": "Lights From: Flat Card",
         "--lights distant": "Lights: Distant", "--lights": "Lights",
-        "--radius": "Ball Radius", "--distance": "Lamp Distance", "--fov": "Field of View",
+        "--radius": "Ball Radius", "--lamp-distance": "Lamp Distance", "--fov": "Field of View",
         "--inside-out": "Inside Out",
     }  # fmt: skip
 

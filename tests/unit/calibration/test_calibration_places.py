@@ -2,36 +2,23 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.job import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.photographs import read_photographs, with_camera
-from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
-from tests.builders.balls import matte_image
+from tests.builders.near_balls import write_near_balls
 from tests.builders.near_card import DISTANCE
-
-BALLS = [((-30.0, 0.0, -410.0), 10.0), ((30.0, 5.0, -410.0), 10.0)]  # millimetres: they lie on a card at 420
-LAMPS = [(100.0, 80.0, -260.0), (-90.0, 60.0, -250.0), (20.0, -110.0, -270.0), (0.0, 40.0, -200.0)]
 
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory):
     """A folder of photographs of two matte balls under near lamps, and the numbers that say where the balls are."""
-    folder, camera = tmp_path_factory.mktemp("balls"), Camera.from_fov(240, 160, 20.0)
-    for k, lamp in enumerate(LAMPS):
-        image = matte_image(camera, BALLS, lamp, False, albedo=(2e4,) * 3)
-        write_exr(folder / f"{k}.exr", {"": {c: image[..., i] for i, c in enumerate("RGB")}})
-    circles = []
-    for centre, radius in BALLS:
-        (x, y), _ = camera.project(np.array(centre))
-        circles.append(ball_of_text(f"{x},{160 - y},{radius * camera.scale[0] / 410}"))
-    return folder, circles
+    folder = tmp_path_factory.mktemp("balls") / "photographs"
+    return folder, [ball_of_text(place) for place in write_near_balls(folder)]
 
 
 def calibrated(balls, spec, radius=None, **options):
@@ -47,7 +34,7 @@ def test_calibration_reports_the_distance_of_the_card_under_the_balls(balls):
 
 def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
     seen = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
-    with pytest.raises(InputError, match="--distance: needs --radius"):
+    with pytest.raises(InputError, match="--lamp-distance: needs --radius"):
         calibrated(balls, seen, distance=160.0)
     with pytest.raises(InputError, match="has no unit; give --fov and --radius"):
         calibrated(balls, read_photographs(balls[0]), distance=160.0)
