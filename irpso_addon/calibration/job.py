@@ -13,6 +13,7 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.errors import CaptureError
+from ..capture.formats.table import CARD_DISTANCE
 from ..capture.images.image import ImageRef, ImageStore
 from ..capture.images.linearise import Decoder
 from ..capture.spec import CaptureSpec, ViewSpec, build_capture
@@ -115,6 +116,16 @@ class Calibrated:
     def card_distance(self) -> float:
         """Distance from the camera to the card below the balls, in the unit of near lights' positions."""
         return float(np.mean([view.ball.radius - view.ball.centre[2] for view in self.result.views]))
+
+    @property
+    def shows_distance(self) -> bool:
+        """Whether ``card_distance`` is that of every card on the table: lights are near, and there is one camera."""
+        return self.result.near and len(self.spec.views) == 1
+
+    @property
+    def new_distance(self) -> float | None:
+        """The ``card_distance`` of the new capture.toml, in six digits; None if the source states it or a width."""
+        return float(f"{self.card_distance:.6g}") if self.shows_distance and not self.spec.states_distance else None
 
 
 def calibrate_steps(
@@ -259,13 +270,15 @@ def _camera_number(spec: CaptureSpec, view: str | None) -> int:
 
 
 def written_table(calibrated: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
-    """Return the text of a capture.toml in ``folder`` with the calibrated lights."""
+    """Return the text of a capture.toml in ``folder`` with the calibrated lights and ``new_distance``."""
     lights = {n: light.light for n, light in zip(calibrated.shots, calibrated.result.lights, strict=True)}
     view, camera = calibrated.spec.views[calibrated.camera], calibrated.result.views[0].ball.camera
     if calibrated.result.near and not (camera_keys or view.lens):  # the unit of the positions is the assumed width
         camera_keys = {"world_width": camera.width / camera.scale[0]}
     cameras = {calibrated.camera: camera_keys} if camera_keys else {}
-    return calibrated_table(calibrated.spec, cameras, lights, folder)
+    distance = calibrated.new_distance
+    card = {} if distance is None else {CARD_DISTANCE: distance}
+    return calibrated_table(calibrated.spec, cameras, lights, folder, card)
 
 
 def report_of(calibrated: Calibrated) -> dict[str, Any]:

@@ -38,6 +38,11 @@ def checked_output(out: Path) -> Path:
     return out
 
 
+def table_path(out: Path) -> Path:
+    """Return the path of the table that an output has."""
+    return out if out.suffix.lower() == ".toml" else out / TABLE
+
+
 def frames_folder(out: Path) -> Path:
     """Return the folder beside an output for the frames of videos."""
     return out.with_name(f"{out.stem if out.suffix.lower() == '.toml' else out.name}_photographs")

@@ -16,7 +16,7 @@ from ..blender.images import decode
 from ..calibration.balls.lights import Request
 from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
-from ..calibration.write import checked_output, write_calibration, write_lights
+from ..calibration.write import checked_output, table_path, write_calibration, write_lights
 from ..capture.formats.table import CARD_DISTANCE
 from ..capture.framing import framed
 from ..capture.spec import CaptureSpec, build_capture
@@ -127,8 +127,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
         result = replace(result, warnings=(*result.warnings, _WHOLE_IS_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
-    stated = spec.card_distance is not None or spec.framing.card_width is not None
-    card = {} if stated else {CARD_DISTANCE: result.capture.card_distance}
+    card = {} if spec.states_distance else {CARD_DISTANCE: result.capture.card_distance}
     line = (
         f"{len(result.capture.lights)} near lights, with their positions, by their fall-off over a flat card;"
         f" {_errors(result.fit.degrees)}, and {result.distance_error:.0%} of their distance"
@@ -249,13 +248,22 @@ def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("camera: orthographic")
     elif result.near and radius is None:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
-    if result.near and calibrated.spec.card_distance is None and len(calibrated.spec.views) == 1:
-        lines.append(
-            f"the table under the balls is {calibrated.card_distance:.6g} from the"
-            f" {'camera' if camera.perspective else 'plane of the balls'}; for a flat card on it, give recover"
-            " --distance that number less the card's thickness"
-        )
+    if calibrated.shows_distance:
+        lines.append(_distance_line(calibrated, out))
     lines += [f"warning: {warning}" for warning in calibrated.warnings[:_SHOWN_WARNINGS]]
     if len(calibrated.warnings) > _SHOWN_WARNINGS:
         lines.append(f"and {len(calibrated.warnings) - _SHOWN_WARNINGS} more warnings in the report")
     return "\n".join([*lines, f"written to {out}"]) + "\n"
+
+
+def _distance_line(calibrated: Calibrated, out: Path) -> str:
+    if calibrated.new_distance is None:
+        origin = "camera" if calibrated.result.views[0].ball.camera.perspective else "plane of the balls"
+        return (
+            f"the table under the balls is {calibrated.card_distance:.6g} from the {origin}; the capture's own"
+            " card_distance or card_width stays"
+        )
+    return (
+        f"{CARD_DISTANCE} = {calibrated.new_distance:g} written to {table_path(out)}, that of the table under the"
+        " balls; a card on it is nearer by its thickness: change it there, or by --distance"
+    )

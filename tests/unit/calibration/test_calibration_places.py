@@ -7,10 +7,11 @@ import pytest
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.job import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.photographs import read_photographs, with_camera
+from irpso_addon.capture.framing import Framing
 from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
-from tests.builders.near_balls import write_near_balls
+from tests.builders.near_balls import FOV, write_near_balls
 from tests.builders.near_card import DISTANCE
 
 
@@ -26,14 +27,25 @@ def calibrated(balls, spec, radius=None, **options):
 
 
 def test_calibration_reports_the_distance_of_the_card_under_the_balls(balls):
-    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     found = calibrated(balls, spec, radius=10.0)
     assert found.card_distance == pytest.approx(DISTANCE, rel=0.01)
     assert report_of(found)["card_distance"] == pytest.approx(found.card_distance)
 
 
+def test_the_table_gets_the_cards_distance_unless_it_states_one_or_a_width(balls, tmp_path):
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
+    table = tmp_path / "capture.toml"
+    found = calibrated(balls, spec, radius=10.0)
+    table.write_text(written_table(found, tmp_path, {"fov_degrees": FOV}))
+    assert read_spec(table).card_distance == found.new_distance == pytest.approx(found.card_distance, rel=1e-5)
+    others = {"card_distance": 400.0}, {"framing": Framing(card_width=80.0)}, {"views": spec.views * 2}
+    for changes in others:
+        assert replace(found, spec=replace(spec, **changes)).new_distance is None
+
+
 def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
-    seen = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    seen = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     with pytest.raises(InputError, match="--lamp-distance: needs --radius"):
         calibrated(balls, seen, distance=160.0)
     with pytest.raises(InputError, match="has no unit; give --fov and --radius"):
@@ -41,7 +53,7 @@ def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
 
 
 def test_positions_in_ball_radii_are_refused_for_a_capture_with_lengths(balls):
-    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     with pytest.raises(InputError, match="has card_distance; .* give --radius in it, or --lights distant"):
         calibrated(balls, replace(spec, card_distance=DISTANCE))
     calibrated(balls, replace(spec, card_distance=DISTANCE), radius=10.0)
