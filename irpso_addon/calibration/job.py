@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -282,7 +281,7 @@ def written_table(calibrated: Calibrated, folder: Path, camera_keys: Mapping[str
 
 
 def report_of(calibrated: Calibrated) -> dict[str, Any]:
-    """Return the table of report.json."""
+    """Return the table of report.json, without the list of files."""
     result = calibrated.result
     balls = [
         {
@@ -357,8 +356,3 @@ def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
         "shadow_correlation": None if ball.shadow is None else round(ball.shadow, 3),
         "radius_over_lamp_distance": [round(v, 5) if np.isfinite(v) else None for v in ball.inverse],
     }
-
-
-def report_text(calibrated: Calibrated) -> str:
-    """Return the text of report.json."""
-    return json.dumps(report_of(calibrated), indent=1) + "\n"

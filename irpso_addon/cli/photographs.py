@@ -25,6 +25,7 @@ def add_calibrate(commands: argparse._SubParsersAction) -> None:
     add.add_argument("capture", metavar="CAPTURE_OR_IMAGES",
                      help="folder of photographs or videos, a video, or a capture")  # fmt: skip
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder, or a new capture.toml")
+    add.add_argument("--replace", action="store_true", help="replace the files of a former calibration in OUT")
     add.add_argument("--count", type=int, metavar="N", help="largest number of frames of a video (default 40)")
     add.add_argument("--ball", action="append", metavar="auto|none|MASK|X,Y,R",
                      help="auto (the default): find the balls; none: find the lights from the subject's own shading;"

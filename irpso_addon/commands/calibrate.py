@@ -64,14 +64,14 @@ def _calibrated(options: Namespace) -> dict:
             raise InputError(f"--{name.replace('_', '-')}: needs --ball none; add it, or leave the option out")
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
-    out = checked_output(Path(options.output))
+    out = checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, masks)
     lamp_distance = positive("--lamp-distance", options.lamp_distance)
     request = Request(options.kind, options.lights, lamp_distance, _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
     calibrated = bar.run(steps, lambda part: (part, "reading"))
-    write_calibration(calibrated, out, keys)
+    write_calibration(calibrated, out, keys, options.replace)
     report = report_of(calibrated)
     if not silent(options):
         sys.stdout.write(_summary(calibrated, out, options.radius))
@@ -108,7 +108,7 @@ def _check_ballless(options: Namespace) -> None:
 
 def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
     """Find lights from the shading of a mesh and write them."""
-    checked_output(Path(options.output))
+    checked_output(Path(options.output), options.replace)
     mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
     result = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
@@ -119,7 +119,7 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
 
 def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     """Find near lights from the fall-off over a flat card and write them."""
-    checked_output(Path(options.output))
+    checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
     result = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
@@ -142,7 +142,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
             "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
             " directions of distant lights"
         )
-    checked_output(Path(options.output))
+    checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, [])
     steps = uncalibrated_steps(_capture(spec), load_model(DEFAULT_MODEL), inside_out=options.inside_out)
     result = _without_ball(options, steps)
@@ -179,7 +179,7 @@ def _written_without_ball(
 ) -> dict:
     """Write the lights, print a line and the warnings, and return the command's result."""
     report, out, count = result.report(), Path(options.output), len(result.capture.lights)
-    write_lights(spec, keys, result.capture.lights, report, out, card)
+    write_lights(spec, keys, result.capture.lights, report, out, card, options.replace)
     if not silent(options):
         lines = [line, *(f"warning: {warning}" for warning in result.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")

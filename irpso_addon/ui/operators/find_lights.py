@@ -236,7 +236,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         return {"FINISHED"}
 
     def _find_steps(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], bool]]:
-        """Yield the fraction done (0…1); return the table's path, the warnings, and whether balls gave ``card_distance``.
+        """Yield the fraction done (0…1); return the table's path, warnings, and whether balls gave ``card_distance``.
 
         Raises InputError.
         """

@@ -3,7 +3,7 @@
 import pytest
 
 from irpso_addon.capture.read import read_capture
-from tests.builders.command_line import run_cli
+from tests.builders.command_line import listing, run_cli
 from tests.builders.near_balls import FOV, write_near_balls
 from tests.builders.near_card import DISTANCE
 
@@ -49,3 +49,66 @@ def test_a_stated_distance_stays_and_the_summary_says_so(photographs, tmp_path):
     code, said, _ = run_cli("calibrate", table, *photographs[1], "--radius", 10, "-o", tmp_path / "again")
     assert code == 0 and "the capture's own card_distance or card_width stays" in said
     assert read_capture(tmp_path / "again").card_distance == 415.0
+
+
+def test_replace_replaces_what_a_former_calibration_wrote_and_nothing_else(photographs, tmp_path):
+    out = tmp_path / "out"
+    assert calibrate(photographs, out, "--radius", 10)[0] == 0
+    (out / "mine.jpg").write_bytes(b"a photograph")
+    before = listing(out)
+    code, _, said = calibrate(photographs, out, "--radius", 20)
+    assert code == 2 and "or --replace a former calibration there" in said and listing(out) == before
+    near = read_capture(out).lights
+    assert calibrate(photographs, out, "--radius", 20, "--replace")[0] == 0
+    assert read_capture(out).lights[0].vector == pytest.approx([2 * v for v in near[0].vector], rel=1e-4)
+    assert (out / "light_positions.txt").is_file()
+    assert calibrate(photographs, out, "--lights", "distant", "--replace")[0] == 0
+    lists = ["filenames.txt", "light_directions.txt", "light_intensities.txt"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "balls.png", "capture.toml", *lists, "mine.jpg", "report.json"
+    ]  # fmt: skip
+    assert (out / "mine.jpg").read_bytes() == b"a photograph"
+
+
+def test_replace_treats_a_table_like_a_folder(photographs, tmp_path):
+    table = tmp_path / "new.toml"
+    assert calibrate(photographs, table, "--radius", 10)[0] == 0
+    code, _, said = calibrate(photographs, table)
+    assert code == 2 and "new.toml: exists; choose another name for -o, or --replace a former calibration" in said
+    assert calibrate(photographs, table, "--lights", "distant", "--replace")[0] == 0
+    assert read_capture(table).lights[0].distant
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.toml", "new_balls.png", "new_report.json"]
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"capture.toml": "mine"}, "no calibration wrote it, so that --replace does not apply; choose a new folder"),
+        ({"photograph.png": "mine"}, "no calibration wrote it, so that --replace does not apply"),
+        ({"report.json": '{"files": ["normal.png", "report.json"]}'}, "no calibration wrote it"),
+        (
+            {"capture.toml": "x", "report.json": '{"files": ["capture.toml", "report.json"]}', "balls.png": "mine"},
+            "balls.png: would be replaced, but no calibration wrote it; choose another -o, or move it",
+        ),
+    ],
+)
+def test_files_that_no_calibration_wrote_are_not_replaced(photographs, tmp_path, files, words):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    before = listing(tmp_path)
+    code, _, said = calibrate(photographs, tmp_path, "--replace")
+    assert code == 2 and words in said and said.count("\n") == 1 and listing(tmp_path) == before
+
+
+def test_a_former_calibration_stays_if_the_new_one_fails_or_cannot_be_written(photographs, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    calibrate(photographs, out)
+    before = listing(out)
+    assert calibrate(photographs, out, "--replace", "--fov", 200)[0] == 2 and listing(out) == before
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("irpso_addon.calibration.write.os.replace", full)
+    code, _, said = calibrate(photographs, out, "--replace")
+    assert code == 2 and "cannot be written (No space left on device)" in said and listing(out) == before
