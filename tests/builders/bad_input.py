@@ -245,7 +245,8 @@ OPTIONS = {
     "a resolution of a card": (recover("--resolution", "64"), r"--resolution is for meshes: give --blend"),
     "a seed of text": (recover("--seed", "seven"), r"--seed: seven is not a whole number"),
     "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
-    "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
+    "an observation that is not there": (
+        recover("--hold-out", "1,6"), r"--hold-out 1,6: '6' is no photograph; .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
     "too many held out": (recover("--hold-out", "0,1,2,3"), r"without the photographs of --hold-out: has 2 lights"),
     "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: no such file"),
