@@ -32,7 +32,7 @@ demo: $(OUT)/demo/capture/capture.toml ## photographs of a tile, rendered, to th
 
 # Numbers that a photographer knows: the ball's radius and the string of the lamp, in millimetres.
 $(OUT)/demo/capture/capture.toml: $(OUT)/demo/sample/README.txt
-	$(RUN) -m irpso_addon calibrate $(OUT)/demo/sample/photographs --radius 20 --distance 950 -o $(OUT)/demo/capture
+	$(RUN) -m irpso_addon calibrate $(OUT)/demo/sample/photographs --radius 20 --lamp-distance 950 -o $(OUT)/demo/capture
 
 $(OUT)/demo/sample/README.txt: | environment
 	$(RUN) -m irpso_addon sample -o $(OUT)/demo/sample

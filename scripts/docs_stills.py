@@ -55,7 +55,7 @@ def prepare(work: Path) -> None:
     if not (sample / "README.txt").is_file():
         run("sample", "-o", sample)
     if not (capture / "capture.toml").is_file():
-        run("calibrate", sample / "photographs", "--radius", 20, "--distance", 950, "-o", capture)
+        run("calibrate", sample / "photographs", "--radius", 20, "--lamp-distance", 950, "-o", capture)
     if not (result / "report.json").is_file():
         crop = ",".join(map(str, CROP))
         run("recover", capture, "--distance", DISTANCE, "--crop", crop, "--hold-out", "auto", "-o", result)

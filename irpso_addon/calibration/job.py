@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,6 +12,7 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.errors import CaptureError
+from ..capture.formats.table import CARD_DISTANCE
 from ..capture.images.image import ImageRef, ImageStore
 from ..capture.images.linearise import Decoder
 from ..capture.spec import CaptureSpec, ViewSpec, build_capture
@@ -115,6 +115,16 @@ class Calibrated:
     def card_distance(self) -> float:
         """Distance from the camera to the card below the balls, in the unit of near lights' positions."""
         return float(np.mean([view.ball.radius - view.ball.centre[2] for view in self.result.views]))
+
+    @property
+    def shows_distance(self) -> bool:
+        """Whether ``card_distance`` is that of every card on the table: lights are near, and there is one camera."""
+        return self.result.near and len(self.spec.views) == 1
+
+    @property
+    def new_distance(self) -> float | None:
+        """The ``card_distance`` of the new capture.toml, in six digits; None if the source states it or a width."""
+        return float(f"{self.card_distance:.6g}") if self.shows_distance and not self.spec.states_distance else None
 
 
 def calibrate_steps(
@@ -226,13 +236,15 @@ def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: fl
         return
     if radius is not None and request.distance <= radius:
         raise InputError(
-            f"--distance {request.distance:g}: puts the lamps into the ball, whose --radius is {radius:g}; give both in"
-            " one unit"
+            f"--lamp-distance {request.distance:g}: puts the lamps into the ball, whose --radius is {radius:g}; give"
+            " both in one unit"
         )
     if camera.perspective and radius is None:
-        raise InputError("--distance: needs --radius, which sets its unit (--radius 1: the distance is in radii)")
+        raise InputError("--lamp-distance: needs --radius, which sets its unit (--radius 1: the distance is in radii)")
     if not camera.perspective and not view.lens:
-        raise InputError("--distance: has no unit; give --fov and --radius, or --camera with world_width in that unit")
+        raise InputError(
+            "--lamp-distance: has no unit; give --fov and --radius, or --camera with world_width in that unit"
+        )
 
 
 def _refuse_radii(spec: CaptureSpec, number: int) -> None:
@@ -257,17 +269,19 @@ def _camera_number(spec: CaptureSpec, view: str | None) -> int:
 
 
 def written_table(calibrated: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
-    """Return the text of a capture.toml in ``folder`` with the calibrated lights."""
+    """Return the text of a capture.toml in ``folder`` with the calibrated lights and ``new_distance``."""
     lights = {n: light.light for n, light in zip(calibrated.shots, calibrated.result.lights, strict=True)}
     view, camera = calibrated.spec.views[calibrated.camera], calibrated.result.views[0].ball.camera
     if calibrated.result.near and not (camera_keys or view.lens):  # the unit of the positions is the assumed width
         camera_keys = {"world_width": camera.width / camera.scale[0]}
     cameras = {calibrated.camera: camera_keys} if camera_keys else {}
-    return calibrated_table(calibrated.spec, cameras, lights, folder)
+    distance = calibrated.new_distance
+    card = {} if distance is None else {CARD_DISTANCE: distance}
+    return calibrated_table(calibrated.spec, cameras, lights, folder, card)
 
 
 def report_of(calibrated: Calibrated) -> dict[str, Any]:
-    """Return the table of report.json."""
+    """Return the table of report.json, without the list of files."""
     result = calibrated.result
     balls = [
         {
@@ -342,8 +356,3 @@ def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
         "shadow_correlation": None if ball.shadow is None else round(ball.shadow, 3),
         "radius_over_lamp_distance": [round(v, 5) if np.isfinite(v) else None for v in ball.inverse],
     }
-
-
-def report_text(calibrated: Calibrated) -> str:
-    """Return the text of report.json."""
-    return json.dumps(report_of(calibrated), indent=1) + "\n"

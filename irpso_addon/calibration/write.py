@@ -18,24 +18,63 @@ from ..capture.spec import CaptureSpec
 from ..capture.types import Light
 from ..core.errors import InputError
 from ..core.files import check_unused, check_writable, new_folder
-from ..core.png import encode_png, png_bytes
+from ..core.png import png_bytes
 from .balls.contact_sheet import calibration_picture
-from .job import Calibrated, report_text, written_table
+from .job import Calibrated, report_of, written_table
 from .photographs import calibrated_table
 
-_REPORT, _PICTURE = "report.json", "balls.png"
+_REPORT, _PICTURE, _POSITIONS = "report.json", "balls.png", "light_positions.txt"
+_FILES = (TABLE, _REPORT, _PICTURE)  # of every output; a folder has lists, too
+_LISTS = (FILENAMES, DIRECTIONS, _POSITIONS, INTENSITIES)
+_FOREIGN = "would be replaced, but no calibration wrote it; choose another -o, or move it"
 
 
-def checked_output(out: Path) -> Path:
-    """Return the output path. Raises InputError if it exists: nothing is overwritten."""
-    if out.suffix.lower() == ".toml":
-        for path in (out, _beside(out, _REPORT), _beside(out, _PICTURE)):
-            if path.exists():
-                raise InputError(f"{path}: exists; choose another name for -o, or delete it first")
-        check_writable(out)
-    else:
-        check_unused(out, "choose a new folder, or a .toml file for -o")
+def checked_output(out: Path, replace: bool = False) -> Path:
+    """Return the output path. replace: the files of a former calibration there, which its report lists.
+
+    Raises InputError if another file is in the way: it is never overwritten.
+    """
+    former = _former(out) if replace else set()
+    if not (_is_table(out) or former):
+        remedy = "no calibration wrote it, so that --replace does not apply; choose a new folder"
+        check_unused(out, remedy if replace else "choose a new folder, or --replace a former calibration there")
+        return out
+    if taken := next((path for path in _places(out) if path.exists() and path not in former), None):
+        remedy = "exists; choose another name for -o, or --replace a former calibration"
+        raise InputError(f"{taken}: {_FOREIGN if replace else remedy}")
+    check_writable(table_path(out).parent)
     return out
+
+
+def table_path(out: Path) -> Path:
+    """Return the path of an output's table."""
+    return _place(out, TABLE)
+
+
+def _is_table(out: Path) -> bool:
+    return out.suffix.lower() == ".toml"
+
+
+def _place(out: Path, name: str) -> Path:
+    """Return the path of one of an output's files. name: in a folder."""
+    if not _is_table(out):
+        return out / name
+    return out if name == TABLE else out.with_name(f"{out.stem}_{name}")
+
+
+def _places(out: Path) -> list[Path]:
+    """Return the paths of all files that a calibration may write."""
+    return [_place(out, name) for name in (_FILES if _is_table(out) else (*_FILES, *_LISTS))]
+
+
+def _former(out: Path) -> set[Path]:
+    """Return the files that a former calibration wrote, by its report; none if there is no such report."""
+    try:
+        listed = json.loads(_place(out, _REPORT).read_text(encoding="utf-8"))["files"]
+        files = {path for path in _places(out) if path.name in listed}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+    return files if table_path(out) in files else set()  # a report of a recovery lists other files
 
 
 def frames_folder(out: Path) -> Path:
@@ -43,18 +82,14 @@ def frames_folder(out: Path) -> Path:
     return out.with_name(f"{out.stem if out.suffix.lower() == '.toml' else out.name}_photographs")
 
 
-def _beside(table: Path, name: str) -> Path:
-    return table.with_name(f"{table.stem}_{name}")
+def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any], replace: bool = False) -> None:
+    """Write table, report and picture: into a folder with the lists of a DiLiGenT capture, or as OUT.toml.
 
-
-def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any]) -> None:
-    """Write table, report and picture: into a new folder with the lists of a DiLiGenT capture, or as OUT.toml.
-
-    keys: of the camera. The output is atomic. Raises InputError if writing fails.
+    keys: of the camera. replace: see ``checked_output``. The output is atomic. Raises InputError if writing fails.
     """
     _write(
-        out, lambda folder: written_table(calibrated, folder, keys), report_text(calibrated), _lists(calibrated),
-        calibration_picture(calibrated),
+        out, lambda folder: written_table(calibrated, folder, keys), report_of(calibrated), replace,
+        _lists(calibrated), calibration_picture(calibrated),
     )  # fmt: skip
 
 
@@ -65,46 +100,48 @@ def write_lights(
     report: dict[str, Any],
     out: Path,
     card: Mapping[str, Any] = MappingProxyType({}),
+    replace: bool = False,
 ) -> None:
-    """Write a table and a report of lights from other sources than balls: into a new folder, or as OUT.toml.
+    """Write a table and a report of lights from other sources than balls: into a folder, or as OUT.toml.
 
     keys: of the cameras. lights: one per photograph. card: keys that replace the source's, lengths in the lights' unit.
-    The output is atomic. Raises InputError if writing fails.
+    replace: see ``checked_output``. The output is atomic. Raises InputError if writing fails.
     """
     cameras = dict.fromkeys(range(len(spec.views)), keys) if keys else {}
     by_number = dict(enumerate(lights))
-    text = json.dumps(report, indent=1) + "\n"
-    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder, card), text)
+    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder, card), report, replace)
 
 
 def _write(
     out: Path,
     table_in: Callable[[Path], str],
-    report: str,
+    report: Mapping[str, Any],
+    replace: bool,
     lists: Mapping[str, Sequence[str]] = MappingProxyType({}),
     picture: np.ndarray | None = None,
 ) -> None:
-    """Write a table, a report and a picture atomically: into a new folder, with lists, or as OUT.toml.
+    """Write a table, a report and a picture atomically: into a folder, with lists, or as OUT.toml.
 
-    table_in: folder → the table's text. lists: file name → lines. Raises InputError if writing fails.
+    table_in: folder → the table's text. report: "files" is added. lists: file name → lines. Raises InputError if
+    writing fails.
     """
-    if out.suffix.lower() == ".toml":
-        files = {} if picture is None else {_beside(out, _PICTURE): png_bytes(picture, 8)}
-        texts = {_beside(out, _REPORT): report, out: table_in(out.parent)}
-        _write_beside(out, files | {path: text.encode() for path, text in texts.items()})
+    former = _former(out) if replace else set()
+    files = {} if picture is None else {_PICTURE: png_bytes(picture, 8)}
+    if not _is_table(out):
+        files |= {name: "".join(f"{line}\n" for line in lines).encode() for name, lines in lists.items()}
+    listed = [_place(out, name).name for name in (*files, _REPORT, TABLE)]
+    files[_REPORT] = (json.dumps({**report, "files": listed}, indent=1) + "\n").encode()
+    files[TABLE] = table_in(table_path(out).parent).encode()
+    if _is_table(out) or former:
+        _write_beside(out, {_place(out, name): data for name, data in files.items()}, former)
         return
-    table = table_in(out)
     with new_folder(out) as partial:
-        (partial / TABLE).write_text(table, encoding="utf-8")
-        (partial / _REPORT).write_text(report, encoding="utf-8")
-        if picture is not None:
-            encode_png(partial / _PICTURE, picture, 8)
-        for name, lines in lists.items():
-            (partial / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        for name, data in files.items():
+            (partial / name).write_bytes(data)
 
 
-def _write_beside(out: Path, files: dict[Path, bytes]) -> None:
-    """Write files under temporary names, then replace the former ones in their order.
+def _write_beside(out: Path, files: Mapping[Path, bytes], former: set[Path]) -> None:
+    """Write files under temporary names, then replace the former ones in their order; remove those without a successor.
 
     If writing fails, no new file is left; if replacing fails, former ones before it are replaced.
     """
@@ -115,14 +152,15 @@ def _write_beside(out: Path, files: dict[Path, bytes]) -> None:
         for path, data in files.items():
             partials[path].write_bytes(data)
         for path, partial in partials.items():
-            former = path.exists()
+            existed = path.exists()
             os.replace(partial, path)
-            placed += [] if former else [path]
+            placed += [] if existed else [path]
     except OSError as error:
         _remove(placed)
         raise InputError(f"{out}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
         _remove(partials.values())
+    _remove(former - set(files))
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -138,7 +176,7 @@ def _lists(calibrated: Calibrated) -> dict[str, list[str]]:
     located = [(name, light.light) for name, light in zip(calibrated.names, result.lights, strict=True) if light.light]
     vectors = [" ".join(f"{v:.8f}" for v in light.vector) for _, light in located]
     lists = {FILENAMES: [name for name, _ in located]}
-    lists["light_positions.txt" if result.near else DIRECTIONS] = vectors
+    lists[_POSITIONS if result.near else DIRECTIONS] = vectors
     if result.kind == "matte":
         lists[INTENSITIES] = [" ".join(f"{v:.8f}" for v in light.intensity) for _, light in located]
     return lists

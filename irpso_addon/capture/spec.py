@@ -71,6 +71,11 @@ class CaptureSpec:
     left_out: tuple[LeftOut, ...] = ()
     framing: Framing = Framing()
 
+    @property
+    def states_distance(self) -> bool:
+        """Whether the files state the distance or the width of a flat card."""
+        return self.card_distance is not None or self.framing.card_width is not None
+
 
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
     """Return the Capture of a spec. Reads masks and all headers now, images at first use.

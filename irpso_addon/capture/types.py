@@ -116,6 +116,14 @@ class Capture:
         return len(self.observations) + len(self.left_out)
 
     @property
+    def listed_names(self) -> list[str]:
+        """Names of the observations that the capture's files list; of an excluded one that of its image."""
+        names = [shot.name for shot in self.observations]
+        for one in sorted(self.left_out, key=lambda one: one.index):
+            names.insert(one.index, Path(one.image).name)
+        return names
+
+    @property
     def lights(self) -> list[Light]:
         """The light of each observation."""
         return [shot.light for shot in self.observations]

@@ -67,8 +67,9 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--ground-truth", metavar="FILE", help="EXR with the true maps, to measure errors against")
     add.add_argument(
         "--hold-out",
-        metavar="I,J,…",
-        help="leave observations (counted from 0) out of the fit, and relight them; auto: one in eight, six at most",
+        metavar="auto|NAME,…",
+        help="leave photographs (by name, or by number from 0) out of the fit, and relight them; auto: one in eight,"
+        " six at most",
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=COLOUR_SPACE)
     add_distance(add)

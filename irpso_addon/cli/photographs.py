@@ -25,6 +25,7 @@ def add_calibrate(commands: argparse._SubParsersAction) -> None:
     add.add_argument("capture", metavar="CAPTURE_OR_IMAGES",
                      help="folder of photographs or videos, a video, or a capture")  # fmt: skip
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder, or a new capture.toml")
+    add.add_argument("--replace", action="store_true", help="replace the files of a former calibration in OUT")
     add.add_argument("--count", type=int, metavar="N", help="largest number of frames of a video (default 40)")
     add.add_argument("--ball", action="append", metavar="auto|none|MASK|X,Y,R",
                      help="auto (the default): find the balls; none: find the lights from the subject's own shading;"
@@ -50,7 +51,7 @@ def add_calibrate(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--lights", choices=("auto", "distant", "near"), default="auto", help="kind of lights (default auto)"
     )
-    add.add_argument("--distance", type=float, metavar="D",
+    add.add_argument("--lamp-distance", "--distance", type=float, metavar="D",
                      help="known distance from the balls to all lights, in the unit of --radius")  # fmt: skip
     add.add_argument("--albedo", metavar="A|R,G,B",
                      help="albedo of matte balls (default: intensities are relative to the first light)")  # fmt: skip

@@ -16,7 +16,7 @@ from ..blender.images import decode
 from ..calibration.balls.lights import Request
 from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
-from ..calibration.write import checked_output, write_calibration, write_lights
+from ..calibration.write import checked_output, table_path, write_calibration, write_lights
 from ..capture.formats.table import CARD_DISTANCE
 from ..capture.framing import framed
 from ..capture.spec import CaptureSpec, build_capture
@@ -64,13 +64,14 @@ def _calibrated(options: Namespace) -> dict:
             raise InputError(f"--{name.replace('_', '-')}: needs --ball none; add it, or leave the option out")
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
-    out = checked_output(Path(options.output))
+    out = checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, masks)
-    request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
+    lamp_distance = positive("--lamp-distance", options.lamp_distance)
+    request = Request(options.kind, options.lights, lamp_distance, _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
     calibrated = bar.run(steps, lambda part: (part, "reading"))
-    write_calibration(calibrated, out, keys)
+    write_calibration(calibrated, out, keys, options.replace)
     report = report_of(calibrated)
     if not silent(options):
         sys.stdout.write(_summary(calibrated, out, options.radius))
@@ -89,9 +90,9 @@ def _check_ballless(options: Namespace) -> None:
     """Raise InputError for an option that contradicts --ball none."""
     if options.ball != [NONE]:
         raise InputError("--ball none: finds lights without a ball; omit the other --ball")
-    for name, default in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
+    for name, default in (("kind", AUTO), ("radius", None), ("lamp_distance", None), ("albedo", None), ("view", None)):
         if getattr(options, name) != default:
-            raise InputError(f"--{name}: applies to balls; leave it out with --ball none")
+            raise InputError(f"--{name.replace('_', '-')}: applies to balls; leave it out with --ball none")
     if options.flat and options.blend:
         raise InputError("--flat and --blend: a flat card needs no mesh; give one of them")
     if options.flat and options.inside_out:
@@ -107,7 +108,7 @@ def _check_ballless(options: Namespace) -> None:
 
 def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
     """Find lights from the shading of a mesh and write them."""
-    checked_output(Path(options.output))
+    checked_output(Path(options.output), options.replace)
     mesh = present(subject_of(options)[1])
     spec, keys = _photographs(options, keys, [])
     result = _without_ball(options, known_shape_steps(_capture(spec), mesh, options.lights))
@@ -118,7 +119,7 @@ def _by_shape(options: Namespace, keys: dict[str, Any]) -> dict:
 
 def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     """Find near lights from the fall-off over a flat card and write them."""
-    checked_output(Path(options.output))
+    checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
     result = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
@@ -126,8 +127,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
         result = replace(result, warnings=(*result.warnings, _WHOLE_IS_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
-    stated = spec.card_distance is not None or spec.framing.card_width is not None
-    card = {} if stated else {CARD_DISTANCE: result.capture.card_distance}
+    card = {} if spec.states_distance else {CARD_DISTANCE: result.capture.card_distance}
     line = (
         f"{len(result.capture.lights)} near lights, with their positions, by their fall-off over a flat card;"
         f" {_errors(result.fit.degrees)}, and {result.distance_error:.0%} of their distance"
@@ -142,7 +142,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
             "--lights near: places of lamps need balls or a known shape (--blend, --flat); --ball none alone finds"
             " directions of distant lights"
         )
-    checked_output(Path(options.output))
+    checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, [])
     steps = uncalibrated_steps(_capture(spec), load_model(DEFAULT_MODEL), inside_out=options.inside_out)
     result = _without_ball(options, steps)
@@ -179,7 +179,7 @@ def _written_without_ball(
 ) -> dict:
     """Write the lights, print a line and the warnings, and return the command's result."""
     report, out, count = result.report(), Path(options.output), len(result.capture.lights)
-    write_lights(spec, keys, result.capture.lights, report, out, card)
+    write_lights(spec, keys, result.capture.lights, report, out, card, options.replace)
     if not silent(options):
         lines = [line, *(f"warning: {warning}" for warning in result.warnings), f"written to {out}"]
         sys.stdout.write("\n".join(lines) + "\n")
@@ -248,13 +248,22 @@ def _summary(calibrated: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("camera: orthographic")
     elif result.near and radius is None:
         lines.append("positions are in radii of the ball; --radius converts them to world units")
-    if result.near and calibrated.spec.card_distance is None and len(calibrated.spec.views) == 1:
-        lines.append(
-            f"the table under the balls is {calibrated.card_distance:.6g} from the"
-            f" {'camera' if camera.perspective else 'plane of the balls'}; for a flat card on it, give recover"
-            " --distance that number less the card's thickness"
-        )
+    if calibrated.shows_distance:
+        lines.append(_distance_line(calibrated, out))
     lines += [f"warning: {warning}" for warning in calibrated.warnings[:_SHOWN_WARNINGS]]
     if len(calibrated.warnings) > _SHOWN_WARNINGS:
         lines.append(f"and {len(calibrated.warnings) - _SHOWN_WARNINGS} more warnings in the report")
     return "\n".join([*lines, f"written to {out}"]) + "\n"
+
+
+def _distance_line(calibrated: Calibrated, out: Path) -> str:
+    if calibrated.new_distance is None:
+        origin = "camera" if calibrated.result.views[0].ball.camera.perspective else "plane of the balls"
+        return (
+            f"the table under the balls is {calibrated.card_distance:.6g} from the {origin}; the capture's own"
+            " card_distance or card_width stays"
+        )
+    return (
+        f"{CARD_DISTANCE} = {calibrated.new_distance:g} written to {table_path(out)}, that of the table under the"
+        " balls; a card on it is nearer by its thickness: change it there, or by --distance"
+    )

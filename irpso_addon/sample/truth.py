@@ -66,7 +66,7 @@ def _page(arrangement: layout.Layout, count: int) -> str:
     card = f"{arrangement.card_distance:.0f}"
     ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(arrangement.camera))
     crop = ",".join(map(str, layout.tile_crop(arrangement.camera)))
-    lengths = f"--radius {layout.BALL_RADIUS:g} --distance {layout.LAMP_DISTANCE:g}"
+    lengths = f"--radius {layout.BALL_RADIUS:g} --lamp-distance {layout.LAMP_DISTANCE:g}"
     return f"""A capture to practise on
 ========================
 

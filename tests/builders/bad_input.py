@@ -181,8 +181,9 @@ CAPTURES = {
     "one photograph to calibrate": (
         lambda f: ["calibrate", f / "card" / "000.exr", "-o", f / OUT, "--quiet"], r"000.exr: is one photograph; give"),
     "lamps inside of the ball": (
-        lambda f: ["calibrate", f / "card", "-o", f / OUT, "--fov", 40, "--radius", 32, "--distance", 9, "--quiet"],
-        r"--distance 9: puts the lamps into the ball, whose --radius is 32"),
+        lambda f: ["calibrate", f / "card", "-o", f / OUT, "--fov", 40, "--radius", 32, "--lamp-distance", 9,
+                   "--quiet"],
+        r"--lamp-distance 9: puts the lamps into the ball, whose --radius is 32"),
     "two cameras and no mesh": (broken("card", second_camera), r"2 cameras"),
     "images without a number in them": (broken("card", nothing_to_see), r"no image of capture"),
 }  # fmt: skip
@@ -247,7 +248,8 @@ OPTIONS = {
     "a resolution of a card": (recover("--resolution", "64"), r"--resolution is for meshes: give --blend"),
     "a seed of text": (recover("--seed", "seven"), r"--seed: seven is not a whole number"),
     "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
-    "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
+    "an observation that is not there": (
+        recover("--hold-out", "1,6"), r"--hold-out 1,6: '6' is no photograph; .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
     "too many held out": (recover("--hold-out", "0,1,2,3"), r"without the photographs of --hold-out: has 2 lights"),
     "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: no such file"),

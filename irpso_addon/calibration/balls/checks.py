@@ -67,7 +67,7 @@ def near_lamps(
     if not result.near:
         return [
             f"{seen}; directions are those at the ball. For positions measure the distance and give --radius and"
-            " --distance"
+            " --lamp-distance"
         ]
     if radius is None or distance is None:
         return []
@@ -78,5 +78,6 @@ def near_lamps(
     if ratio < 1:
         reason = "the radius is half of the ball's diameter"
     return [
-        f"{seen}, not {distance / radius:.0f}: {reason}; measure again and give --radius and --distance in one unit"
+        f"{seen}, not {distance / radius:.0f}: {reason}; measure again and give --radius and --lamp-distance in"
+        " one unit"
     ]

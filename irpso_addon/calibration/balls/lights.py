@@ -84,9 +84,9 @@ def calibration_steps(
     do not determine the requested lights.
     """
     if request.lights == "near" and len(balls) < 2 and request.distance is None:
-        raise InputError("near lights: one ball gives a direction only; add a second --ball, or --distance")
+        raise InputError("near lights: one ball gives a direction only; add a second --ball, or --lamp-distance")
     if request.distance is not None and request.lights == "distant":
-        raise InputError("--distance: distant lights have none; omit it, or --lights distant")
+        raise InputError("--lamp-distance: distant lights have none; omit it, or --lights distant")
     method = mirror if request.kind == "mirror" else matte
     views, surroundings = yield from reading_steps(readers, balls, method.LARGEST_RADIUS)
     centre = np.mean([ball.centre for ball in balls], axis=0)
@@ -240,9 +240,9 @@ def _decision(intersections: Sequence[Intersection], request: Request, balls: in
     if request.lights == "distant":
         return False, "distant, by --lights"
     if request.distance is not None:
-        return True, f"near, {request.distance:g} from the balls, by --distance"
+        return True, f"near, {request.distance:g} from the balls, by --lamp-distance"
     if balls < 2:
-        return False, "distant: one ball gives directions only; a second ball or --distance gives positions"
+        return False, "distant: one ball gives directions only; a second ball or --lamp-distance gives positions"
     if request.lights == "near":
         return True, "near, by --lights"
     if not intersections:
@@ -259,7 +259,7 @@ def _contradiction(row: Sequence[Sight | None], intersection: Intersection) -> l
         off = f"{np.degrees(intersection.misfit):.1f}°"
         if sum(s is not None for s in row) > 1:
             return [f"the balls disagree by {off}: one may be in shadow"]
-        return [f"the lamp at --distance is {off} off the ball's ray: check --distance and --radius"]
+        return [f"the lamp at --lamp-distance is {off} off the ball's ray: check --lamp-distance and --radius"]
     return []
 
 

@@ -129,8 +129,8 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
         row, enough = shortfall
         yield Shortfall(
             "few",
-            f"{count} lights are few for {goal}: with {row.value:g}, {row.failed[index]:.0%} of the texels failed on a"
-            f" card with cast shadows and interreflection; take {enough:g} or more",
+            f"{count} lights are few for {goal}; take {enough:g} or more (in our test with {row.value:g} lights, on a"
+            f" card with cast shadows and interreflection, {row.failed[index]:.0%} of the texels failed)",
         )
     if directions is None or len(directions) < 3:
         return
@@ -139,17 +139,18 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
         row, enough = shortfall
         yield Shortfall(
             "narrow",
-            f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {goal}: of 50 lights within"
-            f" {row.value:g}° {row.failed[index]:.0%} of the texels failed; spread them over {enough:g}° or more",
+            f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {goal}; spread them over"
+            f" {enough:g}° or more (in our test with 50 lights within {row.value:g}°, {row.failed[index]:.0%} of the"
+            " texels failed)",
         )
     across = spread_across(directions)
     if shortfall := _short(ACROSS, index, across):
         row, enough = shortfall
         yield Shortfall(
             "flat",
-            f"the lights spread only {across:.2f} times as far one way as the other, which is little for {goal}: of 50"
-            f" lights with {row.value:g} {row.failed[index]:.0%} of the texels failed; add some off their plane, to"
-            f" {enough:g} or more",
+            f"the lights spread only {across:.2f} times as far one way as the other, which is little for {goal}; add"
+            f" some off their plane, to {enough:g} or more (in our test with 50 lights at {row.value:g} times,"
+            f" {row.failed[index]:.0%} of the texels failed)",
         )
 
 

@@ -35,11 +35,11 @@ from ...solver.planning.planning import scratch_folder
 from ...solver.settings.schedule import Schedule
 from ...solver.state.checkpoint import glance
 from ...solver.views.held_out import held_out_last
+from .hold_out import held_out_list
 from .values import (
     check_size,
     fixed_from_options,
     framing_from_options,
-    held_out_list,
     positive,
     schedule_from_options,
     silent,
@@ -73,7 +73,7 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     with with_skip_remedy(options.skip_damaged):
         capture = _capture(options, folder)
-    held_out = capture.numbers(held_out_list(options.hold_out, capture.listed))
+    held_out = capture.numbers(held_out_list(options.hold_out, capture.listed_names))
     capture, _ = held_out_last(capture, held_out)
     size = capture.masks[0].shape[::-1] if mesh is None else mesh.domain_size(*resolution)
     job = Job(

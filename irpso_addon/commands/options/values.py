@@ -21,7 +21,6 @@ from ...exports.asset import Shelf
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.read import read_parameter
 from ...solver.settings.schedule import Schedule, load_schedule
-from ...solver.views.held_out import spared
 
 LARGEST_SIDE = 16384
 
@@ -159,27 +158,6 @@ def _fixed_numbers(option: str, numbers: list[float], parameter: Parameter) -> n
             raise InputError(f"{option}: a normal has the length 1, as in {parameter.name}=0,0,1")
         values /= np.linalg.norm(values)
     return values.astype(np.float32)
-
-
-def held_out_list(text: str | None, count: int) -> list[int]:
-    """Return the indices of --hold-out among ``count`` observations. Raises InputError."""
-    if text != "auto":
-        return index_list("--hold-out", text, count)
-    chosen = spared(count)
-    if not chosen:
-        raise InputError(f"--hold-out auto: of {count} observations none can be held out; omit the option, or name one")
-    return chosen
-
-
-def index_list(option: str, text: str | None, count: int) -> list[int]:
-    """Return the indices of "I,J,…", each below ``count``. Raises InputError."""
-    if not text:
-        return []
-    parts = [part.strip() for part in text.split(",")]
-    numbers = [int(part) for part in parts if part.isdecimal()]
-    if len(set(numbers)) != len(parts) or max(numbers) >= count:
-        raise InputError(f"{option} {text}: give different numbers from 0 to {count - 1}, separated by commas")
-    return numbers
 
 
 def numbers_of_text(text: str) -> list[float] | None:

@@ -13,6 +13,7 @@ from ...blender.frames import COUNT, frame_steps
 from ...calibration.photographs import videos_of
 from ...calibration.write import checked_output, frames_folder
 from ...core.errors import InputError
+from ...core.files import check_unused
 from ...core.progress_bar import ProgressBar
 from .values import silent, warn
 
@@ -31,7 +32,8 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
             raise InputError(f"--count: applies to videos, and {options.capture} has none; leave it out")
         yield ()
         return
-    folder = frames_folder(checked_output(Path(options.output)))
+    folder = frames_folder(checked_output(Path(options.output), options.replace))
+    check_unused(folder, "calibrate these frames in place of the video, or delete the folder first")
     bar = ProgressBar("frames", silent(options))
     frames = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
     try:

@@ -26,7 +26,7 @@ from ..common.sliced import SlicedOperator
 from ..common.words import n_, rpt
 from ..panels.mesh import draw_mesh
 from ..session import session
-from ..session.scene_capture import knows_distance, spec_of
+from ..session.scene_capture import spec_of
 from ..session.shading_lights import WAYS, ShadingRequest, known_mesh, shading_light_steps
 from .capture_import import begin_check, capture_at
 from .video import VideoBrowser, is_video
@@ -116,7 +116,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         "--ball": "Lights From", "--kind mirror": "Mirror", "--kind matte": "Matte", "--kind": "Surface",
         "--view": "Camera", "--flat without --blend": "Lights From: Flat Card", "--flat": "Lights From: Flat Card",
         "--lights distant": "Lights: Distant", "--lights": "Lights",
-        "--radius": "Ball Radius", "--distance": "Lamp Distance", "--fov": "Field of View",
+        "--radius": "Ball Radius", "--lamp-distance": "Lamp Distance", "--fov": "Field of View",
         "--inside-out": "Inside Out",
     }  # fmt: skip
 
@@ -214,7 +214,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
 
     def finished(self, context, result):
         """Import the table, restore the settings of the same photographs, and report the first warning."""
-        (path, warnings, card_distance), settings = result, context.scene.irpso
+        (path, warnings, measured), settings = result, context.scene.irpso
         former = {}
         if self._is_capture:
             names = _PHOTOGRAPH_SETTINGS if self.found_by == "FLAT" else (*_CARD_SETTINGS, *_PHOTOGRAPH_SETTINGS)
@@ -224,10 +224,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
             setattr(settings, name, value)
         if self.found_by == "MESH":
             settings.subject = "MESH"
-        measured = card_distance is not None and not knows_distance(settings)
-        if measured:
-            settings.card_distance = card_distance
-        if measured or settings.card_distance or settings.card_width:
+        if settings.card_distance or settings.card_width:
             begin_check(context.scene)  # again: the check of the import did not know them
         if warnings:
             count = len(warnings) - 1
@@ -238,8 +235,8 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         self.report({"INFO"}, rpt("Lights written to {name}", name=path.name) + picture + distance)
         return {"FINISHED"}
 
-    def _find_steps(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], float | None]]:
-        """Yield the fraction done (0…1); return the table's path, the warnings, and a card's distance if balls give it.
+    def _find_steps(self, settings) -> Generator[float, None, tuple[Path, tuple[str, ...], bool]]:
+        """Yield the fraction done (0…1); return the table's path, warnings, and whether balls gave ``card_distance``.
 
         Raises InputError.
         """
@@ -251,7 +248,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
             spec = with_camera(spec, keys, "Field of View")
         table = free_table(source if source.is_dir() else source.parent)
         if shading:
-            return table, (yield from shading_light_steps(spec, keys, shading, table)), None
+            return table, (yield from shading_light_steps(spec, keys, shading, table)), False
         r, g, b = self.albedo
         albedo = (r, g, b) if self.kind == "matte" and min(r, g, b) > 0 else None
         request = Request(self.kind, self.lights, (self.distance or None) if self.radius else None, albedo)
@@ -259,7 +256,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
             spec, balls, request, decode, self.radius or None, self.camera or None, self.dropped.splitlines()
         )
         write_calibration(found, table, keys)
-        return table, found.warnings, found.card_distance if found.result.near and len(spec.views) == 1 else None
+        return table, found.warnings, found.new_distance is not None
 
     def _photographs(self, settings, masks: list[Path]) -> tuple[Path, CaptureSpec]:
         """Return the photographs' path and spec; the settings frame those of the scene's capture. Raises InputError."""

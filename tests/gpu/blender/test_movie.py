@@ -166,6 +166,8 @@ def test_videos_are_calibrated_without_a_step_between(form, tmp_path):
         truth = LIGHTS[int(number) - 1 + 12 * (stem == "b")]
         assert np.degrees(np.arccos(np.dot(row["light_direction"], truth))) < 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["capture", "capture_photographs", "films"]
+    code, _, err = calibrate(source, tmp_path / "capture", "--replace")
+    assert code == 2 and "capture_photographs: is there already and not empty; calibrate these frames" in err
 
 
 def test_frames_of_a_video_whose_lights_are_not_found_are_removed(video, tmp_path):

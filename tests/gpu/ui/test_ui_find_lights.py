@@ -9,7 +9,7 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
-from irpso_addon.capture.read import read_capture
+from irpso_addon.capture.read import read_capture, read_spec
 from irpso_addon.ui.marks import ball_marks
 from irpso_addon.ui.operators.find_lights import FindLights, free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
@@ -144,7 +144,8 @@ def test_a_string_makes_positions_of_one_balls_directions_and_a_correction_keeps
     mask = {"found_by": "MASK", "mask": str(photographs.parent / "ball.exr")}
     press(photographs, **mask, radius=RADIUS, distance=9.0)
     settings = bpy.context.scene.irpso
-    assert settings.near_lights and settings.card_distance == pytest.approx(RADIUS - CENTRE[2], rel=0.01)
+    assert settings.near_lights and settings.stated_distance == pytest.approx(RADIUS - CENTRE[2], rel=0.01)
+    assert read_spec(settings.capture_path).card_distance == pytest.approx(settings.stated_distance)
     bpy.ops.irpso.mark_balls(moves=[0.0] * 30)
     for light in read_capture(settings.capture_path).observations:
         assert np.linalg.norm(np.array(light.light.vector) - CENTRE) == pytest.approx(9.0, rel=0.01)

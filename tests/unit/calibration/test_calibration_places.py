@@ -2,36 +2,24 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.job import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.photographs import read_photographs, with_camera
-from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.framing import Framing
 from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
-from tests.builders.balls import matte_image
+from tests.builders.near_balls import FOV, write_near_balls
 from tests.builders.near_card import DISTANCE
-
-BALLS = [((-30.0, 0.0, -410.0), 10.0), ((30.0, 5.0, -410.0), 10.0)]  # millimetres: they lie on a card at 420
-LAMPS = [(100.0, 80.0, -260.0), (-90.0, 60.0, -250.0), (20.0, -110.0, -270.0), (0.0, 40.0, -200.0)]
 
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory):
     """A folder of photographs of two matte balls under near lamps, and the numbers that say where the balls are."""
-    folder, camera = tmp_path_factory.mktemp("balls"), Camera.from_fov(240, 160, 20.0)
-    for k, lamp in enumerate(LAMPS):
-        image = matte_image(camera, BALLS, lamp, False, albedo=(2e4,) * 3)
-        write_exr(folder / f"{k}.exr", {"": {c: image[..., i] for i, c in enumerate("RGB")}})
-    circles = []
-    for centre, radius in BALLS:
-        (x, y), _ = camera.project(np.array(centre))
-        circles.append(ball_of_text(f"{x},{160 - y},{radius * camera.scale[0] / 410}"))
-    return folder, circles
+    folder = tmp_path_factory.mktemp("balls") / "photographs"
+    return folder, [ball_of_text(place) for place in write_near_balls(folder)]
 
 
 def calibrated(balls, spec, radius=None, **options):
@@ -39,22 +27,33 @@ def calibrated(balls, spec, radius=None, **options):
 
 
 def test_calibration_reports_the_distance_of_the_card_under_the_balls(balls):
-    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     found = calibrated(balls, spec, radius=10.0)
     assert found.card_distance == pytest.approx(DISTANCE, rel=0.01)
     assert report_of(found)["card_distance"] == pytest.approx(found.card_distance)
 
 
+def test_the_table_gets_the_cards_distance_unless_it_states_one_or_a_width(balls, tmp_path):
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
+    table = tmp_path / "capture.toml"
+    found = calibrated(balls, spec, radius=10.0)
+    table.write_text(written_table(found, tmp_path, {"fov_degrees": FOV}))
+    assert read_spec(table).card_distance == found.new_distance == pytest.approx(found.card_distance, rel=1e-5)
+    others = {"card_distance": 400.0}, {"framing": Framing(card_width=80.0)}, {"views": spec.views * 2}
+    for changes in others:
+        assert replace(found, spec=replace(spec, **changes)).new_distance is None
+
+
 def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
-    seen = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
-    with pytest.raises(InputError, match="--distance: needs --radius"):
+    seen = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
+    with pytest.raises(InputError, match="--lamp-distance: needs --radius"):
         calibrated(balls, seen, distance=160.0)
     with pytest.raises(InputError, match="has no unit; give --fov and --radius"):
         calibrated(balls, read_photographs(balls[0]), distance=160.0)
 
 
 def test_positions_in_ball_radii_are_refused_for_a_capture_with_lengths(balls):
-    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     with pytest.raises(InputError, match="has card_distance; .* give --radius in it, or --lights distant"):
         calibrated(balls, replace(spec, card_distance=DISTANCE))
     calibrated(balls, replace(spec, card_distance=DISTANCE), radius=10.0)

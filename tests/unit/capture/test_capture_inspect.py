@@ -146,10 +146,18 @@ def test_the_spread_across_a_fan_is_its_width_over_its_length():
     ("count", "short", "said"),
     [
         (100, {}, ""),
-        (50, {"two lobes"}, "50 lights are few for two lobes: with 50, 11% of the texels failed"),
-        (20, {"two lobes"}, "with 20, 38%"),
-        (12, {"roughness", "two lobes"}, "with 10, 35%"),
-        (7, {"normals", "roughness", "two lobes"}, "7 lights are few for normals: with 5, 14%"),
+        (50, {"two lobes"}, "50 lights are few for two lobes; take 100 or more (in our test with 50 lights, on a"),
+        (20, {"two lobes"}, "interreflection, 38% of the texels failed)"),
+        (
+            12,
+            {"roughness", "two lobes"},
+            "12 lights are few for roughness; take 20 or more (in our test with 10 lights",
+        ),
+        (
+            7,
+            {"normals", "roughness", "two lobes"},
+            "7 lights are few for normals; take 10 or more (in our test with 5 lights",
+        ),
     ],
 )
 def test_too_few_lights_for_a_goal_are_reported_with_the_measured_figure(count, short, said):
@@ -169,7 +177,7 @@ def test_narrow_or_flat_lights_for_two_lobes_are_reported(degrees, across, codes
     assert {lack.code for lack in lacks} == codes
     assert not list(sufficiency.shortfalls("normals", 200, even_lights(200, degrees, across)))
     if degrees == 33:
-        assert "within about 33°" in lacks[0].message and "within 30° 17%" in lacks[0].message
+        assert "within about 33°" in lacks[0].message and "50 lights within 30°, 17% of" in lacks[0].message
 
 
 def test_shortfalls_are_reported_for_the_goals_only(tmp_path):
@@ -178,7 +186,7 @@ def test_shortfalls_are_reported_for_the_goals_only(tmp_path):
     assert dict(inspect_capture(path).facts)["enough for"].startswith("normals; not for roughness (few")
     found = inspect_capture(path, goals=("normals", "roughness"))
     assert found.codes == {"lights_few"} and found.usable
-    assert "12 lights are few for roughness: with 10, 35%" in finding(found, "lights_few")
+    assert "12 lights are few for roughness; take 20 or more" in finding(found, "lights_few")
 
 
 def test_a_repeated_light_is_reported(tmp_path):

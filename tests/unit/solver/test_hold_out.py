@@ -1,10 +1,14 @@
 """What --hold-out asks for, the order in which what is held out is read, and the line that tells how it was relit."""
 
+import numpy as np
 import pytest
 
-from irpso_addon.commands.options.values import held_out_list
+from irpso_addon.capture.types import Capture, LeftOut, Light, Observation
+from irpso_addon.commands.options.hold_out import held_out_list
 from irpso_addon.core.errors import InputError
 from irpso_addon.solver.views.held_out import FEWEST_SPARING, order_of, relit_line, spared
+
+NAMES = [f"IMG_000{k}.jpg" for k in range(1, 6)]
 
 
 @pytest.mark.parametrize(
@@ -13,19 +17,45 @@ from irpso_addon.solver.views.held_out import FEWEST_SPARING, order_of, relit_li
      (72, [6, 18, 30, 42, 54, 66]), (1000, [83, 250, 417, 584, 751, 918])],
 )  # fmt: skip
 def test_auto_holds_out_one_in_eight_evenly_spaced_and_at_most_six(count, chosen):
-    assert held_out_list("auto", count) == chosen
+    assert held_out_list("auto", [f"{k}.jpg" for k in range(count)]) == chosen
 
 
 def test_of_four_observations_none_can_be_spared():
     with pytest.raises(InputError, match="--hold-out auto: of 4 observations none can be held out; omit the option"):
-        held_out_list("auto", 4)
+        held_out_list("auto", NAMES[:4])
 
 
-@pytest.mark.parametrize("text", ["auto,3", "3,3", "-1", "16"])
-def test_anything_else_is_a_list_of_numbers(text):
-    assert held_out_list(None, 16) == [] and held_out_list("3,0", 16) == [3, 0]
-    with pytest.raises(InputError, match="--hold-out .*: give different numbers from 0 to 15"):
-        held_out_list(text, 16)
+@pytest.mark.parametrize(
+    ("text", "chosen"),
+    [
+        (None, []), ("3,0", [3, 0]), ("IMG_0003,IMG_0001.jpg, 4", [2, 0, 4]),
+        ("12", [5]), ("12.png", [5]), ("x.jpg,x.png", [6, 7]), ("x", [8]),
+    ],
+)  # fmt: skip
+def test_an_entry_is_a_full_name_else_a_stem_else_a_number(text, chosen):
+    assert held_out_list(text, [*NAMES, "12.png", "x.jpg", "x.png", "x", *"abcdef"]) == chosen
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("IMG_0004,IMG_003", "'IMG_003' is no photograph; the nearest names are IMG_0003.jpg, .*; numbers are from 0"),
+        ("sunset", "'sunset' is no photograph; the first names are IMG_0001.jpg, IMG_0002.jpg, IMG_0003.jpg; numbers"),
+        ("auto,3", "'auto' is no photograph"), ("-1", "'-1' is no photograph"), ("7", "numbers are from 0 to 6"),
+        ("1,,2", "'' is no photograph"), ("3,3", "--hold-out 3,3: gives IMG_0004.jpg twice"),
+        ("0,IMG_0001", "gives IMG_0001.jpg twice; give different photographs"),
+        ("x", r"'x' may be x.jpg \(number 5\), x.png \(number 6\); give the full name, or the number"),
+    ],
+)  # fmt: skip
+def test_unknown_ambiguous_and_repeated_photographs_are_refused(text, words):
+    with pytest.raises(InputError, match=words):
+        held_out_list(text, [*NAMES, "x.jpg", "x.png"])
+
+
+def test_names_of_left_out_photographs_keep_their_place():
+    shots = tuple(Observation(name, np.zeros, Light((0.0, 0.0, 1.0))) for name in "ac")
+    left_out = (LeftOut(1, "/photos/b.jpg", "is cut short"), LeftOut(3, "/photos/d.jpg", "is missing"))
+    assert Capture("a", shots, (), (), left_out=left_out).listed_names == ["a", "b.jpg", "c", "d.jpg"]
 
 
 def test_the_least_number_for_holding_out_is_right():
