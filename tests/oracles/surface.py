@@ -96,7 +96,7 @@ def smoothed(slopes, covariance, area, solvable, likeness=0.1):
             if 0 < max(abs(r - row), abs(c - column)) <= 2:
                 around.append((r, c))
         index = tuple(np.array(around, int).reshape(-1, 2).T)
-        y, v = slopes[index] - own, variance[index]
+        y, v = slopes[index] - own, np.maximum(variance[index], 1e-3 * variance[row, column])
         k = np.exp(-0.5 * (y**2).sum(axis=1) / (likeness**2 * area[row, column] + v + variance[row, column]))
         if k.sum() < 3:
             continue
@@ -112,7 +112,10 @@ def smoothed(slopes, covariance, area, solvable, likeness=0.1):
         # The sum of squares that the plane leaves, its expectation at t² = 0, and what a unit of t² adds to that.
         q = 0.5 * ((w[:, None] * y**2).sum() - ((x.T @ (w[:, None] * y)) * plane).sum())
         freedom = k.sum() - np.diag(hat) @ (k * w)
-        t2 = max((q - freedom) / (w.sum() - np.diag(hat) @ w**2), 0)
+        remainder = w.sum() - np.diag(hat) @ w**2
+        if remainder < 0.01 * w.sum():
+            continue
+        t2 = max((q - freedom) / remainder, 0)
         plane, inverse, _ = fit(k / (v + t2))
         unexplained = (t2 + inverse[0, 0]) * np.eye(2)
         p = covariance[row, column]

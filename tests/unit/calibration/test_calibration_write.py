@@ -13,7 +13,7 @@ PICTURE = np.zeros((4, 6, 3))
 
 
 def written(out):
-    write._write(out, lambda folder: "format = 1\n", "{}\n", picture=PICTURE)
+    write._write(out, lambda folder: "format = 1\n", {}, False, picture=PICTURE)
 
 
 def test_a_table_is_written_with_its_report_and_picture(tmp_path):
