@@ -34,6 +34,8 @@ _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
     " --ball none finds lights by the subject's own shading"
 )
+# A stated card_distance is that of the table less the card's thickness: these parts of the table's are plausible.
+_THICKEST, _SAME_DISTANCE = 0.7, 0.02
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,8 @@ def calibrate_steps(
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
-    return Calibrated(spec, number, shots, names, result, tuple(warnings), original_request, radius, found)
+    calibrated = Calibrated(spec, number, shots, names, result, tuple(warnings), original_request, radius, found)
+    return replace(calibrated, warnings=(*calibrated.warnings, *_distance_warnings(calibrated)))
 
 
 def _second_opinion_steps(
@@ -245,6 +248,17 @@ def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: fl
         raise InputError(
             "--lamp-distance: has no unit; give --fov and --radius, or --camera with world_width in that unit"
         )
+
+
+def _distance_warnings(calibrated: Calibrated) -> list[str]:
+    """Return a warning if the source's distance of the card is not that of a card on the table under the balls."""
+    stated, table = calibrated.spec.card_distance, calibrated.card_distance
+    if not calibrated.shows_distance or stated is None or _THICKEST <= stated / table <= 1 + _SAME_DISTANCE:
+        return []
+    return [
+        f"{calibrated.spec.source}: {CARD_DISTANCE} = {stated:.6g} stays, but the table under the balls is {table:.6g}"
+        " from the camera, in the unit of --radius; correct it, or take it out and calibrate again"
+    ]
 
 
 def _refuse_radii(spec: CaptureSpec, number: int) -> None:

@@ -26,7 +26,8 @@ from .photographs import calibrated_table
 _REPORT, _PICTURE, _POSITIONS = "report.json", "balls.png", "light_positions.txt"
 _FILES = (TABLE, _REPORT, _PICTURE)  # of every output; a folder has lists, too
 _LISTS = (FILENAMES, DIRECTIONS, _POSITIONS, INTENSITIES)
-_FOREIGN = "would be replaced, but no calibration wrote it; choose another -o, or move it"
+_LISTED = "calibration_files"  # in the report; the "files" of a report are those of a recovery, which replaces them
+_FOREIGN = "would be replaced, but its report lists no such file of a calibration; choose another -o, or move it"
 
 
 def checked_output(out: Path, replace: bool = False) -> Path:
@@ -36,10 +37,10 @@ def checked_output(out: Path, replace: bool = False) -> Path:
     """
     former = _former(out) if replace else set()
     if not (_is_table(out) or former):
-        remedy = "no calibration wrote it, so that --replace does not apply; choose a new folder"
+        remedy = "its report.json lists no files of a calibration (version 0.1.0 listed none); choose a new folder"
         check_unused(out, remedy if replace else "choose a new folder, or --replace a former calibration there")
         return out
-    if taken := next((path for path in _places(out) if path.exists() and path not in former), None):
+    if taken := next((path for path in places(out) if path.exists() and path not in former), None):
         remedy = "exists; choose another name for -o, or --replace a former calibration"
         raise InputError(f"{taken}: {_FOREIGN if replace else remedy}")
     check_writable(table_path(out).parent)
@@ -62,7 +63,7 @@ def _place(out: Path, name: str) -> Path:
     return out if name == TABLE else out.with_name(f"{out.stem}_{name}")
 
 
-def _places(out: Path) -> list[Path]:
+def places(out: Path) -> list[Path]:
     """Return the paths of all files that a calibration may write."""
     return [_place(out, name) for name in (_FILES if _is_table(out) else (*_FILES, *_LISTS))]
 
@@ -70,11 +71,11 @@ def _places(out: Path) -> list[Path]:
 def _former(out: Path) -> set[Path]:
     """Return the files that a former calibration wrote, by its report; none if there is no such report."""
     try:
-        listed = json.loads(_place(out, _REPORT).read_text(encoding="utf-8"))["files"]
-        files = {path for path in _places(out) if path.name in listed}
+        listed = json.loads(_place(out, _REPORT).read_text(encoding="utf-8"))[_LISTED]
+        files = {path for path in places(out) if path.name in listed}
     except (OSError, ValueError, KeyError, TypeError):
         return set()
-    return files if table_path(out) in files else set()  # a report of a recovery lists other files
+    return files
 
 
 def frames_folder(out: Path) -> Path:
@@ -85,7 +86,7 @@ def frames_folder(out: Path) -> Path:
 def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any], replace: bool = False) -> None:
     """Write table, report and picture: into a folder with the lists of a DiLiGenT capture, or as OUT.toml.
 
-    keys: of the camera. replace: see ``checked_output``. The output is atomic. Raises InputError if writing fails.
+    keys: of the camera. replace: see ``checked_output``. Raises InputError if writing fails, as ``_write``.
     """
     _write(
         out, lambda folder: written_table(calibrated, folder, keys), report_of(calibrated), replace,
@@ -105,7 +106,7 @@ def write_lights(
     """Write a table and a report of lights from other sources than balls: into a folder, or as OUT.toml.
 
     keys: of the cameras. lights: one per photograph. card: keys that replace the source's, lengths in the lights' unit.
-    replace: see ``checked_output``. The output is atomic. Raises InputError if writing fails.
+    replace: see ``checked_output``. Raises InputError if writing fails, as ``_write``.
     """
     cameras = dict.fromkeys(range(len(spec.views)), keys) if keys else {}
     by_number = dict(enumerate(lights))
@@ -120,18 +121,19 @@ def _write(
     lists: Mapping[str, Sequence[str]] = MappingProxyType({}),
     picture: np.ndarray | None = None,
 ) -> None:
-    """Write a table, a report and a picture atomically: into a folder, with lists, or as OUT.toml.
+    """Write a picture, lists, a table and a report, in this order: into a folder, or, without lists, as OUT.toml.
 
-    table_in: folder → the table's text. report: "files" is added. lists: file name → lines. Raises InputError if
+    A new output is atomic. Of a former one the files before one that cannot be replaced are replaced; the report, which
+    lists them all, is the last. table_in: folder → the table's text. lists: file name → lines. Raises InputError if
     writing fails.
     """
     former = _former(out) if replace else set()
     files = {} if picture is None else {_PICTURE: png_bytes(picture, 8)}
     if not _is_table(out):
         files |= {name: "".join(f"{line}\n" for line in lines).encode() for name, lines in lists.items()}
-    listed = [_place(out, name).name for name in (*files, _REPORT, TABLE)]
-    files[_REPORT] = (json.dumps({**report, "files": listed}, indent=1) + "\n").encode()
     files[TABLE] = table_in(table_path(out).parent).encode()
+    listed = [_place(out, name).name for name in (*files, _REPORT)]
+    files[_REPORT] = (json.dumps({**report, _LISTED: listed}, indent=1) + "\n").encode()
     if _is_table(out) or former:
         _write_beside(out, {_place(out, name): data for name, data in files.items()}, former)
         return

@@ -13,7 +13,7 @@ from .camera import Camera
 from .errors import CaptureError, raise_all
 from .framing import Framing
 from .images.encoding import Encoding, LitImage, encoding_of
-from .images.exif import SAME_STOPS
+from .images.exif import SAME_STOPS, Exposure
 from .images.image import ImageRef, ImageStore
 from .images.linearise import Decoder, Samples
 from .types import Capture, LeftOut, Light, Observation, triple
@@ -100,7 +100,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         _check_orientations([shot.image for shot, _ in of_view], store, faults)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
-        warnings += _exposure_warnings([shot for shot, _ in of_view], store)
+        warnings += yield from _exposure_warnings([shot for shot, _ in of_view], store)
     raise_all(faults)
     tested = [
         LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
@@ -219,22 +219,30 @@ def _check_orientations(images: list[ImageRef], store: ImageStore, faults: list[
     ]
 
 
-def _exposure_warnings(shots: list[ObservationSpec], store: ImageStore) -> list[str]:
-    """Return a warning if one camera's images have different exposures by EXIF, and their lights equal intensities."""
+def _exposure_warnings(shots: list[ObservationSpec], store: ImageStore) -> Generator[None, None, list[str]]:
+    """Return a warning if one camera's images have different exposures by EXIF, and their lights equal intensities.
+
+    Yields before each image. Files of which only some have an f-number or an ISO are not compared.
+    """
     if len({shot.intensity for shot in shots}) != 1:
         return []  # intensities may account for the exposures
-    exposed = [(shot.image, exposure.amount) for shot in shots if (exposure := store.exposure(shot.image))]
-    if not exposed:
+    exposed: list[tuple[ImageRef, Exposure]] = []
+    for shot in shots:
+        yield
+        if exposure := store.exposure(shot.image):
+            exposed.append((shot.image, exposure))
+    if len({(exposure.f_number is None, exposure.iso is None) for _, exposure in exposed}) != 1:
         return []
-    stops = np.log2([amount for _, amount in exposed])
+    stops = np.log2([exposure.amount for _, exposure in exposed])
     stops -= np.sort(stops)[len(stops) // 2]
     worst, count = int(np.abs(stops).argmax()), int((np.abs(stops) >= SAME_STOPS).sum())
     if not count:
         return []
     return [
-        f"{exposed[worst][0]}: by EXIF it is exposed {abs(stops[worst]):.1f} stops"
-        f" {'more' if stops[worst] > 0 else 'less'} than most ({count} of {len(stops)} photographs differ), which"
-        " counts as a stronger or weaker lamp; set the exposure by hand, or scale with irpso develop --exposure exif"
+        f"{exposed[worst][0]}: its exposure by EXIF is {abs(stops[worst]):.1f} stops"
+        f" {'above' if stops[worst] > 0 else 'below'} the median ({count} of {len(stops)} photographs differ from it),"
+        " which counts as a stronger or weaker lamp; set the exposure by hand, scale with irpso develop --exposure"
+        " exif, or recover with --intensities estimate"
     ]
 
 

@@ -16,7 +16,7 @@ from ..blender.images import decode
 from ..calibration.balls.lights import Request
 from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
-from ..calibration.write import checked_output, table_path, write_calibration, write_lights
+from ..calibration.write import checked_output, places, table_path, write_calibration, write_lights
 from ..capture.formats.table import CARD_DISTANCE
 from ..capture.framing import framed
 from ..capture.spec import CaptureSpec, build_capture
@@ -193,7 +193,8 @@ def _errors(degrees: np.ndarray) -> str:
 
 def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:
     """Return the photographs, and the keys of their camera: ``keys``, or else those of their EXIF."""
-    spec = read_photographs(Path(options.capture), options.colour_space, masks, options.frames)
+    hidden = [*masks, *places(Path(options.output))]
+    spec = read_photographs(Path(options.capture), options.colour_space, hidden, options.frames)
     where = "--camera" if options.camera else "--fov"
     exif = {} if options.camera else lens_of_files(spec, decode)
     if keys and exif and abs(exif["fov_degrees"] / keys["fov_degrees"] - 1) > _SAME_LENS:

@@ -72,7 +72,7 @@ def report_of(
     priors = job.schedule.fitness.priors
     of_maps = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
     of_maps += [*run.warnings, *_coverage_warnings(domain, maps)]
-    of_capture = [*job.warnings, *capture_warnings(job.capture)]
+    of_capture = [*job.warnings, *capture_warnings(job.capture, exposures=not _estimates_intensities(run))]
     report |= run.findings | run.relit[1] | {"warnings": [*of_maps, *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
@@ -97,16 +97,21 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     ]
 
 
-def capture_warnings(capture: Capture, reads: bool = True) -> list[str]:
+def capture_warnings(capture: Capture, reads: bool = True, exposures: bool = True) -> list[str]:
     """Return warnings of reading a capture: images left out, other exposures, an encoding that radiance contradicts.
 
-    reads: whether images are read to test the encoding, unless it is tested already. Panels must not read.
+    reads: whether images are read to test the encoding, unless it is tested already. Panels must not read. exposures:
+    whether other exposures matter; estimated intensities account for them.
     """
-    lines = [*(f"left out: {image.why}" for image in capture.left_out), *capture.warnings]
+    lines = [*(f"left out: {image.why}" for image in capture.left_out), *(capture.warnings if exposures else ())]
     encoding = capture.encoding
     if encoding is None or encoding.known_by == "format" or not (reads or encoding.is_tested):
         return lines
     return [*lines, text] if (text := encoding.message()) else lines
+
+
+def _estimates_intensities(run: Run) -> bool:
+    return run.lights is not None and bool((run.lights.factors != 1).any())
 
 
 def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
@@ -114,7 +119,7 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     job, lights = run.job, run.lights
     fitted = subset(domain, job.fitted)
     warnings = light_warnings(fitted, job.seed)
-    if lights is not None and (lights.factors != 1).any():
+    if lights is not None and _estimates_intensities(run):
         return warnings + lights.warnings(job.lights.intensities == "estimate")
     if any(tuple(observation.light.intensity) != _UNSTATED for observation in job.capture.observations):
         return warnings

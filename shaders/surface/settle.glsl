@@ -19,6 +19,7 @@ bool texel_kernel(ivec2 texel)
                              multiplier_at(place - ivec2(0, 1)));
     vec2 delta = covariance_times(texelFetch(u_covariance, texel, 0).xyz, ct_mu);
     float deviance = dot(ct_mu, delta);
-    o_field = vec4(field.xy - (deviance > 0.0 ? min(1.0, TOLERANCE * inversesqrt(deviance)) * delta : vec2(0.0)), 0.0, 0.0);
+    float part = deviance > 0.0 ? min(1.0, TOLERANCE * inversesqrt(deviance)) : 0.0;
+    o_field = vec4(field.xy - part * delta, 0.0, 0.0);
     return true;
 }

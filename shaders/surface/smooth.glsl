@@ -4,8 +4,8 @@
 // & Sharp 1999, Explaining Heterogeneity in Meta-analysis). A neighbour has the precision 1 / (v + t²), v the variance
 // of its noise, and the multiplicity exp(−½ (s − s')² / (h² + v + v')), so that steps of the surface end the plane.
 // The texel's slope is the posterior mean: s + P (P + T)⁻¹ (m − s), T = t² plus the variance of m.
-// P is SMOOTHNESS times the covariance in u_covariance. Lengths are in units of the root of the texel's area, so that no
-// square overflows. Reads u_field (slopes), u_covariance, geometry and packing. Writes o_field.
+// P is SMOOTHNESS times the covariance in u_covariance. All slopes are divided by the lengths of the texel's own steps:
+// texels may be long, and no square overflows. Reads u_field (slopes), u_covariance, geometry and packing. Writes o_field.
 
 #include "surface/slopes.glsl"
 #include "surface/loops.glsl"
@@ -19,9 +19,9 @@
 // more precise than the others determine the plane alone.
 #define MIN_REMAINDER 0.01
 // Smallest variance of a neighbour, as a part of the texel's own: sums in float32 lose what others say beside one that
-// is far more precise. 1e-12, the square of a normal's precision in radians, is the smallest of all.
+// is far more precise. With the smallest of all, 3e-6 radians squared, no determinant overflows.
 #define MIN_VARIANCE_SHARE 1e-3
-#define MIN_VARIANCE 1e-12
+#define MIN_VARIANCE 1e-11
 
 // Sums over the neighbours: xxᵀ with the weights w, w² and k w (k the multiplicity, w = k / (v + t²)), xyᵀ and y² with
 // w, and k. x = (1, d), y = the slopes less the texel's own.
@@ -36,26 +36,26 @@ struct Sums {
 };
 
 // Returns the variance of a slope's noise, 0 where the slope is unknown.
-float variance_at(ivec2 texel, float area)
+float variance_at(ivec2 texel, vec2 lengths)
 {
-    vec3 covariance = texelFetch(u_covariance, texel, 0).xyz;
-    float variance = 0.5 * SMOOTHNESS * (covariance.x + covariance.z) / area;
+    vec2 variances = texelFetch(u_covariance, texel, 0).xz / (lengths * lengths);
+    float variance = 0.5 * SMOOTHNESS * (variances.x + variances.y);
     return variance > 0.0 ? max(variance, MIN_VARIANCE) : 0.0;
 }
 
-Sums sums_over_neighbours(ivec2 texel, ivec4 place, float area, float t2)
+Sums sums_over_neighbours(ivec2 texel, ivec4 place, vec2 lengths, float t2)
 {
     vec2 own = texelFetch(u_field, texel, 0).xy;
-    float own_variance = variance_at(texel, area);
+    float own_variance = variance_at(texel, lengths);
     Sums p = Sums(mat3(0.0), mat3(0.0), mat3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0);
     for (int t = 0; t < TAPS; t++) {
         ivec2 offset = tap_at(t);
         ivec2 other = connected_at(place, offset);
-        float v = other.x >= 0 ? variance_at(other, area) : 0.0;
+        float v = other.x >= 0 ? variance_at(other, lengths) : 0.0;
         if (!(v > 0.0)) {
             continue;
         }
-        vec2 y = (texelFetch(u_field, other, 0).xy - own) * inversesqrt(area);
+        vec2 y = (texelFetch(u_field, other, 0).xy - own) / lengths;
         v = max(v, MIN_VARIANCE_SHARE * own_variance);
         float k = exp(-0.5 * dot(y, y) / (LIKENESS * LIKENESS + v + own_variance));
         float w = k / (v + t2);
@@ -93,13 +93,13 @@ bool texel_kernel(ivec2 texel)
     vec4 field = texelFetch(u_field, texel, 0);
     o_field = field;
     Grid g = grid_at(texel);
-    float area = abs(g.step_x.x * g.step_y.y - g.step_x.y * g.step_y.x);
-    vec3 covariance = SMOOTHNESS * texelFetch(u_covariance, texel, 0).xyz / area;
+    vec2 lengths = vec2(length(g.step_x), length(g.step_y));
+    vec3 covariance = SMOOTHNESS * texelFetch(u_covariance, texel, 0).xyz / (lengths.xxy * lengths.xyy);
     if (!(covariance.x + covariance.z > 0.0)) {
         return true;
     }
     ivec4 place = surface_place_of(texel);
-    Sums p = sums_over_neighbours(texel, place, area, 0.0);
+    Sums p = sums_over_neighbours(texel, place, lengths, 0.0);
     if (p.count < MIN_COUNT) {
         return true;
     }
@@ -112,7 +112,7 @@ bool texel_kernel(ivec2 texel)
         return true;
     }
     float t2 = max((q - freedom) / remainder, 0.0);
-    p = sums_over_neighbours(texel, place, area, t2);
+    p = sums_over_neighbours(texel, place, lengths, t2);
     inverse_w = inverse_of(p.w);
     vec2 away = vec2(dot(inverse_w[0], p.y_along_x), dot(inverse_w[0], p.y_along_y));
     float variance = t2 + inverse_w[0][0];
@@ -121,6 +121,6 @@ bool texel_kernel(ivec2 texel)
     float yy = covariance.z + variance;
     vec2 z = vec2(yy * away.x - covariance.y * away.y, xx * away.y - covariance.y * away.x) /
              (xx * yy - covariance.y * covariance.y);
-    o_field.xy = field.xy + sqrt(area) * covariance_times(covariance, z);
+    o_field.xy = field.xy + lengths * covariance_times(covariance, z);
     return true;
 }

@@ -82,22 +82,24 @@ def relaxed(slopes, covariance, begins, weight):
     return slopes - correction
 
 
-def smoothed(slopes, covariance, area, solvable, likeness=0.1):
+def smoothed(slopes, covariance, grid, solvable, likeness=0.1):
     """Return (H, W, 2) posterior slopes under a plane through each texel's neighbours plus relief of a variance t².
 
-    area: (H, W) of a texel, whose root converts ``likeness`` from a slope of the surface. A texel with fewer than three
-    like neighbours keeps its slope. t² is DerSimonian and Laird's, from explicit hat matrices.
+    grid: (H, W, 2, 2) texel steps, as of ``grid_of``; their lengths convert slopes to those of the surface. A texel
+    with fewer than three like neighbours keeps its slope. t² is DerSimonian and Laird's, from explicit hat matrices.
     """
-    result, variance = slopes.copy(), np.trace(covariance, axis1=-2, axis2=-1) / 2
-    takes_part = solvable & (variance > 0)
+    result, all_slopes, all_covariances = slopes.copy(), slopes, covariance
+    takes_part = solvable & (np.trace(covariance, axis1=-2, axis2=-1) > 0)
     for row, column in np.argwhere(takes_part):
-        own, around = slopes[row, column], []
+        lengths, around = np.linalg.norm(grid[row, column], axis=-1), []
+        slopes, covariance = all_slopes / lengths, all_covariances / np.outer(lengths, lengths)
+        own, variance = slopes[row, column], np.trace(covariance, axis1=-2, axis2=-1) / 2
         for r, c in np.argwhere(takes_part):
             if 0 < max(abs(r - row), abs(c - column)) <= 2:
                 around.append((r, c))
         index = tuple(np.array(around, int).reshape(-1, 2).T)
         y, v = slopes[index] - own, np.maximum(variance[index], 1e-3 * variance[row, column])
-        k = np.exp(-0.5 * (y**2).sum(axis=1) / (likeness**2 * area[row, column] + v + variance[row, column]))
+        k = np.exp(-0.5 * (y**2).sum(axis=1) / (likeness**2 + v + variance[row, column]))
         if k.sum() < 3:
             continue
         x = np.column_stack([np.ones(len(around)), index[1] - column, index[0] - row])
@@ -119,5 +121,5 @@ def smoothed(slopes, covariance, area, solvable, likeness=0.1):
         plane, inverse, _ = fit(k / (v + t2))
         unexplained = (t2 + inverse[0, 0]) * np.eye(2)
         p = covariance[row, column]
-        result[row, column] = own + p @ np.linalg.solve(p + unexplained, plane[0])
+        result[row, column] = lengths * (own + p @ np.linalg.solve(p + unexplained, plane[0]))
     return result

@@ -154,7 +154,7 @@ def prior_table(estimates: int) -> TextureTable:
 
 
 def surface_table() -> TextureTable:
-    """Return the table of the surface phase, which makes normals integrable.
+    """Return the table of the surface phase, which makes normals integrable and smooth.
 
     noise: of the samples (shaders/prior/variance.glsl). field, covariance: shaders/surface/relax.glsl.
     """

@@ -1,8 +1,14 @@
 """``irpso calibrate`` with balls, on the command line."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from irpso_addon.capture.read import read_capture
+from irpso_addon.core.errors import InputError
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.write import check_replaces_nothing
 from tests.builders.command_line import listing, run_cli
 from tests.builders.near_balls import FOV, write_near_balls
 from tests.builders.near_card import DISTANCE
@@ -83,12 +89,16 @@ def test_replace_treats_a_table_like_a_folder(photographs, tmp_path):
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        ({"capture.toml": "mine"}, "no calibration wrote it, so that --replace does not apply; choose a new folder"),
-        ({"photograph.png": "mine"}, "no calibration wrote it, so that --replace does not apply"),
-        ({"report.json": '{"files": ["normal.png", "report.json"]}'}, "no calibration wrote it"),
+        ({"capture.toml": "mine"}, "lists no files of a calibration (version 0.1.0 listed none); choose a new folder"),
+        ({"photograph.png": "mine"}, "its report.json lists no files of a calibration"),
+        ({"report.json": '{"files": ["normal.png", "report.json"]}'}, "lists no files of a calibration"),
         (
-            {"capture.toml": "x", "report.json": '{"files": ["capture.toml", "report.json"]}', "balls.png": "mine"},
-            "balls.png: would be replaced, but no calibration wrote it; choose another -o, or move it",
+            {
+                "capture.toml": "x",
+                "balls.png": "mine",
+                "report.json": '{"calibration_files": ["capture.toml", "report.json"]}',
+            },
+            "balls.png: would be replaced, but its report lists no such file of a calibration; choose another -o, or",
         ),
     ],
 )
@@ -106,9 +116,32 @@ def test_a_former_calibration_stays_if_the_new_one_fails_or_cannot_be_written(ph
     before = listing(out)
     assert calibrate(photographs, out, "--replace", "--fov", 200)[0] == 2 and listing(out) == before
 
-    def full(*_):
-        raise OSError(28, "No space left on device")
+    real = os.replace
+
+    def full(source, target):
+        if Path(target).name == last:
+            raise OSError(28, "No space left on device")
+        real(source, target)
 
     monkeypatch.setattr("irpso_addon.calibration.write.os.replace", full)
-    code, _, said = calibrate(photographs, out, "--replace")
-    assert code == 2 and "cannot be written (No space left on device)" in said and listing(out) == before
+    for last in ("balls.png", "report.json"):  # the first and the last file
+        code, _, said = calibrate(photographs, out, "--replace", "--radius", 10)
+        assert code == 2 and "cannot be written (No space left on device)" in said
+        if last == "balls.png":
+            assert listing(out) == before
+    monkeypatch.undo()
+    assert calibrate(photographs, out, "--replace", "--radius", 10)[0] == 0  # it still lists what it wrote
+
+
+def test_a_recovery_does_not_replace_a_calibration(photographs, tmp_path):
+    assert calibrate(photographs, tmp_path / "out")[0] == 0
+    with pytest.raises(InputError, match="no recovery wrote it"):
+        check_replaces_nothing(tmp_path / "out", load_model("metallic_roughness"))
+
+
+def test_a_distance_of_another_unit_is_warned_of(photographs, tmp_path):
+    out = tmp_path / "out"
+    assert calibrate(photographs, out, "--radius", 10)[0] == 0
+    again = out, photographs[1]
+    assert "stays, but the table under the balls is" in "".join(calibrate(again, tmp_path / "two", "--radius", 20)[1:])
+    assert "stays, but" not in "".join(calibrate(again, tmp_path / "one", "--radius", 10)[1:])

@@ -182,26 +182,29 @@ def test_normals_follow_their_slopes_and_albedo_follows_the_normals(bench):
 def test_slopes_move_to_the_plane_of_their_neighbours_as_far_as_noise_explains(bench, smoothness, entry):
     domain = make_domain(9, 11, 6, holes=True)
     y, x = np.mgrid[: domain.shape[0], : domain.shape[1]]
-    domain = replace(domain, bake=replace(domain.bake, position=np.stack([x, y, 0 * x], axis=-1).astype(np.float32)))
-    rng, shape = np.random.default_rng(5), domain.shape
+    step = np.array([0.3, 0.08])  # of a texel, longer than wide
+    position = np.stack([step[0] * x, step[1] * y, 0 * x], axis=-1).astype(np.float32)
+    domain = replace(domain, bake=replace(domain.bake, position=position))
+    rng, shape, grid = np.random.default_rng(5), domain.shape, oracle.grid_of(domain)
     # Loops that bind nothing, and a fit that may become as bad as it will: the slopes alone decide.
     schedule = ON.replaced(surface_smoothness=smoothness, surface_tolerance=1e4)
     made = bench(LAMBERT, domain, subject(9, 11)[1], schedule, entry)
     made.run()
     root = 0.04 * (rng.normal(size=(*shape, 2, 2)) * rng.uniform(0.3, 1.5, (*shape, 1, 1)) + 0.3 * np.eye(2))
     covariance = root @ np.swapaxes(root, -1, -2)
-    covariance[np.linalg.det(oracle.grid_of(domain)) == 0] = 0  # holes on both sides: no slope
+    covariance[np.linalg.det(grid) == 0] = 0  # holes on both sides: no slope
     covariance[6, 8:10] *= 1e-8  # two neighbours that know it all leave nothing to learn t² from
     # Left a plane with noise, right a relief that no plane follows, between them a step.
     slopes = np.stack([0.03 * x, -0.02 * y], axis=-1) + np.einsum("hwij,hwj->hwi", root, rng.normal(size=(*shape, 2)))
     slopes += np.where(x[..., None] > 5, 0.15 * rng.normal(size=(*shape, 2)) + 0.6, 0.0)
+    slopes, covariance = slopes * step, covariance * np.outer(step, step)
     made.put("field", np.concatenate([slopes, np.zeros_like(slopes)], axis=-1))
     made.put("covariance", np.stack([*covariance.reshape(*shape, 4)[..., [0, 1, 3]].transpose(2, 0, 1), 0 * x], -1))
-    wanted = oracle.smoothed(slopes, smoothness * covariance, np.ones(shape), domain.solvable)
+    wanted = oracle.smoothed(slopes, smoothness * covariance, grid, domain.solvable)
     inside = domain.solvable & (covariance[..., 0, 0] > 0)
-    moved = np.linalg.norm(wanted - slopes, axis=-1)
+    moved = np.linalg.norm((wanted - slopes) / step, axis=-1)
     assert np.median(moved[inside & (x < 5)]) > 0.005
-    np.testing.assert_allclose(made.found()["normal"][inside], normals_of(wanted)[inside], atol=2e-5)
+    np.testing.assert_allclose(made.found()["normal"][inside], normals_of(wanted / step)[inside], atol=2e-5)
 
 
 def _albedo(domain, normal):

@@ -73,7 +73,7 @@ def test_other_exposures_by_exif_are_findings_of_the_check_and_warnings_of_the_r
     (tmp_path / "a" / "filenames.txt").write_text("".join(f"{k:03d}.png\n" for k in range(5)))
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "a"))
     (found,) = [item.message for item in scene.irpso.findings if item.code == "exposure"]
-    assert found.startswith("002.png: by EXIF it is exposed 1.0 stops more")
+    assert found.startswith("002.png: its exposure by EXIF is 1.0 stops above")
     (warning,) = capture_warnings(scene_capture.capture_of(scene), reads=False)  # as the panel draws them
     assert warning.endswith(found)
 

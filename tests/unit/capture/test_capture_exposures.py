@@ -31,8 +31,10 @@ def photographed(folder, exposures, intensities=None, cameras=None, iso=None):
 def test_another_exposure_is_a_finding_of_the_check_and_a_warning_of_the_report(tmp_path):
     folder = photographed(tmp_path, UNLIKE)
     (message,) = [f.message for f in inspect_capture(folder, decode_png).findings if f.code == "exposure"]
-    assert message.startswith(f"{folder / '2.png'}: by EXIF it is exposed 1.0 stops more than most (1 of 5 photographs")
-    assert message in capture_warnings(read_capture(folder, decode_png), reads=False)
+    assert message.startswith(f"{folder / '2.png'}: its exposure by EXIF is 1.0 stops above the median (1 of 5 ")
+    capture = read_capture(folder, decode_png)
+    assert message in capture_warnings(capture, reads=False)
+    assert message not in capture_warnings(capture, reads=False, exposures=False)  # estimated intensities
 
 
 @pytest.mark.parametrize(
@@ -43,9 +45,18 @@ def test_another_exposure_is_a_finding_of_the_check_and_a_warning_of_the_report(
         {"exposures": [(10, 600), (10, 610), (10, 600), (10, 590), None]},
         {"exposures": UNLIKE, "intensities": [1, 1, 2, 1, 1]},
         {"exposures": UNLIKE, "iso": [100, 100, 50, 100, 100]},
+        {"exposures": ALIKE, "iso": [400, 400, None, 400, 400]},
         {"exposures": UNLIKE, "cameras": ["a", "a", "b", "a", "a"]},
     ],
-    ids=["alike", "no EXIF", "within a sixth of a stop", "stated intensities", "other ISO", "another camera"],
+    ids=[
+        "alike",
+        "no EXIF",
+        "within a sixth of a stop",
+        "stated intensities",
+        "other ISO",
+        "one without ISO",
+        "another camera",
+    ],
 )
 def test_equal_and_accounted_exposures_are_no_warning(tmp_path, case):
     assert read_capture(photographed(tmp_path, **case), decode_png).warnings == ()
