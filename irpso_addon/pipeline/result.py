@@ -72,7 +72,8 @@ def report_of(
     priors = job.schedule.fitness.priors
     of_maps = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
     of_maps += [*run.warnings, *_coverage_warnings(domain, maps)]
-    of_capture = [*job.warnings, *capture_warnings(job.capture, exposures=not _estimates_intensities(run))]
+    scaled = run.lights is not None and run.lights.scaled
+    of_capture = [*job.warnings, *capture_warnings(job.capture, exposures=not scaled)]
     report |= run.findings | run.relit[1] | {"warnings": [*of_maps, *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
@@ -110,16 +111,12 @@ def capture_warnings(capture: Capture, reads: bool = True, exposures: bool = Tru
     return [*lines, text] if (text := encoding.message()) else lines
 
 
-def _estimates_intensities(run: Run) -> bool:
-    return run.lights is not None and bool((run.lights.factors != 1).any())
-
-
 def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     """Return warnings of room light, of the lights' order, of estimated lights, or of intensities not stated."""
     job, lights = run.job, run.lights
     fitted = subset(domain, job.fitted)
     warnings = light_warnings(fitted, job.seed)
-    if lights is not None and _estimates_intensities(run):
+    if lights is not None and lights.scaled:
         return warnings + lights.warnings(job.lights.intensities == "estimate")
     if any(tuple(observation.light.intensity) != _UNSTATED for observation in job.capture.observations):
         return warnings

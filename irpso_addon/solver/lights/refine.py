@@ -63,6 +63,11 @@ class Lights:
     rounds: int
     change: float
 
+    @property
+    def scaled(self) -> bool:
+        """Whether any intensity differs from the given one."""
+        return bool((self.factors != 1).any())
+
     def applied(self, domain: Domain) -> Domain:
         """Return the domain with these lights."""
         return with_lights(domain, self.lights, self.intensities)
@@ -70,7 +75,7 @@ class Lights:
     def summary(self) -> str:
         """Return one line about the difference from the given lights."""
         parts = []
-        if (self.factors != 1).any():
+        if self.scaled:
             low, high = self.factors.mean(axis=-1).min(), self.factors.mean(axis=-1).max()
             parts.append(f"{low:.2g} to {high:.2g} × as given")
         if self.turned.any():
@@ -92,7 +97,7 @@ class Lights:
     def warnings(self, requested: bool = True) -> list[str]:
         """Return one line per warning. requested: whether the user requested intensities."""
         lines = []
-        if not requested and (self.factors != 1).any():
+        if not requested and self.scaled:
             lines.append(
                 "the images contradict the lights' intensities, all given as 1, so they were estimated:"
                 f" {self.summary()}; --intensities given (Light Strengths) keeps them"

@@ -155,6 +155,10 @@ class TexturePhase(Phase):
         self.acceptance = acceptance
         self.reader = Reader(entry)
 
+    def _inputs(self) -> dict[str, Texture]:
+        """Return the textures that the passes read, by sampler name: estimates, the phase's own, the domain's."""
+        return {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures}
+
     def read(self, *names: str) -> np.ndarray:
         """Return (h, w, channels) of the current textures of some groups, channels side by side."""
         self.textures.ensure()

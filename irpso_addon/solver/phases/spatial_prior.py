@@ -116,7 +116,7 @@ class SpatialPriorPhase(TexturePhase):
         seconds: float,
         candidate: Mapping[str, Texture] = {},
     ) -> Iterator[None]:
-        inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures, **candidate}
+        inputs = {**self._inputs(), **candidate}
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_settles": 1}
         passes = self.passes
         counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)

@@ -112,7 +112,6 @@ class SurfacePhase(TexturePhase):
         momentum: float = 0.0,
         field: Sequence[Texture] = (),
     ) -> Iterator[None]:
-        inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures}
-        inputs |= self.textures.bound("field", field) if field else {}
+        inputs = self._inputs() | (self.textures.bound("field", field) if field else {})
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_momentum": momentum}
         return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)

@@ -115,9 +115,6 @@ class SwarmPhase(TexturePhase):
         """Continue with the swarms of a phase that searches the same parameters; the old phase then loses them."""
         self.textures, old.textures, self.iteration = old.textures, self.textures, old.iteration
 
-    def _inputs(self) -> dict[str, Texture]:
-        return {**self.textures.bindings(), **self.estimates.bindings(), **self.domain.textures}
-
 
 def particle_count(schedule: Schedule, dimensions: int) -> int:
     """Return m, the particles of a swarm in a space of ``dimensions``."""
