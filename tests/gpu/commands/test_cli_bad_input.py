@@ -141,7 +141,7 @@ def test_a_field_of_view_unlike_that_of_exif_is_warned_of(tmp_path, capsys, degr
     """26 mm of full frame's diagonal: 67.3° over the width of 4 : 3."""
     for number in range(3):
         (tmp_path / f"{number}.jpg").write_bytes(jpeg(4000, 3000, exif(focal_35mm=26)))
-    options = Namespace(capture=tmp_path, camera=None, colour_space="auto", frames=())
+    options = Namespace(capture=tmp_path, output=tmp_path / "out", camera=None, colour_space="auto", frames=())
     spec, keys = _photographs(options, {"fov_degrees": degrees}, [])
     assert keys == {"fov_degrees": degrees} and spec.views[0].lens
     assert ("40.0° over the width, but the photographs' EXIF says 67.3°" in capsys.readouterr().err) == warned
