@@ -91,6 +91,10 @@ def build_refinement_passes(
     if isinstance(resolved, ResolvedMaterials):
         spread, materials = "materials/offer", {"u_materials": FLOAT_2D}
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
+    step, constants = OBSERVATIONS, STEP
+    if resolved.starts and settings.race_iterations:
+        defines["RACE"] = 1
+        step, constants = {**OBSERVATIONS, "u_best_status": FLOAT_2D}, {**STEP, "u_races": "INT"}
     includes = {
         **model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes,
         "starts.glsl": build_starts(model, resolved.starts),
@@ -108,7 +112,7 @@ def build_refinement_passes(
 
     return RefinementPasses(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
-        step=make("refine/step", OBSERVATIONS, STEP),
+        step=make("refine/step", step, constants),
         spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
         keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
         vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if has_votes else None,

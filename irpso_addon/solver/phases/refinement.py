@@ -36,7 +36,10 @@ class Track:
 
 def tracks_of(refinement: Refinement, starts: int) -> tuple[Track, ...]:
     """Return the tracks in their order; after each one every texel keeps its best material so far."""
-    several = [Track(start, refinement.start_iterations) for start in range(BEST, starts)] if starts else []
+    several: list[Track] = []
+    if starts:
+        raced = refinement.start_iterations + refinement.race_iterations
+        several = [Track(BEST, refinement.start_iterations), *(Track(start, raced) for start in range(starts))]
     spreads = [Track(SPREAD, refinement.round_iterations)] * refinement.rounds
     return (*several, Track(BEST, refinement.iterations), *spreads)
 
@@ -100,7 +103,7 @@ class RefinementPhase(TexturePhase):
         if made == 0:
             yield from self._begin(track, bands, seconds)
         target, widening = self._spare(), self._widening(track, made)
-        inputs = self._material(self.work)
+        inputs = {**self._material(self.work), "u_best_status": self.best[-1]}
         yield from self._in_bands("refinement", self.passes.step, target, inputs, bands, seconds, widening)
         self.work = target
         if made == track.iterations - 1:
@@ -180,10 +183,9 @@ class RefinementPhase(TexturePhase):
         self.preview(self.estimates.resolved)
 
     def _widening(self, track: Track, made: int) -> float:
-        """Return the factor on δ in an iteration: from a start it falls to 1 in the last iteration; otherwise 1."""
-        if track.start < 0 or track.iterations < 2:
-            return 1.0
-        return self.refinement.widening ** (1 - made / (track.iterations - 1))
+        """Return the factor on δ in an iteration: from a start it falls to 1 before the race; else 1."""
+        last = self.refinement.start_iterations - 1
+        return 1.0 if track.start < 0 or made >= last else self.refinement.widening ** (1 - made / last)
 
     def _begin(self, track: Track, bands: Bands, seconds: float) -> Iterator[None]:
         if track.start == BEST:
@@ -219,7 +221,9 @@ class RefinementPhase(TexturePhase):
 
     def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
         constants = loss_constants(self.domain, widening * self.schedule.fitness.delta)
-        return {**constants, "u_start": start, "u_settles": int(widening == 1)}
+        track, made = self.track
+        races = track.start >= 0 and made >= self.refinement.start_iterations
+        return {**constants, "u_start": start, "u_settles": int(widening == 1), "u_races": int(races)}
 
     def _run(
         self, bands: Bands, work: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST

@@ -48,6 +48,7 @@ NEIGHBOUR_READ = 10.0  # of a prior or a test, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
 INDIRECT = 0.1  # share of the texels whose light is indirect
+RACING = 0.3  # share of the texels at which a start is close enough to the best to go on
 BADLY_FITTED = 0.5  # share of the texels that the first prefit fits badly
 _BEFORE_ROUNDS = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Tests = ResolvedIndirect | ResolvedSheen
@@ -225,10 +226,13 @@ def _refinement_work(
 ) -> tuple[float, ...]:
     """Return the work of a refinement. From a start all texels step; from the best, or after a spread, ever fewer."""
     settings, (step, spread) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
-    starts = resolved.iterations - settings.iterations - settings.rounds * settings.round_iterations
     from_best = [step * max(LEAST_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
     after_spread = [spread + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]
-    return (*[step] * starts, *from_best, *after_spread * settings.rounds)
+    from_starts: list[float] = []
+    if resolved.starts:
+        race = [*[step] * settings.start_iterations, *[step * RACING] * settings.race_iterations]
+        from_starts = [step] * settings.start_iterations + race * len(resolved.starts)
+    return (*from_starts, *from_best, *after_spread * settings.rounds)
 
 
 def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:

@@ -197,7 +197,8 @@ class Refinement:
     """Levenberg–Marquardt (Marquardt 1963) after the stages, on all their parameters jointly, with the same fitness.
 
     votes: shaders/refine/votes.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual Reconstruction):
-    highlights must not count as outliers while the estimated lobe is still far from them.
+    highlights must not count as outliers while the estimated lobe is still far from them. race_iterations: Maron &
+    Moore 1994, Hoeffding Races: a start that is far behind is given up.
     """
 
     iterations: int = setting(
@@ -210,6 +211,10 @@ class Refinement:
         "Model's Starts", "Also refine from the starts in the model's file, and keep the best result", True
     )
     start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, least=1, soft_max=30)
+    race_iterations: int = setting(
+        "Race Steps", "Further steps from a start whose fitness is then at most four times that of the best result so"
+        " far; 0 is off", 0, soft_max=30,
+    )  # fmt: skip
     rounds: int = setting("Rounds", "How many times every texel tries the materials of its neighbors", 1, soft_max=8)
     round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)
     candidate_ratio: float = setting(
@@ -242,7 +247,7 @@ class Refinement:
         False,
     )
     widening: float = setting(
-        "Widening", "Factor on Delta at the first step from the model's starts; it falls to 1 at the last step."
+        "Widening", "Factor on Delta at the first step from the model's starts; it falls to 1 at the last Start Step."
         " More finds highlights that are farther away", 1.0,
         least=1, soft_max=100,
     )  # fmt: skip

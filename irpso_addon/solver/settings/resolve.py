@@ -55,7 +55,8 @@ class ResolvedRefinement:
     def iterations(self) -> int:
         """The number of all steps."""
         settings = self.refinement
-        from_starts = settings.start_iterations * (len(self.starts) + 1) if self.starts else 0
+        count = len(self.starts)
+        from_starts = settings.start_iterations * (count + 1) + settings.race_iterations * count if count else 0
         return from_starts + settings.iterations + settings.rounds * settings.round_iterations
 
 

@@ -47,6 +47,16 @@ def gold(shape):
     return truth | {"normal": unit(rng.normal(size=(*shape, 3)) * 0.25 + (0, 0, 1)).astype(np.float32)}
 
 
+def dark_dielectric(truth):
+    """A material as a fit of matt surfaces leaves it where the truth is a metal: dark, normals some 20° off."""
+    start = {name: v.copy() for name, v in truth.items()}
+    turned_off = np.random.default_rng(8).normal(size=truth["normal"].shape) * 0.3
+    start["normal"] = unit(truth["normal"] + turned_off).astype(np.float32)
+    start["normal"][..., 2] = np.abs(start["normal"][..., 2])
+    start["metallic"][:], start["base_color"][:] = 0, 0.1
+    return start
+
+
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 @pytest.mark.parametrize("card", [True, False])
 def test_a_start_uses_the_mirror_direction_of_the_brightest_sample(refinement, card, entry):
@@ -81,17 +91,44 @@ def test_the_mirror_start_and_a_wide_delta_recover_a_metal_with_a_wrong_normal(r
     model, shape = load_model("metallic_roughness"), (8, 8)
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=24, noise=0.003)
-    # As a fit of matt surfaces leaves them: dark dielectrics, normals some 20° off.
-    start = {name: v.copy() for name, v in truth.items()}
-    start["normal"] = unit(truth["normal"] + np.random.default_rng(8).normal(size=(*shape, 3)) * 0.3).astype(np.float32)
-    start["normal"][..., 2] = np.abs(start["normal"][..., 2])
-    start["metallic"][:], start["base_color"][:] = 0, 0.1
     right = []
     for starts, widening in (((), 1.0), (model.starts, 1.0), (model.starts, 30.0)):
         schedule = schedule_of(iterations=10, starts=True, start_iterations=5, widening=widening, central=False)
-        found = refinement(model, domain, start, schedule, starts=starts, scale=0.1).run()
+        found = refinement(model, domain, dark_dielectric(truth), schedule, starts=starts, scale=0.1).run()
         right.append(float((found["metallic"] > 0.9).mean()))
     assert right[0] < 0.1 < right[1] < right[2] - 0.05 and right[2] > 0.8, right
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+def test_a_start_that_is_close_behind_goes_on_until_it_wins(refinement, entry):
+    model, shape = load_model("metallic_roughness"), (8, 8)
+    truth = gold(shape)
+    domain = observed(model, truth, shape, observations=8, noise=0.003)
+    right = []
+    for race in (0, 8):
+        schedule = schedule_of(
+            iterations=4, starts=True, start_iterations=2, race_iterations=race, widening=30.0, central=False
+        )
+        bench = refinement(
+            model, domain, dark_dielectric(truth), schedule, starts=model.starts, scale=0.1, entry=entry
+        )
+        right.append(float((bench.run()["metallic"] > 0.9).mean()))
+    assert right[1] > right[0] + 0.1, right
+
+
+def test_a_start_that_is_far_behind_stops(refinement):
+    model, shape = load_model("metallic_roughness"), (6, 6)
+    truth = gold(shape)
+    domain = observed(model, truth, shape, observations=24, noise=0.003)
+    spent = []
+    for race in (0, 6):
+        # One step from a matt dielectric is far from gold.
+        schedule = schedule_of(iterations=1, starts=True, start_iterations=1, race_iterations=race, central=False)
+        starts = ((("roughness", (1.0,)), ("metallic", (0.0,))),)
+        bench = refinement(model, domain, truth, schedule, starts=starts, scale=0.1)
+        bench.run()
+        spent.append(bench.refinement.read("result")[..., 3])
+    assert spent[0].min() > 0 and np.mean(spent[1] == spent[0]) > 0.9
 
 
 @pytest.mark.parametrize("source", ["shown", "result"])
