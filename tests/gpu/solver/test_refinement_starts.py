@@ -109,9 +109,7 @@ def test_a_start_that_is_close_behind_goes_on_until_it_wins(refinement, entry):
         schedule = schedule_of(
             iterations=4, starts=True, start_iterations=2, race_iterations=race, widening=30.0, central=False
         )
-        bench = refinement(
-            model, domain, dark_dielectric(truth), schedule, starts=model.starts, scale=0.1, entry=entry
-        )
+        bench = refinement(model, domain, dark_dielectric(truth), schedule, starts=model.starts, scale=0.1, entry=entry)
         right.append(float((bench.run()["metallic"] > 0.9).mean()))
     assert right[1] > right[0] + 0.1, right
 
