@@ -70,11 +70,9 @@ def report_of(
         seconds={**run.seconds, "solve": seconds}, ground_truth=run.truth, noise=domain.noise,
     )  # fmt: skip
     priors = job.schedule.fitness.priors
-    of_maps = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
-    of_maps += [*run.warnings, *_coverage_warnings(domain, maps)]
     scaled = run.lights is not None and run.lights.scaled
     of_capture = [*job.warnings, *capture_warnings(job.capture, exposures=not scaled)]
-    report |= run.findings | run.relit[1] | {"warnings": [*of_maps, *of_capture, *(warnings or [])]}
+    report |= run.findings | run.relit[1] | {"warnings": [*maps_warnings(run, maps), *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
     if priors and (shares := prior_shares(maps, job.fixed)):
@@ -85,6 +83,14 @@ def report_of(
     if run.lights is not None:
         report["lights"] = run.lights.report(job.numbers)
     return report | ({} if recovered.height is None else {"height": recovered.height.described()})
+
+
+def maps_warnings(run: Run, maps: Maps) -> list[str]:
+    """Return warnings of the search, of its lights and of its last ``maps``."""
+    job, domain = run.job, present(run.domain)
+    modes = mode_warnings(maps, job.schedule.fitness.priors)
+    of_lights = _light_warnings(run, domain, maps)
+    return [*limit_warnings(maps, job.fixed), *modes, *of_lights, *run.warnings, *_coverage_warnings(domain, maps)]
 
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:

@@ -121,11 +121,11 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.wrapped(layout, context, running.held_out_line, "HIDE_ON")
     if running.lights is not None:
         drawing.fact(column, context, "Lights", running.lights.summary())
-        for text in running.lights.warnings(running.job.lights.intensities != "auto"):
-            _draw_warning(layout, context, text)
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    for text in (*running.warnings, *capture_warnings(running.job.capture, reads=False)):
+    scaled = running.lights is not None and running.lights.scaled
+    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not scaled)
+    for text in (*running.warnings, *of_capture):
         _draw_warning(layout, context, text)
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")

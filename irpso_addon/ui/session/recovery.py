@@ -16,6 +16,7 @@ from ...core.udim import ONE_SQUARE
 from ...geometry.domain import Domain
 from ...gpu import context
 from ...gpu.context_guard import ContextGuard
+from ...pipeline.result import maps_warnings
 from ...pipeline.run import LIGHTS, PREPARE, READ, Run, RunCache
 from ...results.maps import Maps
 from ...solver.engine.engine import RecoveryEngine
@@ -42,8 +43,8 @@ class Session:
 
     state: "loading", "preparing", "running" (also while held-out photographs are relit), "paused" or "done". title: the
     current step, for the panel. history: (iteration, mean error) pairs. error: the last mean error, a fraction of
-    white. seconds: search time. longest_stall_s: the longest tick. warnings: of a finished recovery. failure:
-    the error that ended the session, "" for none.
+    white. seconds: search time. longest_stall_s: the longest tick. warnings: of a finished recovery, without those
+    that need its confidence. failure: the error that ended the session, "" for none.
 
     data: results of the previous run, for reuse. changed: called with the session for every redraw and by ``close``.
     """
@@ -223,7 +224,7 @@ class Session:
             self._notify()
             return
         self._end_relighting()
-        self.state, self.warnings = "done", self.recovery.warnings
+        self.state, self.warnings = "done", tuple(maps_warnings(self.work, self.maps(confidence=False)))
         self.title = n_("Stopped") if self.stopped else n_("Done")
         self._notify()
 

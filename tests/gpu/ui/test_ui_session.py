@@ -301,3 +301,20 @@ def test_errors_use_blenders_setting_names(job, monkeypatch):
     while running.active:
         running.tick(0.05)
     assert running.failure.startswith("Memory Budget device=1.0 KiB") and "--" not in running.failure
+
+
+def test_a_finished_recovery_has_the_warnings_of_the_report_and_the_panel_shows_them(scene, folder, job):
+    from irpso_addon.ui.session import keep, session
+    from tests.builders.drawn_panels import drawn
+
+    # Lights a fifth as strong: the photographs are brighter than a white surface.
+    (folder / "light_intensities.txt").write_text("\n".join(["0.2 0.2 0.2"] * len(LIGHTS)))
+    scene.irpso.schedule.iterations = 10
+    running = session.begin(job())
+    running.run()
+    report = keep.report_of(running, keep.current_maps(running, confidence=False))
+    session_warnings = list(running.warnings)
+    assert any("base_color is at its limit" in text for text in session_warnings)
+    assert [text for text in report["warnings"] if text in session_warnings] == session_warnings
+    assert "Base_color is at its limit" in " ".join(drawn().texts)  # wrapped
+    session.end()
