@@ -222,14 +222,16 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
             f" {found['unknown_texels']} texels unknown"
         )
     if residual := report.get("residual"):
-        lines.append(f"residual: mean {residual['mean']:.5f}, 99th percentile {residual['p99']:.5f}")
+        mean, most = residual["mean"], residual["p99"]
+        lines.append(f"fitted photographs: off by {mean:.2%} of white, 99 of 100 texels by at most {most:.1%}")
     for name, error in report.get("ground_truth", {}).items():
         lines.append(
             f"{name} against ground truth: mean {error['mean']:.3f} {error['unit']}, median {error['median']:.3f},"
             f" 99th percentile {error['p99']:.3f}"
         )
-    for name, share in report.get("priors_decided", {}).items():
-        lines.append(f"{name}: the prior outweighs the photographs on {share:.0%} of the texels")
+    if shares := report.get("priors_decided"):
+        decided = ", ".join(f"{name} on {1 - share:.0%}" for name, share in shares.items())
+        lines.append(f"the photographs decide, on so many of the texels: {decided}; elsewhere the model's prior does")
     if (share := report.get("unknown", {}).get("normal", 0)) >= 0.005:
         lines.append(f"normal: unknown on {share:.0%} of the texels")
     for name, psnr in report.get("relighting_psnr_db", {}).items():

@@ -85,12 +85,21 @@ def relit_steps(
 
 
 def relit_line(figures: Mapping[str, Any]) -> str:
-    """Return the means of a report's figures as one line for display, "" where nothing was held out."""
+    """Return the means of a report's figures as one line for display, "" where nothing was held out.
+
+    The percentages are RMS errors of display values, in parts of white.
+    """
     if "relighting_mean_psnr_db" not in figures:
         return ""
     psnr, highlights = figures["relighting_mean_psnr_db"], figures["relighting_highlights_mean_psnr_db"]
-    mean = "nothing to compare" if psnr is None else f"{psnr:.1f} dB"
-    return f"Unseen photographs: {mean}" + (f", highlights {highlights:.1f} dB" if highlights is not None else "")
+    mean = "nothing to compare" if psnr is None else f"off by {_error_of(psnr)}"
+    return f"Unseen photographs: {mean}" + (
+        f", in highlights by {_error_of(highlights)}" if highlights is not None else ""
+    )
+
+
+def _error_of(psnr: float) -> str:
+    return f"{10 ** (-psnr / 20):.1%} ({psnr:.1f} dB)"
 
 
 def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.ndarray:
