@@ -215,6 +215,10 @@ class Refinement:
         "Race Steps", "Further steps from a start whose fitness is then at most four times that of the best result so"
         " far; 0 is off", 0, soft_max=30,
     )  # fmt: skip
+    race_observations: int = setting(
+        "Race Limit", "Most photographs with which starts race; with more of them Start Steps suffice", 32, least=1,
+        soft_max=200,
+    )  # fmt: skip
     rounds: int = setting("Rounds", "How many times every texel tries the materials of its neighbors", 1, soft_max=8)
     round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)
     candidate_ratio: float = setting(

@@ -259,7 +259,8 @@ def resolve(
     """Return the phases that estimate a model's free parameters: prefit, stages, refinement, shared materials, prior,
     surface.
 
-    observations: number of fitted ones; a prefit needs at least ``schedule.prefit.observations``. Raises InputError.
+    observations: number of fitted ones. A prefit needs at least ``schedule.prefit.observations``; starts race with at
+    most ``schedule.refinement.race_observations``. Raises InputError.
     """
     names = _searched_names(schedule, model)
     free = [p for p in model.parameters if p.name not in fixed and any(_in_stage(p, s, names) for s in schedule.stages)]
@@ -272,8 +273,10 @@ def resolve(
             if searched and stage.iterations:
                 resolved.append(_resolve_swarm(schedule, model, searched, stage.iterations, cycle))
     if free:
-        parameters = tuple(free)
-        resolved += _resolve_refinement(schedule.refinement, model, parameters)
+        parameters, refinement = tuple(free), schedule.refinement
+        if observations > refinement.race_observations:
+            refinement = replace(refinement, race_iterations=0)
+        resolved += _resolve_refinement(refinement, model, parameters)
         if has_prefit:
             resolved += _resolve_refinement_with_fixed_normals(schedule.refinement, model, parameters)
         resolved += _resolve_materials(schedule, parameters)

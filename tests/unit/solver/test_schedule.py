@@ -242,6 +242,18 @@ def test_a_refinement_comes_last_and_counts_all_its_steps(tmp_path):
     )
 
 
+def test_starts_race_with_few_photographs_alone():
+    schedule, model = load_schedule("standard"), load_model("metallic_roughness")
+    few, many = (
+        next(stage for stage in resolve(schedule, model, set(), count) if type(stage) is ResolvedRefinement)
+        for count in (schedule.refinement.race_observations, schedule.refinement.race_observations + 1)
+    )
+    assert few.iterations - many.iterations == schedule.refinement.race_iterations * len(model.starts) > 0
+    for refinement in (few, many):
+        tracks = tracks_of(refinement.refinement, len(refinement.starts))
+        assert sum(track.iterations for track in tracks) == refinement.iterations
+
+
 def test_starts_set_only_searched_parameters(tmp_path):
     schedule = load_schedule(with_refinement(tmp_path, REFINEMENT))
     only = resolve(schedule.replaced(search=["normal", "roughness"]), load_model("principled"), set())[-1]
