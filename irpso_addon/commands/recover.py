@@ -231,7 +231,7 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         )
     if shares := report.get("priors_decided"):
         decided = ", ".join(f"{name} on {1 - share:.0%}" for name, share in shares.items())
-        lines.append(f"the photographs decide, on so many of the texels: {decided}; elsewhere the model's prior does")
+        lines.append(f"decided by the photographs: {decided} of the texels; elsewhere by the model's prior")
     if (share := report.get("unknown", {}).get("normal", 0)) >= 0.005:
         lines.append(f"normal: unknown on {share:.0%} of the texels")
     for name, psnr in report.get("relighting_psnr_db", {}).items():
