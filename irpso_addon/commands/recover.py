@@ -223,7 +223,9 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         )
     if residual := report.get("residual"):
         mean, most = residual["mean"], residual["p99"]
-        lines.append(f"fitted photographs: off by {mean:.2%} of white, 99 of 100 texels by at most {most:.1%}")
+        lines.append(
+            f"fitted photographs: mean error of radiance {mean:.2%} of white, of 99 in 100 texels at most {most:.1%}"
+        )
     for name, error in report.get("ground_truth", {}).items():
         lines.append(
             f"{name} against ground truth: mean {error['mean']:.3f} {error['unit']}, median {error['median']:.3f},"

@@ -122,8 +122,10 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     job, lights = run.job, run.lights
     fitted = subset(domain, job.fitted)
     warnings = light_warnings(fitted, job.seed)
-    if lights is not None and lights.scaled:
-        return warnings + lights.warnings(job.lights.intensities == "estimate")
+    if lights is not None:
+        warnings += lights.warnings(job.lights.intensities == "estimate")
+        if lights.scaled:
+            return warnings
     if any(tuple(observation.light.intensity) != _UNSTATED for observation in job.capture.observations):
         return warnings
     text = contradiction(fitted, maps.model, maps.values, frozenset(job.fixed), job.seed)

@@ -15,10 +15,6 @@
 #define MIN_DAMPING (1.0 / 1048576.0)
 #define MAX_DAMPING 1e6
 
-// With RACE, and in the steps after the first ones from a start (u_races), a texel stops whose fitness is not below this
-// many times that of its best material so far (u_best_status).
-#define RACE_RATIO 4.0
-
 // Longest step of a searched number, as a fraction of its range. Longer steps end in a corner of the box, where a lobe
 // has no strength, and so its width has no gradient. From one start, 1 in 15 random principled materials in shadow miss
 // their optimum; without the limit 1 in 10. With two lobes the limit makes no difference.
@@ -165,8 +161,10 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     material_to(estimate_at(texel), c);
     vec4 status = texelFetch(u_status, texel, 0);
-#ifdef RACE
-    if (u_races != 0 && !(status.x < RACE_RATIO * texelFetch(u_best_status, texel, 0).x)) {
+#ifdef RACE_RATIO
+    // In the race, after the first steps from a start, a texel stops that is far behind its best material so far.
+    float best_fitness = texelFetch(u_best_status, texel, 0).x;
+    if (u_races != 0 && !(status.x + NOISE_FLOOR < RACE_RATIO * (best_fitness + NOISE_FLOOR))) {
         status.z = CONVERGED_AFTER;
     }
 #endif

@@ -49,7 +49,7 @@ LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
 STANDARD = load_schedule("standard").replaced(
     iterations=3, prefit_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_every=2,
-    refinement=Refinement(iterations=2, start_iterations=1, rounds=1, round_iterations=1),
+    refinement=Refinement(iterations=2, start_iterations=1, race_iterations=1, rounds=1, round_iterations=1),
 )  # fmt: skip
 ROUNDS = STANDARD.replaced(materials_rounds=1, materials_iterations=2, interreflection_rounds=2)
 THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, neighbour_every=30)

@@ -93,7 +93,7 @@ def build_refinement_passes(
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
     step, constants = OBSERVATIONS, STEP
     if resolved.starts and settings.race_iterations:
-        defines["RACE"] = 1
+        defines["RACE_RATIO"] = f"{settings.race_ratio:.9f}"
         step, constants = {**OBSERVATIONS, "u_best_status": FLOAT_2D}, {**STEP, "u_races": "INT"}
     includes = {
         **model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes,

@@ -15,7 +15,8 @@ from ..state.prepare import light_vectors
 def light_warnings(domain: Domain, seed: int = 0) -> list[str]:
     """Return warnings of room light and of lights in another order than the photographs, at random texels."""
     places = np.flatnonzero(domain.solvable)
-    chosen = np.sort(np.random.default_rng(seed % 2**32).permutation(places)[: shading.PIXELS])
+    count = min(shading.PIXELS, len(places))
+    chosen = np.sort(np.random.default_rng(seed % 2**32).choice(places, count, replace=False, shuffle=False))
     texels = np.divmod(chosen, domain.shape[1])
     samples = without_bounds(domain.stack.texels(*texels))
     vectors, irradiance = light_vectors(domain, texels)

@@ -102,7 +102,7 @@ class Lights:
                 "the images contradict the lights' intensities, all given as 1, so they were estimated:"
                 f" {self.summary()}; --intensities given (Light Strengths) keeps them"
             )
-        if self.determined < _DETERMINED:
+        if self.scaled and self.determined < _DETERMINED:
             lines.append(
                 "the surface is nearly flat: the lights' intensities may have a linear trend from side to side;"
                 " photograph a grey card or a matte ball beside it"
@@ -245,7 +245,7 @@ def check(intensities: bool, refine_degrees: float) -> None:
 def sample_schedule(schedule: Schedule | None = None) -> Schedule:
     """Return a schedule, by default ``standard``, for texels without neighbours and lights that may be wrong."""
     return (schedule or load_schedule("standard")).replaced(
-        c3=0.0, neighbour_every=0, refinement_rounds=0, prior_rounds=0, levels=1,
+        c3=0.0, neighbour_every=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0, levels=1,
         interreflection_rounds=0, prefit_indirect_share=0.0,
     )  # fmt: skip
 

@@ -48,7 +48,7 @@ NEIGHBOUR_READ = 10.0  # of a prior or a test, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
 INDIRECT = 0.1  # share of the texels whose light is indirect
-RACING = 0.3  # share of the texels at which a start is close enough to the best to go on
+RACING = 0.4  # share of the texels at which a start goes on in the race: from the sample's time with and without
 BADLY_FITTED = 0.5  # share of the texels that the first prefit fits badly
 _BEFORE_ROUNDS = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Tests = ResolvedIndirect | ResolvedSheen
@@ -224,7 +224,7 @@ def _swarm_work(stage: ResolvedSwarm, schedule: Schedule, observations: int) -> 
 def _refinement_work(
     resolved: ResolvedRefinement, model: ReflectanceModel, observations: int, cost: float
 ) -> tuple[float, ...]:
-    """Return the work of a refinement. From a start all texels step; from the best, or after a spread, ever fewer."""
+    """Return the work of a refinement. From a start all texels step, in its race some; from the best, ever fewer."""
     settings, (step, spread) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
     from_best = [step * max(LEAST_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
     after_spread = [spread + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]

@@ -197,8 +197,8 @@ class Refinement:
     """Levenberg–Marquardt (Marquardt 1963) after the stages, on all their parameters jointly, with the same fitness.
 
     votes: shaders/refine/votes.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual Reconstruction):
-    highlights must not count as outliers while the estimated lobe is still far from them. race_iterations: Maron &
-    Moore 1994, Hoeffding Races: a start that is far behind is given up.
+    highlights must not count as outliers while the estimated lobe is still far from them. race_iterations: after
+    the idea of Maron & Moore 1994, Hoeffding Races: a start that is far behind is given up.
     """
 
     iterations: int = setting(
@@ -212,12 +212,16 @@ class Refinement:
     )
     start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, least=1, soft_max=30)
     race_iterations: int = setting(
-        "Race Steps", "Further steps from a start whose fitness is then at most four times that of the best result so"
-        " far; 0 is off", 0, soft_max=30,
+        "Race Steps", "Further steps from a start that is then close behind the best result so far; 0 is off", 0,
+        soft_max=30,
+    )  # fmt: skip
+    race_ratio: float = setting(
+        "Race Ratio", "A start is close behind if its fitness is below this many times the best one. More finds more"
+        " metals and takes longer", 4.0, least=1, soft_max=10,
     )  # fmt: skip
     race_observations: int = setting(
-        "Race Limit", "Most photographs with which starts race; with more of them Start Steps suffice", 32, least=1,
-        soft_max=200,
+        "Race Limit", "Most photographs of a capture with which starts race; with more of them Start Steps suffice",
+        32, least=1, soft_max=200,
     )  # fmt: skip
     rounds: int = setting("Rounds", "How many times every texel tries the materials of its neighbors", 1, soft_max=8)
     round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)

@@ -87,14 +87,14 @@ def relit_steps(
 def relit_line(figures: Mapping[str, Any]) -> str:
     """Return the means of a report's figures as one line for display, "" where nothing was held out.
 
-    The percentages are RMS errors of display values, in parts of white.
+    The percentages are RMS errors of display values, in parts of white: geometric means over the photographs.
     """
     if "relighting_mean_psnr_db" not in figures:
         return ""
     psnr, highlights = figures["relighting_mean_psnr_db"], figures["relighting_highlights_mean_psnr_db"]
-    mean = "nothing to compare" if psnr is None else f"off by {_error_of(psnr)}"
+    mean = "nothing to compare" if psnr is None else f"RMS error {_error_of(psnr)}"
     return f"Unseen photographs: {mean}" + (
-        f", in highlights by {_error_of(highlights)}" if highlights is not None else ""
+        f", in highlights {_error_of(highlights)}" if highlights is not None else ""
     )
 
 

@@ -43,8 +43,8 @@ class Session:
 
     state: "loading", "preparing", "running" (also while held-out photographs are relit), "paused" or "done". title: the
     current step, for the panel. history: (iteration, mean error) pairs. error: the last mean error, a fraction of
-    white. seconds: search time. longest_stall_s: the longest tick. warnings: of a finished recovery, without those
-    that need its confidence. failure: the error that ended the session, "" for none.
+    white. seconds: search time. longest_stall_s: the longest tick. warnings: of a finished recovery, except that a
+    parameter has two modes, which needs its confidence. failure: the error that ended the session, "" for none.
 
     data: results of the previous run, for reuse. changed: called with the session for every redraw and by ``close``.
     """
@@ -223,8 +223,10 @@ class Session:
             self.state, self.title = "running", n_("Relighting unseen photographs")
             self._notify()
             return
+        if not self.job.held_out:
+            self._check(self.maps(confidence=False))
         self._end_relighting()
-        self.state, self.warnings = "done", tuple(maps_warnings(self.work, self.maps(confidence=False)))
+        self.state = "done"
         self.title = n_("Stopped") if self.stopped else n_("Done")
         self._notify()
 
@@ -283,7 +285,16 @@ class Session:
         self.finish()
 
     def _relight(self) -> Generator[None, None, None]:
-        yield from self.work.relighting(self.maps(confidence=False))  # here, an error ends the relighting alone
+        maps = self.maps(confidence=False)  # here, an error ends the relighting alone
+        yield from self.work.relighting(maps)
+        self._check(maps)
+
+    def _check(self, maps: Maps) -> None:
+        """Set the warnings of ``maps``."""
+        try:
+            self.warnings = tuple(maps_warnings(self.work, maps))
+        except Exception as error:  # noqa: BLE001  an error in a check must not lose the maps
+            failures.report(n_("Checking the maps"), error)
 
     def _end_relighting(self) -> None:
         self._worker.wait()

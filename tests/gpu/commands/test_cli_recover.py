@@ -1,11 +1,13 @@
 """``recover`` through the public command: its files, its report, models of one's own."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
 import pytest
 
+from irpso_addon.commands.recover import _summary
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import MODELS, angle, read_map, run_cli
 from tests.builders.recovered import FILES, LIGHTS, OTHERS, OWN, SHAPE, recovered_models
@@ -198,3 +200,15 @@ def test_doctor_names_the_gpu_its_limits_and_the_choices():
     assert facts["models"].split(", ") == shipped_models()
     code, out, _ = run_cli("doctor", "--json")
     assert code == 0 and json.loads(out)["renderer"] == facts["GPU"]
+
+
+def test_the_summary_gives_errors_in_parts_of_white_and_what_the_photographs_decide():
+    report = {
+        "texels": 100, "unseen_texels": 0, "seconds": {"solve": 2.0}, "residual": {"mean": 0.00712, "p99": 0.0412},
+        "priors_decided": {"roughness": 0.004, "specular": 1.0}, "relighting_mean_psnr_db": 20.0,
+        "relighting_highlights_mean_psnr_db": None, "warnings": [],
+    }  # fmt: skip
+    lines = _summary(report, Path("out"), 1.0).splitlines()
+    assert "fitted photographs: mean error of radiance 0.71% of white, of 99 in 100 texels at most 4.1%" in lines
+    assert any(line.startswith("decided by the photographs: roughness on 100%, specular on 0%") for line in lines)
+    assert "unseen photographs: RMS error 10.0% (20.0 dB)" in lines

@@ -160,8 +160,8 @@ def test_fragment_and_compute_make_the_same_step(refinement):
         np.testing.assert_allclose(one[name], other[name], rtol=1e-4, atol=1e-5)
 
 
-WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2,
-         "candidate_ratio": 1.5, "votes": 1.0}  # fmt: skip
+WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "race_iterations": 2, "rounds": 2,
+         "round_iterations": 2, "candidate_ratio": 1.5, "votes": 1.0}  # fmt: skip
 
 
 def lobes():
@@ -174,14 +174,14 @@ def lobes():
     return model, with_samples(domain, stack)
 
 
-@pytest.mark.parametrize(("entry", "breaks"), [("fragment", (4, 9, 14, 18)), ("compute", (10,))])
+@pytest.mark.parametrize(("entry", "breaks"), [("fragment", (4, 9, 14, 22, 26)), ("compute", (10,))])
 def test_slices_and_checkpoints_change_nothing(recover, tmp_path, entry, breaks):
     model, domain = lobes()
     schedule = load_schedule("swarm").replaced(
         iterations=3, particles=4, seed="random", refinement=replace(SETTINGS, **WHOLE)
     )
     whole = recover(domain, model, schedule, entry=entry)
-    assert whole.step().iterations_in_all == 3 + 5 * 2 + 4 + 2 * 2
+    assert whole.step().iterations_in_all == 3 + 5 * 2 + 4 * 2 + 4 + 2 * 2
     wanted = bits_of(whole.maps())
     sliced = recover(domain, model, schedule, entry=entry)
     while not sliced.step(time_budget_s=1e-4).done:

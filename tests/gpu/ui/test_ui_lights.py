@@ -101,3 +101,14 @@ def test_a_summary_says_how_far_lights_are_from_those_given(factors, turned, tex
     one = np.ones((4, 3))
     lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.full(4, turned), 1.0, 3, 0.0)
     assert lights.summary() == text
+
+
+@pytest.mark.parametrize(
+    ("factors", "determined", "change", "words"),
+    [(1.0, 1.0, 0.0, []), (1.0, 0.001, 0.0, []), (2.0, 0.001, 0.0, ["nearly flat"]), (1.0, 1.0, 0.5, ["not converge"])],
+)
+def test_warnings_are_of_what_was_estimated(factors, determined, change, words):
+    one = np.ones((4, 3))
+    lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.zeros(4), determined, 3, change)
+    warnings = lights.warnings()
+    assert len(warnings) == len(words) and all(word in text for word, text in zip(words, warnings, strict=True))

@@ -318,3 +318,20 @@ def test_a_finished_recovery_has_the_warnings_of_the_report_and_the_panel_shows_
     assert [text for text in report["warnings"] if text in session_warnings] == session_warnings
     assert "Base_color is at its limit" in " ".join(drawn().texts)  # wrapped
     session.end()
+
+
+def test_a_check_that_fails_loses_no_maps(scene, job, monkeypatch):
+    from irpso_addon.ui.common import failures
+    from irpso_addon.ui.session import recovery, session
+
+    def fail(*arguments):
+        raise RuntimeError("no check today")
+
+    monkeypatch.setattr(recovery, "maps_warnings", fail)
+    scene.irpso.schedule.iterations = 5
+    running = session.begin(job())
+    running.run()
+    assert running.state == "done" and not running.warnings and running.maps().covered.any()
+    assert any("no check today" in text for text in failures.messages())
+    failures.clear()
+    session.end()

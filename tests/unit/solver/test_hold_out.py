@@ -69,8 +69,8 @@ def test_held_out_images_are_read_last_in_the_named_order():
 @pytest.mark.parametrize(
     ("psnr", "highlights", "line"),
     [
-        (33.456, 30.149, "Unseen photographs: off by 2.1% (33.5 dB), in highlights by 3.1% (30.1 dB)"),
-        (33.456, None, "Unseen photographs: off by 2.1% (33.5 dB)"),
+        (33.456, 30.149, "Unseen photographs: RMS error 2.1% (33.5 dB), in highlights 3.1% (30.1 dB)"),
+        (33.456, None, "Unseen photographs: RMS error 2.1% (33.5 dB)"),
         (None, None, "Unseen photographs: nothing to compare"),
     ],
 )
