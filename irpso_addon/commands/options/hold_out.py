@@ -22,10 +22,22 @@ def held_out_list(text: str | None, names: Sequence[str]) -> list[int]:
         return []
     if text == "auto":
         return _spared(len(names))
-    chosen = [_index(entry.strip(), text, names) for entry in text.split(",")]
+    chosen = [_index(entry, text, names) for entry in _entries(text, names)]
     if twice := [k for n, k in enumerate(chosen) if k in chosen[:n]]:
         raise InputError(f"--hold-out {text}: gives {names[twice[0]]} twice; give different photographs")
     return chosen
+
+
+def _entries(text: str, names: Sequence[str]) -> list[str]:
+    """Split ``text`` at commas, except inside the names of photographs."""
+    known = {*names, *(Path(name).stem for name in names)}
+    parts, entries = text.split(","), []
+    while parts:
+        ends = range(len(parts), 0, -1)
+        end = next((end for end in ends if ",".join(parts[:end]).strip() in known), 1)
+        entries.append(",".join(parts[:end]).strip())
+        parts = parts[end:]
+    return entries
 
 
 def _spared(count: int) -> list[int]:

@@ -36,6 +36,11 @@ def test_an_entry_is_a_full_name_else_a_stem_else_a_number(text, chosen):
     assert held_out_list(text, [*NAMES, "12.png", "x.jpg", "x.png", "x", *"abcdef"]) == chosen
 
 
+@pytest.mark.parametrize("text", ["left, low.jpg,b.jpg", "b,left, low", "1, left, low.jpg"])
+def test_a_name_may_contain_commas(text):
+    assert sorted(held_out_list(text, ["left, low.jpg", "b.jpg", "left.jpg"])) == [0, 1]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
