@@ -19,8 +19,8 @@ def settings():
 def checking():
     return capture_import.checking(bpy.context.scene)
 
-def until_checked():
-    # The longest slice that the check took, and what it said on the way.
+def checked_after(begin):
+    # The longest slice that the check took which begin() starts, and what it said on the way.
     slices, said, real = [], [], capture_import._slice
     def timed(check, seconds):
         begun = time.perf_counter()
@@ -29,6 +29,7 @@ def until_checked():
         said.append(check.doing)
         return more
     capture_import._slice = timed
+    begin()
     while checking():
         yield
     capture_import._slice = real
@@ -86,8 +87,8 @@ def test_a_capture_is_chosen_in_the_file_browser(ready, icon):
 
 def test_a_dropped_list_of_lights_is_imported_and_checked_while_the_window_goes_on(ready, icon):
     # What Blender itself does once files have been dropped on an area.
-    ready.run(f"bpy.ops.wm.drop_import_file(directory={str(icon)!r}, files=[{{'name': 'dirs.lp'}}])")
-    stall, said = ready.run("until_checked()", timeout=180)
+    drop = f"bpy.ops.wm.drop_import_file(directory={str(icon)!r}, files=[{{'name': 'dirs.lp'}}])"
+    stall, said = ready.run(f"checked_after(lambda: {drop})", timeout=180)
     print(f"72 images were checked in {len(said)} slices, of {stall:.3f} s at most")
     assert ready.run("settings().capture_path").endswith("dirs.lp")
     assert len({line for line in said if line.startswith("Checking images")}) > 1
