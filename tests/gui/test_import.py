@@ -19,20 +19,23 @@ def settings():
 def checking():
     return capture_import.checking(bpy.context.scene)
 
-def checked_after(begin):
-    # The longest slice that the check took which begin() starts, and what it said on the way.
-    slices, said, real = [], [], capture_import._slice
+slices, said, real_slice = [], [], capture_import._slice
+
+def watch_checks():
+    # Notes the duration of each slice of a check, and what it says.
     def timed(check, seconds):
         begun = time.perf_counter()
-        more = real(check, seconds)
+        more = real_slice(check, seconds)
         slices.append(time.perf_counter() - begun)
         said.append(check.doing)
         return more
     capture_import._slice = timed
-    begin()
+
+def until_checked():
+    # The longest slice that the watched check took, and what it said on the way.
     while checking():
         yield
-    capture_import._slice = real
+    capture_import._slice = real_slice
     return max(slices, default=0.0), said
 
 def steps_of_find_corners():
@@ -87,8 +90,9 @@ def test_a_capture_is_chosen_in_the_file_browser(ready, icon):
 
 def test_a_dropped_list_of_lights_is_imported_and_checked_while_the_window_goes_on(ready, icon):
     # What Blender itself does once files have been dropped on an area.
-    drop = f"bpy.ops.wm.drop_import_file(directory={str(icon)!r}, files=[{{'name': 'dirs.lp'}}])"
-    stall, said = ready.run(f"checked_after(lambda: {drop})", timeout=180)
+    ready.run("watch_checks()")
+    ready.run(f"bpy.ops.wm.drop_import_file(directory={str(icon)!r}, files=[{{'name': 'dirs.lp'}}])")
+    stall, said = ready.run("until_checked()", timeout=180)
     print(f"72 images were checked in {len(said)} slices, of {stall:.3f} s at most")
     assert ready.run("settings().capture_path").endswith("dirs.lp")
     assert len({line for line in said if line.startswith("Checking images")}) > 1
