@@ -70,8 +70,7 @@ def report_of(
         seconds={**run.seconds, "solve": seconds}, ground_truth=run.truth, noise=domain.noise,
     )  # fmt: skip
     priors = job.schedule.fitness.priors
-    scaled = run.lights is not None and run.lights.scaled
-    of_capture = [*job.warnings, *capture_warnings(job.capture, exposures=not scaled)]
+    of_capture = [*job.warnings, *capture_warnings(job.capture, exposures=not run.scaled)]
     report |= run.findings | run.relit[1] | {"warnings": [*maps_warnings(run, maps), *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
@@ -124,8 +123,8 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     warnings = light_warnings(fitted, job.seed)
     if lights is not None:
         warnings += lights.warnings(job.lights.intensities == "estimate")
-        if lights.scaled:
-            return warnings
+    if run.scaled:
+        return warnings
     if any(tuple(observation.light.intensity) != _UNSTATED for observation in job.capture.observations):
         return warnings
     text = contradiction(fitted, maps.model, maps.values, frozenset(job.fixed), job.seed)

@@ -112,6 +112,11 @@ class Run:
                 self.domain = self._lit(self.domain, self.lights)
         yield from self._timed(PREPARE, self._begin(self.domain))
 
+    @property
+    def scaled(self) -> bool:
+        """Whether estimated intensities are in use, which differ from the given ones."""
+        return self.lights is not None and self.lights.scaled
+
     def maps(self, confidence: bool = True) -> Maps:
         """Return the maps so far, in the solver's frames. confidence: as for a recovery."""
         recovery = present(self.recovery)

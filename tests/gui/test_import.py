@@ -22,10 +22,10 @@ def checking():
 slices, said, real_slice = [], [], capture_import._slice
 
 def watch_checks():
-    # Notes the duration of each slice of a check, and what it says.
+    # Notes the duration of each slice of a check, and what it says. Slices are short, however fast the machine.
     def timed(check, seconds):
         begun = time.perf_counter()
-        more = real_slice(check, seconds)
+        more = real_slice(check, min(seconds, 0.02))
         slices.append(time.perf_counter() - begun)
         said.append(check.doing)
         return more
@@ -95,7 +95,7 @@ def test_a_dropped_list_of_lights_is_imported_and_checked_while_the_window_goes_
     stall, said = ready.run("until_checked()", timeout=180)
     print(f"72 images were checked in {len(said)} slices, of {stall:.3f} s at most")
     assert ready.run("settings().capture_path").endswith("dirs.lp")
-    assert len(set(said)) > 1  # each slice says how far it is; a fast machine checks many images in one
+    assert len({line for line in said if line.startswith("Checking images")}) > 1
     assert ready.run("settings().checked_path == settings().capture_path")
 
 

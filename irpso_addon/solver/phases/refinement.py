@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,33 +14,11 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.refinement import NO_PENALTY, SPREAD_REACH, RefinementPasses, build_refinement_passes
-from ..settings.groups import Refinement
-from ..settings.resolve import ResolvedRefinement
+from ..settings.resolve import BEST, SPREAD, ResolvedRefinement, Track
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, refinement_table
 from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
 from .phase import Acceptance, TexturePhase
-
-SPREAD = -2  # instead of a start: the best materials of neighbours
-BEST = -1  # instead of a start: the texel's best material so far, with its damping
-
-
-@dataclass(frozen=True)
-class Track:
-    """Iterations from one start: an index of the model's starts, BEST or SPREAD."""
-
-    start: int
-    iterations: int
-
-
-def tracks_of(refinement: Refinement, starts: int) -> tuple[Track, ...]:
-    """Return the tracks in their order; after each one every texel keeps its best material so far."""
-    several: list[Track] = []
-    if starts:
-        raced = refinement.start_iterations + refinement.race_iterations
-        several = [Track(BEST, refinement.start_iterations), *(Track(start, raced) for start in range(starts))]
-    spreads = [Track(SPREAD, refinement.round_iterations)] * refinement.rounds
-    return (*several, Track(BEST, refinement.iterations), *spreads)
 
 
 class RefinementPhase(TexturePhase):
@@ -63,7 +40,7 @@ class RefinementPhase(TexturePhase):
     ):
         super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
         self.resolved, self.refinement = resolved, resolved.refinement
-        self.tracks = tracks_of(resolved.refinement, len(resolved.starts))
+        self.tracks = resolved.tracks
         self.passes = build_refinement_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
         self.textures = PhaseTextures(refinement_table(estimates.count), *estimates.size)
         self.best: list[Texture] = []

@@ -10,11 +10,11 @@ from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.textures import Texture
 from ..kernels.refinement import SPREAD_REACH
-from ..settings.resolve import ResolvedMaterials
+from ..settings.resolve import BEST, SPREAD, ResolvedMaterials, Track
 from ..state.alternatives import Alternatives
 from ..state.textures import SOLVED, texel_states
 from .mixture import features_of, material_table, sampled
-from .refinement import BEST, SPREAD, RefinementPhase, Track
+from .refinement import RefinementPhase
 
 _TABLE = "materials"  # name in a state
 _AT_ONCE = 0.1  # seconds of a band of the alternatives

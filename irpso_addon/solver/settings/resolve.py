@@ -11,6 +11,8 @@ from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
 from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
+SPREAD = -2  # instead of a start: the best materials of neighbours
+BEST = -1  # instead of a start: the texel's best material so far, with its damping
 _ROUNDS = 2  # rounds of a refinement with fixed normals, at most, and of a prefit with sheen, which has two optima
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 
@@ -43,6 +45,14 @@ class ResolvedSwarm:
 
 
 @dataclass(frozen=True)
+class Track:
+    """Iterations from one start: an index of the model's starts, BEST or SPREAD."""
+
+    start: int
+    iterations: int
+
+
+@dataclass(frozen=True)
 class ResolvedRefinement:
     """The refinement for one model: its parameters, and the starts besides the estimate."""
 
@@ -52,12 +62,20 @@ class ResolvedRefinement:
     title: str = "refinement"
 
     @property
+    def tracks(self) -> tuple[Track, ...]:
+        """The tracks in their order; after each one every texel keeps its best material so far."""
+        refinement, starts = self.refinement, range(len(self.starts))
+        several: list[Track] = []
+        if starts:
+            raced = refinement.start_iterations + refinement.race_iterations
+            several = [Track(BEST, refinement.start_iterations), *(Track(start, raced) for start in starts)]
+        spreads = [Track(SPREAD, refinement.round_iterations)] * refinement.rounds
+        return (*several, Track(BEST, refinement.iterations), *spreads)
+
+    @property
     def iterations(self) -> int:
         """The number of all steps."""
-        settings = self.refinement
-        count = len(self.starts)
-        from_starts = settings.start_iterations * (count + 1) + settings.race_iterations * count if count else 0
-        return from_starts + settings.iterations + settings.rounds * settings.round_iterations
+        return sum(track.iterations for track in self.tracks)
 
 
 @dataclass(frozen=True)

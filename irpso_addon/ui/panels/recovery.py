@@ -123,8 +123,7 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Lights", running.lights.summary())
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    scaled = running.lights is not None and running.lights.scaled
-    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not scaled)
+    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.work.scaled)
     for text in (*running.warnings, *of_capture):
         _draw_warning(layout, context, text)
     if stopped:

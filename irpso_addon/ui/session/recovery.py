@@ -223,9 +223,9 @@ class Session:
             self.state, self.title = "running", n_("Relighting unseen photographs")
             self._notify()
             return
-        if not self.job.held_out:
-            self._check(self.maps(confidence=False))
         self._end_relighting()
+        if not (self.job.held_out and self.work.is_relit):  # else relighting ended with the check
+            self._check()
         self.state = "done"
         self.title = n_("Stopped") if self.stopped else n_("Done")
         self._notify()
@@ -289,10 +289,11 @@ class Session:
         yield from self.work.relighting(maps)
         self._check(maps)
 
-    def _check(self, maps: Maps) -> None:
-        """Set the warnings of ``maps``."""
+    def _check(self, maps: Maps | None = None) -> None:
+        """Set the warnings of the current maps. maps: these, where they are read already."""
+        self.warnings = self.recovery.warnings
         try:
-            self.warnings = tuple(maps_warnings(self.work, maps))
+            self.warnings = tuple(maps_warnings(self.work, maps or self.maps(confidence=False)))
         except Exception as error:  # noqa: BLE001  an error in a check must not lose the maps
             failures.report(n_("Checking the maps"), error)
 

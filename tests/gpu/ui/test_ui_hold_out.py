@@ -86,9 +86,9 @@ def test_window_and_command_line_hold_out_the_same(settings, of_cli, tmp_path):
         assert report[key] == pytest.approx(wanted[key], abs=1e-6)
     mean, bright = wanted["relighting_mean_psnr_db"], wanted["relighting_highlights_mean_psnr_db"]
     assert mean == pytest.approx(np.mean(list(wanted["relighting_psnr_db"].values())), abs=1e-3)
-    shown = running.held_out_line
-    assert shown.startswith("Unseen photographs: ") and f"({mean:.1f} dB)" in shown and f"({bright:.1f} dB)" in shown
-    assert shown in " ".join(drawn().texts)  # wrapped
+    plain, lit = (f"{10 ** (-psnr / 20):.1%} ({psnr:.1f} dB)" for psnr in (mean, bright))
+    assert running.held_out_line == f"Unseen photographs: RMS error {plain}, in highlights {lit}"
+    assert running.held_out_line in " ".join(drawn().texts)  # wrapped
     assert report["relighting_highlights_factor"] == wanted["relighting_highlights_factor"] == 1.5
     assert (tmp_path / "out" / "relit.png").read_bytes() == (folder / "relit.png").read_bytes()
     assert (tmp_path / "out" / "normal.exr").read_bytes() == (folder / "normal.exr").read_bytes()
@@ -144,13 +144,17 @@ def test_the_panel_shows_relighting_and_the_search_time_stops(settings):
     assert running.state == "done" and running.held_out_line
 
 
-def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thread(settings):
+def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thread(settings, monkeypatch):
+    from irpso_addon.ui.session import recovery
+
+    monkeypatch.setattr(recovery, "maps_warnings", lambda run, maps: ["of these maps"])
     running = begin()
     while not running.relighting:
         running.tick(0.05)
     running.tick(1e-6)
     running.finish()
     assert (running.state, running.held_out_line, running._worker.busy) == ("done", "", False)
+    assert running.warnings == ("of these maps",)
     running.close()
     assert running.fitted is None
 

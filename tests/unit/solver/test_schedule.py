@@ -7,7 +7,6 @@ import pytest
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.phases.refinement import tracks_of
 from irpso_addon.solver.phases.swarm import neighbour_constant, particle_count
 from irpso_addon.solver.settings.groups import Refinement, Stage
 from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve
@@ -236,10 +235,7 @@ def test_a_refinement_comes_last_and_counts_all_its_steps(tmp_path):
     assert [p.name for p in refinement.parameters] == ["normal", "roughness", "specular"]
     # Five steps from the estimate and from each of three starts, twenty from the best, four after each of two rounds.
     assert refinement.iterations == 5 * 4 + 20 + 2 * 4
-    assert (
-        sum(track.iterations for track in tracks_of(refinement.refinement, len(refinement.starts)))
-        == refinement.iterations
-    )
+    assert sum(track.iterations for track in refinement.tracks) == refinement.iterations
 
 
 def test_starts_race_with_few_photographs_alone():
@@ -250,8 +246,7 @@ def test_starts_race_with_few_photographs_alone():
     )
     assert few.iterations - many.iterations == schedule.refinement.race_iterations * len(model.starts) > 0
     for refinement in (few, many):
-        tracks = tracks_of(refinement.refinement, len(refinement.starts))
-        assert sum(track.iterations for track in tracks) == refinement.iterations
+        assert sum(track.iterations for track in refinement.tracks) == refinement.iterations
 
 
 def test_starts_set_only_searched_parameters(tmp_path):
