@@ -21,10 +21,12 @@ _EVERY = 50  # stride of residuals for their median
 def usable_samples(values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return scaled samples (K, P), and bool (K, P): neither in shadow nor in a highlight. values, weight: (K, P)."""
     valid = weight > 0
-    known = np.where(valid, values, np.nan)
-    with np.errstate(invalid="ignore"):
-        level = np.nan_to_num(np.nanpercentile(known, _USUAL, axis=0)) + 1e-9
-        bright = np.nan_to_num(np.nanpercentile(known, _BRIGHT, axis=0)) / level
+    level, bright = np.zeros((2, values.shape[1]))
+    seen = valid.any(axis=0)
+    known = np.where(valid, values, np.nan)[:, seen]
+    level[seen], bright[seen] = np.nanpercentile(known, (_USUAL, _BRIGHT), axis=0)
+    level += 1e-9
+    bright /= level
     scaled = np.where(valid, values, 0) / level
     return scaled, valid & (scaled > _SHADOW * bright) & (scaled < _HIGHLIGHT * bright)
 

@@ -1,5 +1,7 @@
 """Lights by shading, against reliefs whose photographs are computed in float64."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,14 @@ def test_lights_are_found_up_to_a_matrix(gloss):
     assert angles(lights @ matrix, true).mean() < 0.5
     normals, _ = scaled_normals(scaled, usable, lights)
     assert np.median(angles(normals @ np.linalg.inv(matrix).T, relief()[mask])) < 0.5
+
+
+def test_pixels_without_a_sample_are_unusable_without_a_warning_of_numpy():
+    values, weight = np.full((4, 2), 0.5), np.array([[1, 0]] * 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scaled, usable = usable_samples(values, weight)
+    assert usable[:, 0].all() and not usable[:, 1].any() and np.isfinite(scaled).all()
 
 
 def test_what_is_integrable_is_a_surface_up_to_a_bas_relief():
