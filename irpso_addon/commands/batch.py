@@ -19,6 +19,7 @@ from ..cluster.transport import joined
 from ..core.errors import CheckpointError, InputError
 from ..core.files import write_json
 from ..core.steps import run_steps
+from ..core.udim import PATTERN
 from ..pipeline.drive import CHECKPOINT
 from ..pipeline.ranks import leave_with_error
 from ..results.report import plain
@@ -26,11 +27,14 @@ from ..results.write import REPORT
 from . import recover
 from .options.values import silent
 
-_PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
+_PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
+_REPEATED = ("set", "fixed", "occluder", "tag")  # options that a list repeats; it is one value of any other
+_SWITCHED_OFF = ("preview", "shadows")  # keys whose false is an option, --no-…
 _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
-_OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # defaults that do not apply to cards
-_OF_CARDS = ("distance", "crop", "corners", "card_width")  # defaults that do not apply to meshes
+# Defaults that do not apply to cards, or to meshes.
+_OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadows")
+_OF_CARDS = ("distance", "crop", "corners", "card_width")
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
@@ -120,8 +124,9 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     if rig is not None and not isinstance(rig, str):
         raise InputError(f'{where}: rig must be a text, as in rig = "folder"')
     words, listed = (_command(row, place) for place in (path, None))
+    unset = [_option(key) for key, value in row.items() if value is False and key not in _SWITCHED_OFF]
     try:
-        parse([*words, "-o", name])
+        parse([*words, *unset, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
     if rig is None:
@@ -139,13 +144,19 @@ def _command(row: dict[str, Any], path: Path | None) -> list[str]:
 
 
 def _words(key: str, value: Any, path: Path | None) -> list[str]:
-    """Return one option as words of a command line; a list repeats the option."""
-    option = f"--{key.replace('_', '-')}"
+    """Return one option as words of a command line. A list repeats the option, or is its values with commas."""
     if isinstance(value, bool):
-        return [option] if value else [f"--no-{key}"] if key == "preview" else []
+        chosen = [] if key == "shadows" else [_option(key)]  # predicted without an option
+        return chosen if value else [f"--no-{key}"] * (key in _SWITCHED_OFF)
     if isinstance(value, list):
-        return [word for one in value for word in _words(key, one, path)]
-    return [option, _beside(path, key, str(value))]
+        if key in _REPEATED:
+            return [word for one in value for word in _words(key, one, path)]
+        value = ",".join(map(str, value))
+    return [_option(key), _beside(path, key, str(value))]
+
+
+def _option(key: str) -> str:
+    return f"--{key.replace('_', '-')}"
 
 
 def _beside(path: Path | None, key: str, value: str) -> str:
@@ -155,7 +166,7 @@ def _beside(path: Path | None, key: str, value: str) -> str:
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
         return str(path.parent / value)
     name, equals, file = value.partition("=")
-    if key == "fixed" and (path.parent / file).is_file():
+    if key == "fixed" and (PATTERN in file or (path.parent / file).is_file()):
         return f"{name}{equals}{path.parent / file}"
     return value
 
@@ -168,6 +179,11 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     if same and former.get("state") == "done" and (folder / REPORT).is_file():
         _say(options, f"{job.name}: done before")
         return former
+    capture = output / f"{job.name}_capture"
+    made_of = _photographs(former.get("words", job.listed))
+    if job.rig is not None and capture.is_dir() and made_of != _photographs(job.listed):
+        # The former state stays, to tell this again.
+        return _failed(job, f"{capture}: was made of other photographs or by another rig; delete or rename it")
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
     state = {"name": job.name, "words": list(job.listed), "state": "begun"}
@@ -176,7 +192,7 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     started, interrupted = time.perf_counter(), False
     try:
         if job.rig is not None:
-            words[1] = str(_under_rig(job.rig, Path(words[1]), output / f"{job.name}_capture", options))
+            words[1] = str(_under_rig(job.rig, Path(words[1]), capture, options))
         try:
             report = recover.run(options.parse(words))
         except CheckpointError as error:  # of other options, photographs or another version
@@ -187,13 +203,23 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_AGAIN) from None
     except (InputError, MemoryError) as error:
-        state |= {"state": "failed", "error": " ".join(str(error).splitlines())}
-        sys.stderr.write(f"irpso: job '{job.name}' failed: {state['error']}\n")
+        state |= _failed(job, " ".join(str(error).splitlines()))
     state["took"] = round(time.perf_counter() - started, 1)
     write_json(file, plain(state))
     if interrupted:
         raise KeyboardInterrupt(_AGAIN)
     return state
+
+
+def _photographs(listed: Sequence[str]) -> list[str]:
+    """Return the words of a job, from its list, that determine its capture: photographs and rig."""
+    return [listed[1], *listed[-2:]]
+
+
+def _failed(job: Row, error: str) -> dict[str, Any]:
+    """Print the error of a job; return the contents of its state file."""
+    sys.stderr.write(f"irpso: job '{job.name}' failed: {error}\n")
+    return {"name": job.name, "words": list(job.listed), "state": "failed", "error": error}
 
 
 def _under_rig(rig: Path, photographs: Path, capture: Path, options: Namespace) -> Path:

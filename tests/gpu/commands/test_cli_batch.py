@@ -142,6 +142,7 @@ def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
         ('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b/A"', "called 'a'"),
         ('[[job]]\ncapture = "a"\nwrong = 1', "unrecognized arguments"),
         ('[[job]]\ncapture = "a"\niteration = 5', "unrecognized arguments"),
+        ('[[job]]\ncapture = "a"\nheigth = false', "unrecognized arguments"),
         ('[[job]]\ncapture = "a"\nseed = "x"', "--seed"),
         ('[[job]]\ncapture = "a"\nname = "../b"', "name"),
         ('[[job]]\ncapture = "a"\nresume = true', "resume is not an option of jobs"),
@@ -169,18 +170,38 @@ def test_mesh_defaults_do_not_apply_to_cards(tmp_path):
     assert "--resolution" not in card.words and "--resolution" in mesh.words
 
 
+def words_of(folder, *lines):
+    text = '[[job]]\ncapture = "a"\n' + "\n".join(lines)
+    (folder / "list.toml").write_text(text, encoding="utf-8")
+    (job,) = batch.read_list(folder / "list.toml", build_parser().parse_args)
+    return list(job.words[2:-2])
+
+
+def test_a_list_of_values_is_one_option_unless_it_may_be_repeated(tmp_path):
+    assert words_of(tmp_path, "hold_out = [3, 11]") == ["--hold-out", "3,11"]
+    assert words_of(tmp_path, 'tag = ["a", "b"]') == ["--tag", "a", "--tag", "b"]
+
+
+def test_false_switches_off_what_is_on(tmp_path):
+    assert words_of(tmp_path, "shadows = false", "height = false") == ["--no-shadows"]
+    assert words_of(tmp_path, "shadows = true", "height = true", "preview = false") == ["--height", "--no-preview"]
+
+
 def test_paths_are_relative_to_the_list(listed):
     jobs = batch.read_list(listed / "list.toml", build_parser().parse_args)
     assert jobs[0].words[:2] == ("recover", str(listed / "first"))
     (listed / "given.exr").touch()
-    text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nfixed = ["normal=given.exr", "roughness=0.5"]\n'
+    text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nfixed = ["normal=given.exr", "roughness=0.5"]\nasset = "lib"'
     (listed / "other.toml").write_text(text, encoding="utf-8")
     (other,) = batch.read_list(listed / "other.toml", build_parser().parse_args)
     assert {str(listed / "own.toml"), f"normal={listed / 'given.exr'}", "roughness=0.5"} <= set(other.words)
+    assert str(listed / "lib") in other.words
+    udim = f"normal={listed / 'n.<UDIM>.exr'}"
+    assert words_of(listed, 'fixed = "normal=n.<UDIM>.exr"') == ["--fixed", udim]
     assert jobs[2].words.count("--set") == 2 and jobs[0].words[-2:] == ("--checkpoint-every", "60")
 
 
-def test_a_job_with_a_rig_reads_photographs_under_its_lamps(listed):
+def test_a_job_with_a_rig_reads_photographs_under_its_lamps(listed, monkeypatch):
     common = ["--model", "lambert", "--preset", "swarm", "--iterations", "60", "--entry", "fragment", "--quiet"]
     assert run_cli("recover", listed / "second", *common, "-o", listed / "alone")[0] == 0
     assert run_cli("rig", "save", listed / "first", "-o", listed / "dome")[0] == 0
@@ -191,6 +212,15 @@ def test_a_job_with_a_rig_reads_photographs_under_its_lamps(listed):
     assert (listed / "out" / "one_capture" / "capture.toml").is_file()
     for part, values in maps_of(listed / "alone").items():
         np.testing.assert_array_equal(maps_of(listed / "out" / "one")[part], values)
+    begun = []
+    monkeypatch.setattr(recover, "run", lambda options: begun.append(options.capture) or {})
+    (listed / "rigged.toml").write_text(text + "seed = 2\n", encoding="utf-8")
+    assert run_cli("batch", listed / "rigged.toml", "-o", listed / "out")[0] == 0 and len(begun) == 1
+    # Other photographs: the capture is not theirs.
+    (listed / "rigged.toml").write_text(text.replace('capture = "second"', 'capture = "first"'), encoding="utf-8")
+    for _ in range(2):
+        code, _, err = run_cli("batch", listed / "rigged.toml", "-o", listed / "out")
+        assert code == 2 and "one_capture: was made of other photographs" in err and len(begun) == 1
 
 
 def test_a_list_can_leave_the_preview_out():
