@@ -85,6 +85,20 @@ def test_keeping_or_discarding_it_by_hand_removes_what_was_stored(window):
     assert window.run("state(), recoveries.listed()") == ["none", []]
 
 
+def test_another_recovery_stores_the_former_which_stays_when_it_is_further_done(window, capture, tmp_path):
+    begin(window, capture, tmp_path / "mine.blend")
+    window.run("bpy.ops.irpso.resume()")
+    window.wait("state() == 'done'", timeout=300)
+    window.run("bpy.ops.irpso.recover('INVOKE_DEFAULT')")
+    assert window.run("[one.fraction for one in recoveries.listed()]") == [1.0]
+    window.wait("state() == 'running' and session.current().recovery is not None", timeout=180)
+    window.run("bpy.ops.irpso.pause()")
+    fraction = window.run("session.current().fraction")
+    window.run("bpy.ops.wm.read_homefile()", area="")
+    assert fraction < 1 and window.run("[one.fraction for one in recoveries.listed()]") == [fraction, 1.0]
+    window.run("[recoveries.delete(one.path) for one in recoveries.listed()]")
+
+
 def test_quitting_stores_the_recovery(blender, installed, pictures, backend, capture, tmp_path):
     stored = tmp_path / "stored"
     with open_window(blender, installed, pictures, backend, log_name="stored recoveries, quitting") as window:

@@ -31,9 +31,10 @@ def idle(operator: type[bpy.types.Operator]) -> bool:
 
 
 def begin(job: SceneJob) -> Session:
-    """Close the former session and begin a new one."""
+    """Close the former session and begin a new one; unkept maps of the former are stored."""
     global _current
     if _current is not None:
+        stored_recoveries.store(_current)
         _current.close()
     failures.clear()
     _current = Session(job, _previous_run, _on_change)

@@ -1,4 +1,4 @@
-"""Stores recoveries that were not kept when their file was closed; lists and deletes them."""
+"""Stores recoveries that were not kept when their file was closed or another began; lists and deletes them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from ...core.errors import CheckpointError, GpuUnavailableError
 from ...core.paths import BASE_PACKAGE
 from ...exports.place import file_stem
 from ...solver.state.checkpoint import read_note
+from ..common.file_paths import first_free
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
 _log = logging.getLogger(__name__)
@@ -44,7 +45,10 @@ def folder() -> Path | None:
 
 
 def store(running: Any) -> None:
-    """Store a session whose maps are not kept. Errors are only logged, because Blender is closing its file."""
+    """Store a session whose maps are not kept; a former one of its capture and file that is further done stays, too.
+
+    Errors are only logged, because Blender is closing its file.
+    """
     if running.recovery is None or running.kept or (directory := folder()) is None:
         return
     job, file = running.job, bpy.data.filepath
@@ -58,10 +62,17 @@ def store(running: Any) -> None:
             HISTORY: np.array(running.history).reshape(-1, 2),
             SECONDS: np.array(running.seconds),
         }
-        running.recovery.save(job.resumed or directory / f"{file_stem(job.name)}-{digest}.npz", notes, running=True)
+        running.recovery.save(job.resumed or _place(directory, job.name, digest, running.fraction), notes, running=True)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
     refresh()
+
+
+def _place(directory: Path, name: str, digest: str, fraction: float) -> Path:
+    stem = f"{file_stem(name)}-{digest}"
+    path = directory / f"{stem}.npz"
+    former = _read(path) if path.exists() else None
+    return path if former is None or former.fraction <= fraction else first_free(directory, stem, ".npz")
 
 
 def listed() -> list[StoredRecovery]:
