@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -59,6 +59,10 @@ class Framing:
             raise CaptureError(f"scale is {self.scale:g}; give a number above 0 and up to 1", "value")
         if self.card_width is not None and not 0 < self.card_width < math.inf:
             raise CaptureError(f"card_width is {self.card_width:g}; give a length above 0", "value")
+
+    def keys(self) -> dict[str, Any]:
+        """Return the keys of a capture.toml."""
+        return {key: value for key, value in asdict(self).items() if value != getattr(Framing, key)}
 
 
 def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, Capture]:

@@ -16,21 +16,23 @@ from .bounds import without_bounds
 from .camera import Camera
 from .errors import CaptureError
 from .formats.table import CARD_DISTANCE, FORMAT, TABLE
+from .framing import Framing
 from .images.exr import write_exr
 from .types import Capture, Light
 
 _IMAGES = "images.exr"
+_WHOLE = Framing()
 
 
 def write_steps(
-    capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False
+    capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False, framing: Framing = _WHOLE
 ) -> Generator[float, None, list[str]]:
     """Write a capture into a new or empty folder, whole or not at all; yield the fraction done before each image.
 
     ``read_capture`` reads it back. half: 16-bit instead of 32-bit floats (values from 65504 read back as clipped).
-    single_file: all images and masks as parts of one EXR; the cameras must have one size. Weights other than 1 are kept
-    as alpha. Returns the names of files or parts. Raises InputError if the folder is not empty or cannot be written, or
-    sizes differ.
+    single_file: all images and masks as parts of one EXR; the cameras must have one size. framing: of the images, for
+    whoever reads the folder. Weights other than 1 are kept as alpha. Returns the names of files or parts. Raises
+    InputError if the folder is not empty or cannot be written, or sizes differ.
     """
     folder = Path(folder)
     if single_file and len({(camera.width, camera.height) for camera in capture.cameras}) > 1:
@@ -57,7 +59,7 @@ def write_steps(
                 write_exr(partial / f"mask_{n}.exr", {"": mask}, half=True)
             pictures = [{"image": f"{name}.exr"} for name in names]
             mask_keys = {n: {"mask": f"mask_{n}.exr"} for n in masked}
-        top = {"colour_space": "linear", **({"image": _IMAGES} if single_file else {})}
+        top = {"colour_space": "linear", **({"image": _IMAGES} if single_file else {}), **framing.keys()}
         (partial / TABLE).write_text(table_text(capture, pictures, mask_keys, top), encoding="utf-8")
     return names if single_file else [f"{name}.exr" for name in names]
 

@@ -98,7 +98,8 @@ class _Work:
         shots, capture = self.source.shots, self.source.capture
         if capture is not None:
             observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
-            steps = write_steps(replace(capture, observations=tuple(observations)), folder, half=self.half)
+            developed_capture = replace(capture, observations=tuple(observations))
+            steps = write_steps(developed_capture, folder, half=self.half, framing=self.source.framing)
             self.names = yield from map_steps(steps, lambda part: Progress(start + (1 - start) * part, "developing"))
             return
         for k, shot in enumerate(shots):

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...capture.formats.diligent import DIRECTIONS
 from ...capture.formats.table import TABLE
+from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
@@ -41,11 +42,15 @@ class Exposing:
 
 @dataclass(frozen=True)
 class Source:
-    """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None for a folder."""
+    """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None for a folder.
+
+    framing: of the capture's files; the shots are whole.
+    """
 
     shots: tuple[Shot, ...]
     capture: Capture | None
     warnings: tuple[str, ...] = ()
+    framing: Framing = Framing()
 
 
 def images_in(folder: Path) -> list[Path]:
@@ -117,7 +122,7 @@ def _listed_source(
     if exposing is None and not bursts:
         capture = build_capture(spec, decoder)
         shots = [Shot(s.name, (s.image,), None, s.camera) for s in spec.observations]
-        return Source(tuple(_sized(shots, capture)), capture)
+        return Source(tuple(_sized(shots, capture)), capture, framing=spec.framing)
     if parts := [shot for shot in spec.observations if shot.image.part is not None]:
         raise InputError(f"{parts[0].image}: parts of one EXR have no exposures of their own; omit the option")
     listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(spec.observations)))}
@@ -142,7 +147,7 @@ def _listed_source(
         Shot(s.name, tuple(replace(s.image, path=p) for p in b.paths), b.amounts if exposing else None, s.camera)
         for s, (_, b) in zip(firsts, chosen, strict=True)
     ]
-    return Source(tuple(_sized(shots, capture)), capture, tuple(warnings))
+    return Source(tuple(_sized(shots, capture)), capture, tuple(warnings), spec.framing)
 
 
 def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +47,7 @@ _EXTENSIONS = ".lp;.toml;.txt"
 _TABLES = (".lp", ".toml")  # files that are a capture by themselves
 _CAMERA = "camera.toml"  # except this one, which belongs to a folder
 _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
+CARD_SETTINGS = ("picture_scale", "framing", "crop", "corners", "card_distance", "card_width")
 
 
 @dataclass
@@ -73,6 +74,19 @@ def checking(scene) -> str:
     if not _running or _running[0].scene != scene.session_uid or not bpy.app.timers.is_registered(_tick):
         return ""
     return _running[0].doing
+
+
+def import_again(scene, path: Path, names: Sequence[str] = CARD_SETTINGS) -> None:
+    """Import another table of the same photographs; the settings of these names stay."""
+    settings = scene.irpso
+    # A copy: a vector property would change with the setting.
+    values = [getattr(settings, name) for name in names]
+    former = [value if isinstance(value, str | float | int) else tuple(value) for value in values]
+    bpy.ops.irpso.import_capture(filepath=str(path))
+    for name, value in zip(names, former, strict=True):
+        setattr(settings, name, value)
+    if settings.card_distance or settings.card_width:
+        begin_check(scene)  # again: the check of the import did not know them
 
 
 def capture_at(path: Path) -> Path:
@@ -314,7 +328,8 @@ def _menu(self, context) -> None:
 
 
 CLASSES = (ImportCapture, CheckCapture, CaptureFiles)
-UPDATE_CALLBACKS["skip_damaged"] = lambda settings: check_capture(settings.id_data)
+for _name in ("skip_damaged", "colour_space"):
+    UPDATE_CALLBACKS[_name] = lambda settings: check_capture(settings.id_data)
 
 
 @persistent

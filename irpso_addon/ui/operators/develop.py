@@ -23,6 +23,7 @@ from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..common.words import n_, rpt
 from ..session.scene_capture import capture_path
+from .capture_import import import_again
 
 _COLOURS = (
     ("NONE", "None", "The camera's own colors"),
@@ -39,9 +40,8 @@ def free_folder(source: Path, word: str) -> Path:
     return first_free(home.parent, f"{home.name}_{word}")
 
 
-def imported(operator: bpy.types.Operator, capture: Path, warnings: list[str], written: str) -> set[str]:
-    """Import a new capture and report its first warning, and ``written``; return the operator's result."""
-    bpy.ops.irpso.import_capture(directory=str(capture))
+def reported(operator: bpy.types.Operator, capture: Path, warnings: list[str], written: str) -> set[str]:
+    """Report the first warning about a new capture, and ``written``; return the operator's result."""
     if warnings:
         more = rpt(" (and {count} more, in report.json)", count=len(warnings) - 1) if len(warnings) > 1 else ""
         operator.report({"WARNING"}, failures.message_of(InputError(warnings[0])) + more)
@@ -143,7 +143,8 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
             summary = rpt(
                 "Gray card found in {file} at {place}; linear images", file=Path(card["file"]).name, place=card["patch"]
             )
-        return imported(self, out, report["warnings"], summary)
+        import_again(context.scene, out)
+        return reported(self, out, report["warnings"], summary)
 
 
 def _files(text: str, setting: str) -> list[Path]:

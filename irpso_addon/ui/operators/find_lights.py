@@ -28,7 +28,7 @@ from ..panels.mesh import draw_mesh
 from ..session import session
 from ..session.scene_capture import spec_of
 from ..session.shading_lights import WAYS, ShadingRequest, known_mesh, shading_light_steps
-from .capture_import import begin_check, capture_at
+from .capture_import import CARD_SETTINGS, capture_at, import_again
 from .video import VideoBrowser, is_video
 
 _KINDS = (
@@ -53,8 +53,7 @@ _CARDS = (
     ("FRAME", "As Framed", "The part that Frame, under Subject, shows; of another folder the whole photographs"),
     ("FIND", "Find Corners", "Find the card's corners: by printed markers, or as the only rectangle in the picture"),
 )
-_PHOTOGRAPH_SETTINGS = ("picture_scale", "chart_photograph", "chart_corners")  # which new lights do not change
-_CARD_SETTINGS = ("framing", "crop", "corners", "card_distance", "card_width")
+_PHOTOGRAPH_SETTINGS = ("chart_photograph", "chart_corners")  # which new lights do not change
 
 
 def free_table(folder: Path) -> Path:
@@ -215,17 +214,12 @@ class FindLights(SlicedOperator, bpy.types.Operator):
     def finished(self, context, result):
         """Import the table, restore the settings of the same photographs, and report the first warning."""
         (path, warnings, measured), settings = result, context.scene.irpso
-        former = {}
+        names: tuple[str, ...] = ()
         if self._is_capture:
-            names = _PHOTOGRAPH_SETTINGS if self.found_by == "FLAT" else (*_CARD_SETTINGS, *_PHOTOGRAPH_SETTINGS)
-            former = {name: _copied(getattr(settings, name)) for name in names}
-        bpy.ops.irpso.import_capture(filepath=str(path))
-        for name, value in former.items():
-            setattr(settings, name, value)
+            names = _PHOTOGRAPH_SETTINGS + CARD_SETTINGS[: 1 if self.found_by == "FLAT" else None]
+        import_again(context.scene, path, names)
         if self.found_by == "MESH":
             settings.subject = "MESH"
-        if settings.card_distance or settings.card_width:
-            begin_check(context.scene)  # again: the check of the import did not know them
         if warnings:
             count = len(warnings) - 1
             more = rpt(" (and {count} more, in the report beside it)", count=count) if count else ""
@@ -294,11 +288,6 @@ class FindLights(SlicedOperator, bpy.types.Operator):
             fault = "no file is chosen" if mask is None else f"{mask} does not exist"
             raise InputError(f"Mask: {fault}; paint the ball white on black, in an image of the photographs' size")
         return BallRequest(mask)
-
-
-def _copied(value):
-    """Return a copy of a setting's value: a vector property would change with the setting."""
-    return value if isinstance(value, str | float | int) else tuple(value)
 
 
 CLASSES = (ChoosePhotographs, FindLights)

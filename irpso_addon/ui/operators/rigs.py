@@ -22,7 +22,7 @@ from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..common.words import n_, rpt
 from ..session.scene_capture import capture_path
-from .develop import free_folder, imported
+from .develop import free_folder, reported
 
 _MATCH = (
     ("auto", "Automatic", "By equal names, else by order"),
@@ -122,7 +122,8 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
         count = len(applied.lamps)
         developed = applied.developed
         summary = rpt("{count} lamps, linear images", count=count) if developed else rpt("{count} lamps", count=count)
-        return imported(self, out, [*applied.left_out, *applied.warnings], summary)
+        bpy.ops.irpso.import_capture(directory=str(out))
+        return reported(self, out, [*applied.left_out, *applied.warnings], summary)
 
 
 class IRPSO_MT_photographs(bpy.types.Menu):

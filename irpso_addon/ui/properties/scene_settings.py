@@ -268,10 +268,9 @@ class Settings(bpy.types.PropertyGroup):
         subtype="FILE_PATH", update=_capture_changed, **RELATIVE_PATH,
     )  # fmt: skip
     colour_space: EnumProperty(
-        name="Color Space",
+        name="Color Space", items=_COLOUR_SPACES, update=lambda self, context: UPDATE_CALLBACKS["colour_space"](self),
         description="Color space of the capture's image files. This Scene uses each image's own Color Space",
-        items=_COLOUR_SPACES,
-    )
+    )  # fmt: skip
     skip_damaged: BoolProperty(
         name="Leave Out Damaged Images", description="Recover without images that are missing or cannot be decoded. The"
         " check decodes every image once", update=lambda self, context: UPDATE_CALLBACKS["skip_damaged"](self),

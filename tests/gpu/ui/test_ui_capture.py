@@ -192,6 +192,18 @@ def test_a_damaged_image_bars_recover_until_it_is_left_out(scene, tmp_path):
     assert sum(obj.type == "LIGHT" for obj in scene.objects) == 4
 
 
+def test_a_color_space_is_checked_when_it_is_chosen(scene, tmp_path):
+    write_diligent(tmp_path)
+    names = [f"{k}.png" for k in range(5)]
+    for name in names:
+        write_png(tmp_path / name, np.full((24, 24, 3), 128), 8)
+    (tmp_path / "filenames.txt").write_text("\n".join(names))
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path))
+    assert "frame means 0.2159" in scene.irpso.summary  # sRGB
+    scene.irpso.colour_space = "linear"
+    assert "frame means 0.502" in scene.irpso.summary
+
+
 def test_a_damaged_photograph_of_the_scene_is_left_out(scene, tmp_path):
     write_views(tmp_path / "views")
     created(scene, tmp_path / "views" / "capture.toml")

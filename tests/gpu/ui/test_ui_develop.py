@@ -44,6 +44,13 @@ def test_develop_finds_the_chart_and_imports_linear_images(settings, tmp_path):
     np.testing.assert_allclose([o.light.vector for o in capture.observations], LIGHTS, atol=1e-6)
 
 
+def test_the_card_stays_framed_as_it_was(settings):
+    settings.framing, settings.crop, settings.picture_scale, settings.card_width = "CROP", (4, 2, 30, 20), 0.5, 120
+    assert bpy.ops.irpso.develop() == {"FINISHED"}
+    assert (settings.framing, tuple(settings.crop), settings.picture_scale) == ("CROP", (4, 2, 30, 20), 0.5)
+    assert settings.card_width == 120
+
+
 def test_a_marked_chart_in_its_own_photograph(settings, tmp_path):
     settings.chart_photograph = str(tmp_path / "photographs" / "1.png")
     with pytest.raises(RuntimeError, match="no chart is marked"):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture import read_capture, read_exr
+from irpso_addon.capture.read import read_spec
 from irpso_addon.commands import develop, response
 from tests.builders.captures import LIGHTS, chunk, decode_png, shade, sphere, write_png
 from tests.builders.command_line import listing, run_cli
@@ -81,6 +82,22 @@ def test_brackets_with_all_corrections_come_out_as_the_scene(photographs, tmp_pa
     # The flat's own mean goes with the scale: gain × tint × what the vignette has at the card.
     ratio = np.array(report["white_gains"]) * TINT
     np.testing.assert_allclose(ratio, ratio[0], rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        "crop = [2, 3, 20, 10]\nscale = 0.5\ncard_width = 120",
+        "corners = [[1, 2], [30, 3], [31, 40], [2, 39]]",
+        'corners = "auto"\ncard_distance = 4',
+    ],
+)
+def test_a_capture_stays_framed(photographs, tmp_path, keys):
+    rows = "".join(f'[[observation]]\nimage = "{k:02d}.png"\nlight_direction = [0, 0, 1]\n' for k in (1, 4))
+    (photographs / "capture.toml").write_text(f"format = 1\n{keys}\n[[camera]]\nfov_degrees = 40\n{rows}")
+    assert run_cli("develop", photographs / "capture.toml", "-o", tmp_path / "out")[0] == 0
+    before, after = (read_spec(folder / "capture.toml") for folder in (photographs, tmp_path / "out"))
+    assert (after.framing, after.card_distance) == (before.framing, before.card_distance)
 
 
 def test_half_floats_and_a_plain_folder(photographs, tmp_path):
