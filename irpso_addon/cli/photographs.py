@@ -103,9 +103,7 @@ def add_response(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("photographs", help="folder of brackets; with --grey-card: a photograph")
     add.add_argument("-o", "--output", required=True, metavar="FILE", help=".toml file for the curve")
-    add.add_argument(
-        "--brackets", choices=("exif", "names"), default="exif", help="where exposures are read from (default exif)"
-    )
+    add.add_argument("--brackets", choices=("exif", "names"), help="where exposures are read from (default exif)")
     add.add_argument("--exposures", metavar="A,B,…", help=_EXPOSURES)
     add.add_argument("--grey-card", action="append", metavar="auto|X,Y,W,H=R",
                      help="grey patch of known reflectance R; give two or more; auto: find the 24-patch chart and use"

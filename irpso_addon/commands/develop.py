@@ -20,7 +20,7 @@ from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
 from .options.photographs import (
     corners_option,
-    exposure_list,
+    exposures_option,
     files_option,
     greys_option,
     number_list,
@@ -82,10 +82,8 @@ def exposing_option(options: Namespace) -> Exposing | None:
     """Return the source of exposures, by --brackets, --exposure and --exposures. Raises InputError."""
     if options.brackets and options.exposure:
         raise InputError("--brackets merges what --exposure would scale frame by frame; give one of them")
-    exposures = exposure_list("--exposures", options.exposures)
     source = options.brackets or options.exposure
-    if exposures and source != "names":
-        raise InputError("--exposures lists what the numbers at the end of names stand for; add --brackets names")
+    exposures = exposures_option(options.exposures, source)
     return Exposing(source, bool(options.brackets), exposures) if source else None
 
 

@@ -17,8 +17,9 @@ from ..calibration.radiometry.source import Exposing, brackets_of_images, images
 from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
+from ..core.files import check_unused
 from ..core.progress_bar import ProgressBar
-from .options.photographs import exposure_list, greys_option
+from .options.photographs import exposures_option, greys_option
 from .options.values import silent, warn
 
 _SAMPLES = 4000  # pixels from all brackets
@@ -27,16 +28,24 @@ _WIDE_STEP = 1.6  # stops: with wider steps only the smoothness term determines 
 
 def run(options: Namespace) -> dict:
     """Write the curve and print its residual. Raises InputError."""
-    path, store = Path(options.photographs), ImageStore(decode)
+    path, store, file = Path(options.photographs), ImageStore(decode), Path(options.output)
+    if file.suffix.lower() != ".toml":
+        raise InputError(f"-o {file}: the curve is a .toml file; name it {file.with_suffix('.toml').name}")
+    check_unused(file, "choose another name for -o")
+    exposures = exposures_option(options.exposures, options.brackets)
     warnings: list[str] = []
     if options.grey_card:
+        if options.brackets:
+            raise InputError(
+                "--grey-card takes a curve from one photograph, --brackets from several; give one of them"
+            )
         greys = greys_option(options.grey_card)
         response = _from_greys(path, greys, store)
         warnings += [f"{path}: {MATT_ONLY}"] if greys == AUTO else []
     else:
-        exposing = Exposing(options.brackets, True, exposure_list("--exposures", options.exposures))
+        exposing = Exposing(options.brackets or "exif", True, exposures)
         response, warnings = _from_brackets(path, exposing, store, options)
-    write_response(options.output, response)
+    write_response(file, response)
     warn(warnings)
     ends = {name: [round(float(v), 4) for v in response.used[c]] for c, name in enumerate(("red", "green", "blue"))}
     residual = float(response.residual) if np.isfinite(response.residual) else None

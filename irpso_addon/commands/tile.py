@@ -11,7 +11,7 @@ from ..core.errors import InputError
 from ..exports.result import Result, read_result
 from ..exports.tile import Tile, tiled
 from ..results.maps import Maps
-from ..results.write import BLEND, check_output_folder, write_maps
+from ..results.write import BLEND, check_output_folder, check_replaces_nothing, write_maps
 from .options.values import silent
 
 _SIZES = (16, 8192)  # texels of a side
@@ -42,6 +42,7 @@ def _checked(options: Namespace, result: Result) -> Path:
     folder = check_output_folder(options.output)
     if folder.resolve() == Path(options.result).resolve():
         raise InputError(f"--output {options.output}: is the result itself; give another folder")
+    check_replaces_nothing(folder, result.maps.model)
     return folder
 
 

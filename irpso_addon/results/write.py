@@ -49,7 +49,21 @@ def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
     stems = {table.name for table in map_tables(model)} | set(_BESIDE)
     names = [path.name for path in sorted(folder.iterdir())] if folder.is_dir() else []
     ours = [n for n in names if n in (REPORT, BLEND) or (_OWN_FILE.match(n) and n.partition(".")[0] in stems)]
-    if foreign := _first_foreign(folder, ours, _former_files(folder)):
+    _refuse_foreign(folder, ours, _former_files(folder))
+
+
+def check_replaces_no_maps(folder: Path) -> None:
+    """Raise InputError if the report and the file of several slots would replace others, or the report of maps."""
+    former = _former_files(folder)
+    _refuse_foreign(folder, (REPORT, BLEND), former)
+    if maps := sorted(former - {REPORT, BLEND}):
+        raise InputError(
+            f"{folder / maps[0]}: is of a recovery whose report would be replaced; choose another folder, or move it"
+        )
+
+
+def _refuse_foreign(folder: Path, names: Sequence[str], former: set[str]) -> None:
+    if foreign := _first_foreign(folder, names, former):
         raise InputError(
             f"{folder / foreign}: would be replaced, but no recovery wrote it; choose another folder, or move it"
         )

@@ -36,19 +36,26 @@ def number_list(option: str, text: str) -> list[float]:
     return numbers
 
 
-def exposure_list(option: str, text: str | None) -> tuple[float, ...]:
-    """Return exposures such as "1/60,1/15,0.25". Raises InputError."""
+def exposures_option(text: str | None, source: str | None) -> tuple[float, ...]:
+    """Return the exposures of --exposures, such as "1/60,1/15,0.25"; () for None. Raises InputError.
+
+    source: of the exposures, as of ``Exposing``.
+    """
+    if text is None:
+        return ()
+    if source != "names":
+        raise InputError("--exposures lists what the numbers at the end of names stand for; add --brackets names")
     values = []
-    for part in (text or "").split(","):
+    for part in text.split(","):
         top, slash, bottom = part.strip().partition("/")
         try:
-            value = float(top) / float(bottom) if slash else float(top) if text else 1.0
+            value = float(top) / float(bottom) if slash else float(top)
         except (ValueError, ZeroDivisionError):
             value = float("nan")
         if not 0 < value < float("inf"):
-            raise InputError(f"{option} {text}: give exposures above 0, as in {option} 1/60,1/15,1/4")
+            raise InputError(f"--exposures {text}: give exposures above 0, as in --exposures 1/60,1/15,1/4")
         values.append(value)
-    return tuple(values) if text else ()
+    return tuple(values)
 
 
 def patch_option(option: str, text: str) -> Patch:

@@ -13,7 +13,7 @@ from ...blender.mesh import extract_mesh
 from ...blender.scenes.scene import mesh_object, open_blend
 from ...core.errors import InputError
 from ...geometry.surface.slots import slot_names
-from ...results.write import check_output_folder
+from ...results.write import check_output_folder, check_replaces_no_maps
 
 EACH = "each"
 _UNFIT = re.compile(r"[^\w\- ]+")  # not in a folder's name
@@ -25,6 +25,7 @@ def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, t
     Raises InputError if a slot has no usable UV map, or there are no slots.
     """
     folder = check_output_folder(options.output)
+    check_replaces_no_maps(folder)
     if not blend:
         raise InputError("--slots is for meshes: give --blend FILE")
     if options.resume:

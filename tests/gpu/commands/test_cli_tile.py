@@ -55,6 +55,10 @@ def test_what_cannot_repeat_is_refused_and_nothing_is_written(result, tmp_path):
 
     out = ("-o", tmp_path / "tiled")
     assert "is the result itself" in refused(result, "-o", result)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "material.blend").write_bytes(b"mine")
+    assert "material.blend: would be replaced, but no recovery wrote it" in refused(result, "-o", tmp_path / "mine")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["material.blend"]
     assert "--size 5" in refused(result, *out, "--size", 5)
     assert "--overlap 0.9" in refused(result, *out, "--overlap", 0.9)
     mesh = tmp_path / "mesh"

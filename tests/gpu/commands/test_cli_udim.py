@@ -253,6 +253,20 @@ def test_slots_in_turn_equal_single_slots_and_one_file_holds_all_materials(folde
     assert held == [f"IRPSO Sheets {name}" for name in SLOTS]
 
 
+@pytest.mark.parametrize(("name", "said"), [("material.blend", "no recovery wrote it"), ("maps.exr", "whose report")])
+def test_slots_in_turn_replace_neither_files_of_others_nor_the_report_of_a_mesh(folder, tmp_path, name, said):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_bytes(b"former")
+    if name == "maps.exr":
+        (tmp_path / "out" / "report.json").write_text(json.dumps({"files": [name]}))
+    code, _, err = run_cli(
+        "recover", folder / "capture single", "--blend", folder / "udim.blend", *MODEL, "--slots", "each", "-o",
+        tmp_path / "out", "--quiet",
+    )  # fmt: skip
+    assert code == 2 and name in err and said in err
+    assert (tmp_path / "out" / name).read_bytes() == b"former"
+
+
 def test_other_slots_have_no_texels_but_occlude(folder, tmp_path):
     cli_maker.save_scene(tmp_path / "covered.blend", sheets("shared", cover=True))
     done(

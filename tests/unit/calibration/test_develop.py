@@ -298,6 +298,23 @@ def test_brackets_without_a_curve_in_them_are_refused(tmp_path, files, words):
     assert code == 2 and words in err and not (tmp_path / "a.toml").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("a.csv", (), "the curve is a .toml file; name it a.toml"),
+        ("there.toml", (), "is there already"),
+        ("a.toml", ("--exposures", "1/60,1/15"), "add --brackets names"),
+        ("a.toml", ("--grey-card", "auto", "--brackets", "exif"), "give one of them"),
+    ],
+)
+def test_a_curve_replaces_no_file_and_its_options_agree(tmp_path, name, options, words):
+    (tmp_path / "brackets").mkdir()
+    (tmp_path / "there.toml").write_text("mine")
+    code, _, err = run_cli("response", tmp_path / "brackets", "-o", tmp_path / name, *options)
+    assert code == 2 and words in err
+    assert (tmp_path / "there.toml").read_text() == "mine" and not (tmp_path / "a.toml").exists()
+
+
 def test_wide_steps_give_a_warning(tmp_path):
     (tmp_path / "brackets").mkdir()
     wedge = np.exp(np.linspace(np.log(0.01), np.log(20), 400)).reshape(20, 20, 1) * np.ones(3)
