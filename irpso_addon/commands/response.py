@@ -36,9 +36,7 @@ def run(options: Namespace) -> dict:
     warnings: list[str] = []
     if options.grey_card:
         if options.brackets:
-            raise InputError(
-                "--grey-card takes a curve from one photograph, --brackets from several; give one of them"
-            )
+            raise InputError("--grey-card takes a curve from one photograph, --brackets from several; give one of them")
         greys = greys_option(options.grey_card)
         response = _from_greys(path, greys, store)
         warnings += [f"{path}: {MATT_ONLY}"] if greys == AUTO else []

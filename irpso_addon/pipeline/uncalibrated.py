@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration.shading.estimate import PARTS, ShadingLights, errors_of, parts_of, shading_steps, surface_rotation
+from ..calibration.shading.ambiguity import rotation
+from ..calibration.shading.estimate import PARTS, ShadingLights, errors_of, parts_of, shading_normals, shading_steps
 from ..calibration.shading.known import WHITE
 from ..capture.bounds import without_bounds
 from ..capture.camera import Camera
@@ -177,30 +178,38 @@ class _Pixels:
     def turned(
         self, refined: Lights, domain: Domain, left_out: np.ndarray | None = None, check: bool = False
     ) -> Lights:
-        """Return the lights, rotated so that the normals under them are integrable."""
+        """Return the lights, rotated so that the normals under them are integrable, as far as highlights allow."""
         directions = refined.lights[:, :3].astype(np.float64)
         power = refined.intensities.mean(axis=-1, keepdims=True)
-        turn = self.rotation(directions * power, refined.applied(domain), left_out, check)
+        turn = self.rotation(directions * power, refined.applied(domain), left_out, check, refined.rotation)
         lights = np.concatenate([directions @ turn, np.zeros((len(directions), 1))], axis=-1)
         return replace(refined, lights=lights.astype(np.float32))
 
     def rotation(
-        self, lights: np.ndarray, domain: Domain, left_out: np.ndarray | None = None, check: bool = False
+        self,
+        lights: np.ndarray,
+        domain: Domain,
+        left_out: np.ndarray | None = None,
+        check: bool = False,
+        covariance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return (3, 3) ``surface_rotation`` of lights (K, 3), from open texels. left_out: (H, W) bool, other texels.
+        """Return the ``rotation`` (3, 3) that makes matt shading under lights (K, 3) integrable: lights @ rotation.
 
-        check: raise InputError where the rotation is so large that shading and surface contradict each other.
+        Only open texels count. left_out: (H, W) bool, other texels. covariance: of the rotation by highlights, None for
+        matt subjects, whose shading does not determine it. check: raise InputError where the rotation by the surface
+        alone is so large that shading and surface contradict each other.
         """
         mask, chosen = self.capture.masks[0], open_texels(domain, self.capture.cameras[0]).solvable
         chosen = chosen if left_out is None else chosen & ~left_out
-        turn = surface_rotation(self.values, self.weight * chosen[mask], mask, lights, _plane(self.capture))
+        surface = *shading_normals(self.values, self.weight * chosen[mask], lights), mask, _plane(self.capture)
+        turn = rotation(*surface)
         degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
         if check and degrees > _MOST_ROTATION:
             raise InputError(
                 f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface; put"
                 " a ball into the photographs"
             )
-        return turn
+        return turn if covariance is None else rotation(*surface, covariance)
 
     def without_parts(self, domain: Domain, model: ReflectanceModel) -> Generator[float, None, np.ndarray]:
         """Yield the fraction done; return (PARTS, K, 3) directions of the lights without each part of the subject."""

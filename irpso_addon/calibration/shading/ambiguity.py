@@ -49,15 +49,22 @@ def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple
     return matrix, float(1 - np.sqrt(max(values[0], 0) / max(values[1], 1e-300)))
 
 
-def rotation(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:
+def rotation(
+    normals: np.ndarray,
+    good: np.ndarray,
+    mask: np.ndarray,
+    plane: np.ndarray | None = None,
+    covariance: np.ndarray | None = None,
+) -> np.ndarray:
     """Return the small rotation R (3, 3) that makes normals (P, 3) integrable: normals @ R.
 
     The constraint is that of ``integrable``, with orthonormal columns. plane: (P, 2) x and y of the pixels' rays at
     distance 1, for a perspective camera: the slopes of log depth are n₁ and n₂ over n₃ − x n₁ − y n₂ (Quéau, Durou &
-    Aujol 2018), which adds (m₁ × m₂)·(y b × ∂y b + x b × ∂x b). A prior keeps undetermined rotations near the identity.
+    Aujol 2018), which adds (m₁ × m₂)·(y b × ∂y b + x b × ∂x b). covariance: (3, 3), radians², of the rotation by other
+    evidence, whose mean is the identity; by default a prior that keeps undetermined rotations near it.
     """
     rows = _rows(normals, good, mask, plane)
-    vector = np.zeros(3)
+    vector, known = np.zeros(3), np.linalg.inv(np.eye(3) * _LARGEST_TURN**2 if covariance is None else covariance)
     if len(rows) < 100:
         return np.eye(3)
     for _ in range(_ROUNDS):
@@ -67,8 +74,8 @@ def rotation(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.
         width = max(float(np.median(np.abs(residual))), 1e-12)
         weight = 1 / (1 + (residual / (_WIDTH * width)) ** 2)
         certainty = 1 / (_CORRELATED * (1.4826 * width) ** 2)  # inverse variance of a row
-        square = certainty * (jacobian * weight[:, None]).T @ jacobian + np.eye(3) / _LARGEST_TURN**2
-        slope = certainty * jacobian.T @ (weight * residual) + vector / _LARGEST_TURN**2
+        square = certainty * (jacobian * weight[:, None]).T @ jacobian + known
+        slope = certainty * jacobian.T @ (weight * residual) + known @ vector
         step = np.linalg.solve(square, slope)
         vector = vector - step
         if np.abs(step).max() < 1e-7:

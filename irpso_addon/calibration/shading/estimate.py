@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.steps import map_steps
-from .ambiguity import even_relief, integrable, outward_cosine, rotation
+from .ambiguity import even_relief, integrable, outward_cosine
 from .factors import factored, scaled_normals, usable_samples
 
 FEWEST = 10  # photographs
@@ -138,19 +138,15 @@ def _lights(
     return lights, outward
 
 
-def surface_rotation(
-    values: np.ndarray, weight: np.ndarray, mask: np.ndarray, lights: np.ndarray, plane: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the rotation R (3, 3) that makes the normals under lights (K, 3) integrable: lights @ R.
+def shading_normals(values: np.ndarray, weight: np.ndarray, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals (P, 3) by matt shading under lights (K, 3), of any length, and bool (P,): where they fit best.
 
-    A common rotation of lights and normals leaves matt shading unchanged; integrability determines it. values, weight,
-    mask: as for ``shading_steps``. plane: (P, 2) x and y of a perspective camera's rays at distance 1.
+    values, weight: as for ``shading_steps``.
     """
     scaled, usable = usable_samples(values, weight)
     normals, misfit = scaled_normals(scaled, usable, lights)
     lit = usable.mean(axis=0) > _LIT
-    good = lit & (misfit <= np.quantile(misfit[lit], _GOOD)) if lit.any() else lit
-    return rotation(normals, good, mask, plane)
+    return normals, lit & (misfit <= np.quantile(misfit[lit], _GOOD)) if lit.any() else lit
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

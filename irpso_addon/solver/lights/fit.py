@@ -32,7 +32,8 @@ class LightStep:
     deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982).
     determined: second smallest eigenvalue of the gains' normalised matrix: 1 where the shading of every light is known,
     near 0 where all texels face one way and so do not determine the gains. explained: the fraction of the
-    weighted squared error that the step removes.
+    weighted squared error that the step removes. rotation: (3, 3) covariance, radians², of a rotation of all lights and
+    normals about x, y and z, by highlights, with the moves' prior on it once, not once a light; zero for fixed lights.
     """
 
     gains: np.ndarray
@@ -40,6 +41,7 @@ class LightStep:
     deviations: np.ndarray
     determined: float
     explained: float
+    rotation: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -253,7 +255,7 @@ class _Equations:
         matrices, rights = self._reduced(steps, noise)
         count = self._observations
         whole = matrices.sum(axis=0)
-        prior, prior_right = self._prior(len(self._groups), noise)
+        prior, prior_right = self._prior(noise)
         solutions = []
         for left_out in (None, *range(_GROUPS)):
             matrix, right = whole, rights.sum(axis=0)
@@ -269,6 +271,7 @@ class _Equations:
             np.clip(gains, -_LARGEST_STEP, _LARGEST_STEP), moves, deviations,
             self._determined(whole) if self._gains else 1.0,
             float(solution.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
+            np.zeros((3, 3)) if self._moving is None else self._rotation(self._moving, whole + prior, noise),
         )  # fmt: skip
 
     def _reduced(self, steps: list[_Step], noise: float) -> tuple[np.ndarray, np.ndarray]:
@@ -295,11 +298,15 @@ class _Equations:
                 rights[group] -= part.T @ texel_right[chosen].ravel()
         return matrices, rights
 
-    def _prior(self, texels: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    def _strength(self, noise: float) -> float:
+        """Return the weighted squared error that stands for one unit of −2 log probability."""
+        return noise * max(1.0, len(self._groups) / _SAMPLED_AS)
+
+    def _prior(self, noise: float) -> tuple[np.ndarray, np.ndarray]:
         """Return (KQ, KQ) and (KQ,): the prior's equations; gains keep the scale of each channel."""
         count, size = self._observations, self._size
         matrix, right = np.zeros((count * size,) * 2), np.zeros(count * size)
-        strength = noise * max(1.0, texels / _SAMPLED_AS)
+        strength = self._strength(noise)
         if self._gains:
             for channel in range(GAINS):
                 of = np.arange(count) * size + channel
@@ -312,6 +319,19 @@ class _Equations:
                 matrix[of, of] += precision
                 right[of] -= precision * self._moving.moves[:, axis]
         return matrix, right
+
+    def _rotation(self, moving: Moving, matrix: np.ndarray, noise: float) -> np.ndarray:
+        """Return the covariance of the lights' common rotation. matrix: (KQ, KQ) of their equations with the prior."""
+        count, size = self._observations, self._size
+        axes = unit(moving.axes[:, :2])
+        by_angle = np.cross(np.cross(axes[:, 0], axes[:, 1])[:, None], axes).reshape(-1, 3)  # moves by rotation angles
+        across = (np.arange(count)[:, None] * size + size - MOVES + np.arange(2)).ravel()
+        common = np.linalg.qr(by_angle)[0]
+        matrix[np.ix_(across, across)] -= self._strength(noise) / moving.sigma**2 * (1 - 1 / count) * common @ common.T
+        moves = np.linalg.inv(matrix)[np.ix_(across, across)] * self._strength(noise)
+        angles = np.linalg.pinv(by_angle)
+        covariance: np.ndarray = angles @ moves @ angles.T
+        return covariance
 
     def _determined(self, whole: np.ndarray) -> float:
         """Return the second smallest eigenvalue of the grey gains' matrix, normalised by its diagonal."""

@@ -51,7 +51,7 @@ class Lights:
     factors: (K, 3) on the given intensities. deviations: (K, 3) relative standard deviations of the intensities from
     the scatter between texels, without model error. turned: (K,) degrees between the given and the estimated light, as
     seen from the centre of the texels. determined: see LightStep. rounds: recoveries of the texels. change: RMS change
-    in the last round.
+    in the last round. rotation: as in LightStep.
     """
 
     lights: np.ndarray
@@ -62,6 +62,7 @@ class Lights:
     determined: float
     rounds: int
     change: float
+    rotation: np.ndarray
 
     @property
     def scaled(self) -> bool:
@@ -354,7 +355,7 @@ class _Search:
             factors[others] = brightened(subset(self._sample.domain, others), self._model, self._values)
         return Lights(
             lights, (domain.intensities * factors).astype(np.float32), factors, deviations, turned, step.determined,
-            self._round, self._change,
+            self._round, self._change, step.rotation,
         )  # fmt: skip
 
     def _solved(self, domain: Domain, schedule: Schedule) -> Generator[float, None, dict[str, np.ndarray]]:

@@ -58,7 +58,7 @@ def test_lights_without_a_ball(solid, tmp_path):
 def test_a_surface_that_contradicts_the_lights_is_refused(solid, monkeypatch):
     angle = np.radians(15)
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
-    monkeypatch.setattr(uncalibrated, "surface_rotation", lambda *_: turn)
+    monkeypatch.setattr(uncalibrated, "rotation", lambda *_: turn)
     capture = read_capture(solid[0])
     with pytest.raises(InputError, match="turned by 15° against those from the visible surface"):
         run_steps(uncalibrated.uncalibrated_steps(capture, load_model("metallic_roughness")))

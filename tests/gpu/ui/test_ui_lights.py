@@ -99,7 +99,7 @@ def test_the_panel_offers_both_settings(settings):
 )
 def test_a_summary_says_how_far_lights_are_from_those_given(factors, turned, text):
     one = np.ones((4, 3))
-    lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.full(4, turned), 1.0, 3, 0.0)
+    lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.full(4, turned), 1.0, 3, 0.0, np.zeros((3, 3)))
     assert lights.summary() == text
 
 
@@ -109,6 +109,6 @@ def test_a_summary_says_how_far_lights_are_from_those_given(factors, turned, tex
 )
 def test_warnings_are_of_what_was_estimated(factors, determined, change, words):
     one = np.ones((4, 3))
-    lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.zeros(4), determined, 3, change)
+    lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.zeros(4), determined, 3, change, np.zeros((3, 3)))
     warnings = lights.warnings()
     assert len(warnings) == len(words) and all(word in text for word, text in zip(words, warnings, strict=True))

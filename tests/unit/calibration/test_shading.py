@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.calibration.shading.ambiguity import bas_relief, even_relief, integrable, outward_cosine, rotation
-from irpso_addon.calibration.shading.estimate import shading_steps, surface_rotation
+from irpso_addon.calibration.shading.estimate import shading_normals, shading_steps
 from irpso_addon.calibration.shading.factors import factored, scaled_normals, usable_samples
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
@@ -143,7 +143,8 @@ def test_a_rotation_of_lights_is_told_by_the_surface():
     directions, strengths = lamps(40)
     values = photographs(normals, directions, strengths, mask)
     matrix = _rotation(np.radians((2.0, 3.0, -2.0)))
-    found = surface_rotation(values, every(values), mask, directions * strengths[:, None] @ matrix)
+    normals, good = shading_normals(values, every(values), directions * strengths[:, None] @ matrix)
+    found = rotation(normals, good, mask)
     assert angles(directions @ matrix @ found, directions).mean() < 0.5
 
 
