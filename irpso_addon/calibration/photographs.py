@@ -150,7 +150,8 @@ def calibrated_table(
 ) -> str:
     """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot. card: keys of the card, which
+    cameras: camera index → keys. lights: shot index → light; None removes the shot; a light of intensity 1 keeps the
+    source's, if both are near or both distant. card: keys of the card, which
     replace the source's. Everything else of a capture.toml is preserved, except comments. Image paths become relative
     to ``folder``.
     """
@@ -168,11 +169,15 @@ def calibrated_table(
             source["camera"][number] = {**row, **keys}
     rows = []
     for number, row in enumerate(source["observation"]):
+        space = spec.observations[number].image.colour_space
+        if space != row.get("colour_space", source.get("colour_space", "auto")):  # the caller's overrides the file's
+            row = {**row, "colour_space": space}
         if number not in lights:
             rows.append(row)
         elif (light := lights[number]) is not None:
             kept = {k: v for k, v in row.items() if k not in _LIGHT_KEYS}
-            rows.append({**kept, **_light_keys(light, row.get("light_intensity"))})
+            same_unit = light.distant == ("light_position" not in row)  # a near lamp's is at distance 1
+            rows.append({**kept, **_light_keys(light, row.get("light_intensity") if same_unit else None)})
     source["observation"] = rows
     return "\n".join(_lines(_rebased(source, home, folder))) + "\n"
 

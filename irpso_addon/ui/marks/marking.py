@@ -61,11 +61,11 @@ class Marking:
         raise NotImplementedError
 
     def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
-        """Yield the linear photographs (H, W, 3) whose brightest values are shown; at most ``most``."""
-        capture = build_capture(spec_of(settings), decode)
-        count = len(capture.observations)
-        for index in sorted({round(k * (count - 1) / max(most - 1, 1)) for k in range(most)}):
-            yield without_bounds(capture.observations[index].read())[..., :3]
+        """Yield the linear photographs (H, W, 3) whose brightest values are shown: of one camera, at most ``most``."""
+        shots = build_capture(spec_of(settings), decode).observations
+        shots = [shot for shot in shots if shot.camera == shots[0].camera]
+        for index in sorted({round(k * (len(shots) - 1) / max(most - 1, 1)) for k in range(most)}):
+            yield without_bounds(shots[index].read())[..., :3]
 
     def begin(self, context, readers: int = _PICTURES) -> set[str]:
         """Show the brightest values of some photographs and wait for the mouse."""

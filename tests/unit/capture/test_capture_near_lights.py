@@ -78,6 +78,22 @@ def test_the_distance_comes_back_with_a_written_capture_and_stays_in_a_calibrate
     assert read_spec(tmp_path / "new.toml").card_distance == DISTANCE
 
 
+def test_a_calibrated_table_keeps_the_colour_space_that_was_chosen(tmp_path):
+    folder = write_near_card(tmp_path / "card")
+    spec = read_spec(folder, "srgb")
+    (tmp_path / "new.toml").write_text(calibrated_table(spec, {}, {0: Light((0.0, 0.0, 1.0))}, tmp_path))
+    assert {shot.image.colour_space for shot in read_spec(tmp_path / "new.toml").observations} == {"srgb"}
+
+
+def test_an_intensity_at_distance_1_is_not_that_of_a_distant_light(tmp_path):
+    folder = write_near_card(tmp_path / "card")
+    spec = read_spec(folder)
+    near, distant = Light((1.0, 2.0, 400.0), distant=False), Light((0.0, 0.0, 1.0))
+    (tmp_path / "new.toml").write_text(calibrated_table(spec, {}, {0: near, 1: distant}, tmp_path))
+    first, second, *_ = read_spec(tmp_path / "new.toml").observations
+    assert first.intensity == spec.observations[0].intensity != (1.0, 1.0, 1.0) and second.intensity == (1.0, 1.0, 1.0)
+
+
 def test_inspect_reports_the_size_of_a_card_and_a_missing_distance(tmp_path):
     folder = write_near_card(tmp_path / "card")
     report = inspect_capture(folder, goals=())
