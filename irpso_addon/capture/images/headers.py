@@ -17,7 +17,7 @@ from .exif import JPEG_START, Exposure, exposure_in, exposure_of, open_jpeg, ori
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
-_JPEG_TAIL = 1 << 16  # cameras append a few kilobytes after the end mark
+_NO_SEGMENT = b"\xd9\xda"  # end of a JPEG file, and start of a scan
 _LINEAR_GAMMA = struct.pack(">I", 100_000)  # of a gAMA chunk: 100 000 over the exponent
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
 _MOST_ICC = 1 << 22  # bytes
@@ -118,12 +118,23 @@ def _png_icc(chunk: bytes) -> bytes:
 
 def _jpeg(path: Path, data: bytes) -> ImageHeader:
     image = open_jpeg(data)
-    if image is None or b"\xff\xd9" not in data[-_JPEG_TAIL:]:
+    if image is None or b"\xff\xd9" not in data[_jpeg_scan(data) :]:
         raise truncated(path)
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
     states = "srgb" if icc or tags.get(_COLOUR_SPACE) == _SRGB else ""
     return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags))
+
+
+def _jpeg_scan(data: bytes) -> int:
+    """Return the offset of a JPEG file's first scan, behind the segments, which may hold a thumbnail with its own end.
+
+    In a scan the end mark occurs only at its end (ITU-T T.81, B.1.1.2). A phone may append a video.
+    """
+    place = 2
+    while place + 4 <= len(data) and data[place] == 0xFF and data[place + 1] not in _NO_SEGMENT:
+        place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+    return place
 
 
 def _tiff(path: Path, data: bytes) -> ImageHeader:

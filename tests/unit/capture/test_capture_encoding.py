@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture import read_capture
+from irpso_addon.capture.errors import CaptureError
 from irpso_addon.capture.images.headers import read_header
 from irpso_addon.capture.inspect.falloff import encoding_test
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.core.encode import linear_from_srgb
 from tests.builders.captures import chunk, decode_png, sphere, write_png
 from tests.builders.command_line import dome_lights
+from tests.builders.exif import jpeg as jpeg_of
 from tests.oracles import reflectance as oracles
 
 VIEW = np.array([0.0, 0.0, 1.0])
@@ -180,6 +182,15 @@ def test_an_image_that_cannot_be_read_is_reported_once(tmp_path, ball):
 def jpeg(blocks):
     size = b"\xff\xc0" + struct.pack(">HBHHB", 8, 8, 30, 40, 1) + b"\0"
     return b"\xff\xd8" + blocks + size + b"\xff\xd9" + bytes(8)
+
+
+def test_a_video_may_follow_a_jpeg_and_a_thumbnail_is_not_its_end(tmp_path):
+    whole = jpeg_of(40, 30, b"thumbnail \xff\xd9")
+    (tmp_path / "motion.jpg").write_bytes(whole + bytes(300_000))
+    assert read_header(tmp_path / "motion.jpg").width == 40
+    (tmp_path / "cut.jpg").write_bytes(whole[:-2])
+    with pytest.raises(CaptureError, match="cut short"):
+        read_header(tmp_path / "cut.jpg")
 
 
 def exif_of(space):
