@@ -88,7 +88,8 @@ def read_photographs(
     else:
         images = sorted(
             p for p in path.iterdir()
-            if is_photograph(p) and p.name not in diligent.MASKS and p.resolve() not in hidden
+            if is_photograph(p) and not p.name.startswith(".")  # macOS writes ._NAME beside each file on other disks
+            and p.name not in diligent.MASKS and p.resolve() not in hidden
         )  # fmt: skip
         images += frames
     if not images:

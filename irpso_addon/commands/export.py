@@ -20,7 +20,7 @@ from ..exports.turntable import write_turntable
 from ..gpu import context, probe
 from .options.occlusion import check_occlusion, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
-from .options.values import shelf_of, silent
+from .options.values import check_shelf, shelf_of, silent
 
 
 def run(options: Namespace) -> dict:
@@ -29,6 +29,7 @@ def run(options: Namespace) -> dict:
     result = read_result(options.result, options.model)
     if options.format == ASSET:
         return _asset(result, options)
+    check_shelf(options, "export with --format asset")
     if options.format == RELIEF:
         report = write_relief(result, options.output, options.width, options.replace)
         if not silent(options):

@@ -35,7 +35,7 @@ from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
-from .options.values import shelf_of, silent, warn, warn_quietly
+from .options.values import check_shelf, shelf_of, silent, warn, warn_quietly
 
 INTERRUPTED = "interrupted"  # key of a report: a signal came when the search had ended
 _FINISHING = "irpso: the result is being written; interrupt again to stop at once"
@@ -62,6 +62,8 @@ def run(options: Namespace) -> dict:
 def _recover(options: Namespace, job: Job) -> dict:
     if options.asset is not None:
         shelf_of(options, options.asset).path(options.asset_name or job.name)  # before anything slow
+    else:
+        check_shelf(options, "give its library, --asset LIBRARY")
     probed = probe.probe()
     context.ensure()
     run = Run(job, StepBars(silent(options)))

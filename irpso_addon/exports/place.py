@@ -44,6 +44,7 @@ def file_place(out: str | Path, stem: str, suffixes: Sequence[str], replace: boo
     """
     path = Path(out)
     if path.suffix.lower() in suffixes:
+        path = path.with_suffix(path.suffix.lower())  # which exporters write
         check_output_folder(path.parent)
     else:
         _refuse_file(path, f"name a {' or '.join(suffixes)} file, or a folder")

@@ -148,6 +148,7 @@ CAPTURES = {
     "a file that is no capture": (
         prepared(lambda f: (f / "note.md").touch(), recover(capture="note.md")), r"note.md: is no capture"),
     "a scene with several meshes": (recover(capture="scene.blend"), r"has \d+ mesh objects; choose one with --object"),
+    "words of an asset without one": (recover("--license", "CC0"), r"--license: is of an asset; give its library"),
     "an empty folder": (prepared(lambda f: (f / "void").mkdir(), recover(capture="void")),
         r"void: holds no capture; .* irpso calibrate"),
     "a missing image": (broken("lists", lambda c: (c / "2.exr").unlink()), r"2.exr: this image is not there"),

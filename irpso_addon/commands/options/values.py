@@ -52,6 +52,13 @@ def shelf_of(options: Namespace, library: str) -> Shelf:
     return Shelf(Path(library), *words, tuple(options.tag))
 
 
+def check_shelf(options: Namespace, remedy: str) -> None:
+    """Raise InputError for the options of ``shelf_of`` where no asset is written. remedy: how one would be."""
+    for name in ("asset_name", "catalog", "author", "license", "tag"):
+        if getattr(options, name):
+            raise InputError(f"--{name.replace('_', '-')}: is of an asset; {remedy}, or leave the option out")
+
+
 def size_option(option: str, text: str) -> tuple[int, int]:
     """Return (width, height) of "N" or "WxH". Raises InputError."""
     parts = text.lower().split("x")

@@ -18,6 +18,8 @@ from .words import iface
 _SETTINGS = {
     "--distance": "Card Distance",
     "--memory": "Memory Budget",
+    "--intensities estimate": "Light Strengths: Estimate",
+    "irpso develop --dark": "Develop, with Dark Frames",
     "--intensities given (Light Strengths)": "Light Strengths: As Given",
     "--colour-space srgb (Color Space)": "Color Space: sRGB",
     "--colour-space linear (Color Space)": "Color Space: Linear",

@@ -219,8 +219,10 @@ def test_the_command_writes_each_format(kind, files, folder, tmp_path):
 
 
 def test_a_file_can_be_named(folder, tmp_path):
-    code, _, err = run_cli("export", folder, "--format", "gltf", "-o", tmp_path / "mine.glb", "--quiet")
+    code, _, err = run_cli("export", folder, "--format", "gltf", "-o", tmp_path / "mine.GLB", "--quiet")
     assert (code, err) == (0, "") and read_glb(tmp_path / "mine.glb")[0]["asset"]["version"] == "2.0"
+    code, _, err = run_cli("export", folder, "--format", "gltf", "-o", tmp_path / "mine.GLB", "--quiet")
+    assert code == 2 and "mine.glb: is there already" in err
 
 
 @pytest.mark.parametrize(
@@ -261,6 +263,7 @@ def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folde
     ):
         assert f"{name}: this format writes no" in (said := refused(folder, "--format", kind, out=tmp_path / name))
         assert said.endswith(f"; {remedy}\n")
+    assert "--tag: is of an asset; export with --format asset" in refused(folder, "--format", "ptm", "--tag", "a")
     assert "holds no report.json" in refused(tmp_path, "--format", "ptm")
     assert "normal.exr: is a file; give the folder" in refused(folder / "normal.exr", "--format", "ptm")
     (tmp_path / "report.json").write_text('{"kind": "mirror", "lights": []}')

@@ -26,6 +26,12 @@ def calibrated(balls, spec, radius=None, **options):
     return run_steps(calibrate_steps(spec, balls[1], Request("matte", "near", **options), radius=radius))
 
 
+def test_files_of_macos_beside_photographs_are_none(tmp_path):
+    for name in ("a.png", "b.png", "._a.png"):
+        (tmp_path / name).touch()
+    assert [shot.name for shot in read_photographs(tmp_path).observations] == ["a.png", "b.png"]
+
+
 def test_calibration_reports_the_distance_of_the_card_under_the_balls(balls):
     spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     found = calibrated(balls, spec, radius=10.0)
