@@ -54,14 +54,15 @@ def amount(size: int) -> str:
     return f"{size} B"
 
 
-def machine_memory(text: str | None, renderer: str, free_device: int | None = None) -> Memory:
+def machine_memory(text: str | None, renderer: str, free_device: int | None = None, held: int = 0) -> Memory:
     """Return the budget of --memory, completed from the machine's memory. renderer: the GPU's name.
 
-    free_device: free bytes of the GPU's own memory, None where the driver does not report them. A software
-    renderer's textures are in host memory; device and host then share it evenly.
+    free_device: free bytes of the GPU's own memory, None where the driver does not report them. held: bytes of main
+    memory in use that the plan counts again. A software renderer's textures are in host memory; device and host then
+    share it evenly.
     """
     requested = parse_memory(text) if text else {}
-    host, host_from = int(_USABLE * free_memory()), f"{100 * _USABLE:.0f} % of the free memory"
+    host, host_from = int(_USABLE * (free_memory() + held)), f"{100 * _USABLE:.0f} % of the free memory"
     device, device_from = int(_USABLE * (free_device or 0)), f"{100 * _USABLE:.0f} % of the device's free memory"
     if device < ASSUMED_DEVICE:
         report = "reports none" if free_device is None else f"reports {amount(free_device)} free"

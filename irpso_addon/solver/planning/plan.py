@@ -326,7 +326,7 @@ def _storage(
 
     texels: number of texels of the domain, covered or not.
     """
-    stack = FLOAT4 * cost.observed * cost.stacks * texels
+    stack = cost.stacks * stack_bytes(cost, texels)
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
     needed = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
@@ -335,9 +335,16 @@ def _storage(
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
     for places in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
         scratch = stack * (places[0] == "scratch") + state * (places[1] == "scratch")
-        if needed + stack + state - scratch <= memory.host:
-            return needed + stack + state - scratch, scratch, *places
+        host = needed + stack + state - scratch
+        if host <= memory.host:
+            return host, scratch, *places
+    how = " even with the images in a scratch file" if scratch else ""
     raise InputError(
-        f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(needed)} even with the"
-        " images in a scratch file; allow more, or choose a smaller --resolution"
+        f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(host)}{how}; allow more,"
+        " or choose a smaller --resolution"
     )
+
+
+def stack_bytes(cost: Cost, texels: int) -> int:
+    """Return the bytes of the samples of a domain's texels."""
+    return FLOAT4 * cost.observed * texels

@@ -28,7 +28,7 @@ from ..settings.schedule import Schedule, refuse_levels
 from ..state.prepare import Prepared
 from .cost import recovery_cost
 from .memory import machine_memory
-from .plan import Borders, Limits, Plan, largest_texture, plan_recovery
+from .plan import Borders, Limits, Plan, largest_texture, plan_recovery, stack_bytes
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
@@ -56,9 +56,10 @@ def make_plan(
     """
     device = context.describe()
     free = context.free_device_memory()
-    allowed = machine_memory(memory, str(device["renderer"]), free)
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
     cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
+    held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
+    allowed = machine_memory(memory, str(device["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):

@@ -195,6 +195,16 @@ def test_an_existing_stack_stays_where_it_is():
     assert plan_recovery(disc(64, 30), cost_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
 
 
+def test_a_plan_names_what_it_needs_with_the_samples_that_are_in_memory():
+    mask, cost = disc(512, 250), cost_of()
+    needed = plan_recovery(mask, cost, Memory(64 * G, 64 * G), stack_on="memory").host
+    plan_recovery(mask, cost, Memory(64 * G, needed), stack_on="memory")
+    with pytest.raises(InputError, match=f"needs {re.escape(amount(needed))}; allow more"):
+        plan_recovery(mask, cost, Memory(64 * G, needed - 1), stack_on="memory")
+    with pytest.raises(InputError, match="even with the images in a scratch file"):
+        plan_recovery(mask, cost, Memory(64 * G, M))
+
+
 def test_a_plan_is_plain_data_and_lines_for_people():
     plan = plan_recovery(disc(512, 250), cost_of(), Memory(64 * M, 64 * G))
     assert json.loads(json.dumps(plan.as_dict()))["texels"] == plan.texels
@@ -244,6 +254,7 @@ def test_unset_budgets_come_from_the_machine(monkeypatch):
     software = machine_memory(None, "llvmpipe (LLVM 15)")  # its textures are the host's memory too
     assert (software.host, software.device) == (4 * G, 4 * G)
     assert machine_memory("3G", "llvmpipe") == Memory(3 * G, 3 * G)
+    assert machine_memory(None, "NVIDIA H200", held=5 * G).host == 12 * G  # samples that are read and planned again
 
 
 def test_a_texture_may_be_large_where_the_memory_is():
