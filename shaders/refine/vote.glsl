@@ -1,7 +1,7 @@
 // Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl). Reads the best
 // so far (u_estimate, u_status), the refined one (u_work, u_work_status), the weights of the samples and the packing.
 
-#include "common/frame.glsl"
+#include "common/observation.glsl"
 #include "refine/status.glsl"
 #include "refine/votes.glsl"
 
@@ -16,8 +16,10 @@ bool texel_kernel(ivec2 texel)
     bool better = false;
     if (state_at(texel) == TEXEL_SOLVED) {
         float weights = 0.0;
-        for (int k = 0; k < u_observations; k++) {
-            weights += max(texelFetch(u_stack, ivec3(texel, k), 0).a, 0.0);
+        Texel t = observed_texel(texel);
+        Observation o;
+        EACH_OBSERVATION(t, o) {
+            weights += o.weight;
         }
         float freedom = degrees_of_freedom(weights);
         better = after.x <= before.x;

@@ -7,6 +7,7 @@
 #include "common/packing.glsl"
 #include "common/taps.glsl"
 #include "free_parameters.glsl"
+#include "fitness/with_priors.glsl"
 #include "materials.glsl"
 
 // Neighbours that vote: the 5×5 texels around, which are the first taps of common/taps.glsl.
@@ -44,9 +45,8 @@ float degrees_of_freedom(float weights)
     return max(3.0 * weights - float(FREE_COUNT), 0.0);
 }
 
-// Returns −2 log posterior of a material, up to a constant. The samples have Gaussian noise of unknown variance, which
-// the fitness estimates.
+// Returns −2 log posterior of a material, up to a constant (fitness/with_priors.glsl). fitness: with the model's priors.
 float deviance_of(float freedom, float fitness, float votes)
 {
-    return freedom * log(fitness) - 2.0 * VOTES * log(1.0 + votes);
+    return freedom * log(fitness + NOISE_FLOOR) - 2.0 * VOTES * log(1.0 + votes);
 }

@@ -193,13 +193,13 @@ def uniform(shape, **changed):
     }
 
 
-def voted(refinement, truth, start, votes, entry="fragment", unseen=None):
+def voted(refinement, truth, start, votes, entry="fragment", unseen=None, noise=0.003):
     """Refinement a start with votes of the neighbours, under 40 lights with noise.
 
     unseen: (row, column) of a texel that no light near its highlight reaches.
     """
     model, shape = load_model("principled"), truth["roughness"].shape[:2]
-    domain = observed(model, truth, shape, noise=0.003)
+    domain = observed(model, truth, shape, noise=noise)
     if unseen:
         half = unit(domain.lights[:, :3] + (0, 0, 1))
         domain.stack.values[half @ truth["normal"][unseen] > 0.9, *unseen, 3] = 0
@@ -215,6 +215,13 @@ def test_a_lone_undecided_texel_is_outvoted(refinement, entry):
     alone, crowd = (voted(refinement, truth, start, votes, entry, (3, 3)) for votes in (0.0, 6.0))
     for name, value in (("roughness", 0.3), ("specular", 0.5)):
         assert abs(alone[name][3, 3, 0] - value) > 0.2 > 2 * abs(crowd[name][3, 3, 0] - value)
+
+
+def test_a_fit_better_than_any_photograph_allows_does_not_outvote_the_neighbours(refinement):
+    truth = uniform((7, 7))
+    truth["roughness"][3, 3] = 0.7
+    found = voted(refinement, truth, truth, 6.0, unseen=(3, 3), noise=0.0)
+    assert found["roughness"][3, 3, 0] == pytest.approx(0.3, abs=0.15)
 
 
 def test_a_texel_of_its_own_material_is_not_outvoted(refinement):
