@@ -22,6 +22,7 @@ _GAIN_PRIOR = 2.0  # standard deviation of a logarithm: weak, it only fixes unde
 _GROUPS = 8  # of texels, for the deviations
 _LARGEST_STEP = 0.5  # of a logarithm
 _FAR, _DARKEST = 0.7, 0.05  # above this log error, a factor of two, shadows and highlights are not detected
+_MODEL_ERROR = 2.0  # factor on the deviations of a common rotation: all texels share the model's errors
 _SAMPLED_AS = 100.0  # independent texels: errors of neighbours are correlated, so more texels add no information
 
 
@@ -330,7 +331,7 @@ class _Equations:
         matrix[np.ix_(across, across)] -= self._strength(noise) / moving.sigma**2 * (1 - 1 / count) * common @ common.T
         moves = np.linalg.inv(matrix)[np.ix_(across, across)] * self._strength(noise)
         angles = np.linalg.pinv(by_angle)
-        covariance: np.ndarray = angles @ moves @ angles.T
+        covariance: np.ndarray = _MODEL_ERROR**2 * angles @ moves @ angles.T
         return covariance
 
     def _determined(self, whole: np.ndarray) -> float:
