@@ -122,7 +122,7 @@ def _same_search(a: Resolved, b: Resolved) -> bool:
 
 def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
     """Return all settings of the current phase."""
-    return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement
+    return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement, schedule.threshold
 
 
 def _same_swarms(

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..settings.groups import Prior
 from ..settings.resolve import ResolvedSurface
 from ..settings.schedule import Schedule
 from .free_parameters import FreeParameters, build_slopes, has_basis
@@ -45,7 +44,7 @@ def build_surface_passes(
     free, slopes = _slopes(model, resolved, schedule)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _TAPS,
-        "NOISE_FREEDOM": f"{Prior().noise_freedom:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
+        "NOISE_FREEDOM": f"{schedule.prior.noise_freedom:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
         "TOLERANCE": f"{resolved.surface.tolerance:.9f}", "SMOOTHNESS": f"{resolved.surface.smoothness:.9f}",
     }  # fmt: skip
     numbers = packed(model)

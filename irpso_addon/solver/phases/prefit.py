@@ -35,7 +35,6 @@ FITNESS, EVIDENCE, SHEEN = "prefit_fitness", "prefit_evidence", "prefit_sheen"  
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
 _LEAST_FITNESS = 0.3
-UNFIT = np.float32(1e30)  # shaders/fitness/unfit.glsl: no measurement
 _PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
 # Of the prior on the falloff's exponent (mean 1) under narrow lights. On balls under 12 lights within 22° it lowers the
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the

@@ -12,9 +12,9 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import sheen_table
-from ..state.textures import DomainTextures, Estimates
+from ..state.textures import UNFIT, DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, adopt_where
+from .prefit import FITNESS, SHEEN, adopt_pass, adopt_where
 
 CHOSEN = "prefit_sheen_chosen"  # (h, w) float32, above 0 where the prefit with sheen is chosen
 # A bunny without sheen, whose base only darkens toward the terminator: the prefit with sheen fits better by a third and

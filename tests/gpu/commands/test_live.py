@@ -190,6 +190,18 @@ def test_changed_constants_apply_from_the_next_iteration(recover):
     second.close()
 
 
+def test_a_changed_error_to_stop_at_is_that_of_the_running_swarms(recover):
+    model, schedule = RUNS["one"]
+    first = recover(observed(model), model, schedule)
+    first.step(iterations=3)
+    place = first._phase.state()["position"]
+    second = first.reconfigure(schedule.replaced(threshold=1e9))  # which every texel has reached
+    second.step(iterations=1)
+    assert second.progress.iteration == 4
+    np.testing.assert_array_equal(second._phase.state()["position"], place)
+    second.close()
+
+
 def test_finished_stages_do_not_run_again(recover):
     first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
     before = 6  # the prefit, with sheen, two tests, the separation of indirect light, the prefit in it
