@@ -22,7 +22,8 @@ _NEAR, _FAR = 0.75, 0.25  # bilinear weights: a texel's centre lies a quarter of
 def coarser(domain: Domain) -> Domain:
     """Return the domain at half the size, rounded up: radiance averaged by weight, the rest over covered texels.
 
-    A sample's weight is the mean of its texels' weights; one clipped texel makes it a lower bound. Raises ValueError for a tile with a halo.
+    A sample's weight is the mean of its texels' weights; one clipped texel makes it a lower bound. Raises ValueError
+    for a tile with a halo.
     """
     if any(domain.halo):
         raise ValueError("a tile with a halo has no coarser domain: its cells would differ from the whole domain's")
