@@ -66,7 +66,7 @@ class Job:
         return range(len(self.capture.observations) - len(self.held_out))
 
     @property
-    def unseen(self) -> range:
+    def held_out_indices(self) -> range:
         """The indices of the held-out observations."""
         return range(len(self.fitted), len(self.capture.observations))
 

@@ -134,7 +134,7 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
 def pictures_of(run: Run, recovered: ResultMaps) -> dict[str, np.ndarray]:
     """Return file stem → (H, W, 3) display values: renders beside photographs, confidence, held-out observations."""
     run.relight(recovered.solver)
-    names = preview_names(run.job.capture, run.job.unseen)
+    names = preview_names(run.job.capture, run.job.held_out_indices)
     preview = error_preview(present(run.domain), recovered.solver, run.truth, names, run.indirect)
     return {"preview": preview} | confidence_preview(recovered.solver) | run.relit[0]
 

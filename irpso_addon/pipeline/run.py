@@ -94,7 +94,7 @@ class Run:
         self.warnings: tuple[str, ...] = ()
         self._plan: Plan | None = None
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
-        self._unseen_indirect: Callable[[int], np.ndarray | float] = lambda held_out: 0.0
+        self._held_out_indirect: Callable[[int], np.ndarray | float] = lambda held_out: 0.0
 
     def first_plan(self) -> Plan:
         """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
@@ -128,7 +128,8 @@ class Run:
         """Return the indirect light, (H, W, 3) or 0: the subtracted one, or if held out that of ``relighting``."""
         if observation in self.job.fitted:
             return present(self.recovery).indirect(observation)
-        return self._unseen_indirect(observation - self.job.unseen.start) if observation in self.job.unseen else 0.0
+        held_out = self.job.held_out_indices
+        return self._held_out_indirect(observation - held_out.start) if observation in held_out else 0.0
 
     @property
     def indirect_share(self) -> np.ndarray | None:
@@ -141,10 +142,14 @@ class Run:
 
     def relighting(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
-        domain, unseen, evaluations = present(self.domain), self.job.unseen, present(self.progress).evaluations
-        if self.recovery is not None and unseen:
-            self._unseen_indirect = yield from self.recovery.indirect_in(subset(domain, unseen, domain.solvable))
-        steps = relit_steps(domain, maps, unseen, self.job.capture, self._elsewhere, self.indirect)
+        domain, held_out, evaluations = (
+            present(self.domain),
+            self.job.held_out_indices,
+            present(self.progress).evaluations,
+        )
+        if self.recovery is not None and held_out:
+            self._held_out_indirect = yield from self.recovery.indirect_in(subset(domain, held_out, domain.solvable))
+        steps = relit_steps(domain, maps, held_out, self.job.capture, self._elsewhere, self.indirect)
         self._relit = evaluations, *(yield from steps)
 
     @property

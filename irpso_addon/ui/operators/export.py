@@ -213,9 +213,9 @@ def _photographs(running: session.Session, count: int) -> Photographs | None:
     job, domain = running.job, running.domain
     if not count or domain is None:
         return None
-    chosen = spread(domain.lights, domain.bake, list(job.unseen), count)
+    chosen = spread(domain.lights, domain.bake, list(job.held_out_indices), count)
     names = [job.capture.observations[k].name for k in chosen]
-    return photographs_of(subset(domain, chosen), names, [i for i, k in enumerate(chosen) if k in job.unseen])
+    return photographs_of(subset(domain, chosen), names, [i for i, k in enumerate(chosen) if k in job.held_out_indices])
 
 
 def _draw_menu(self, context) -> None:
