@@ -49,6 +49,18 @@ def _made_scenes() -> dict[str, Scene]:
     }
 
 
+def metal_scenes() -> dict[str, Scene]:
+    """Return name → scene: open relief of metals and metal paints."""
+    paint, bronze = ((0.55, 0.45, 0.3), (0.4, 0.4, 0.42)), ((0.6, 0.38, 0.2), (0.5, 0.3, 0.15))
+    steel = (0.6, 0.6, 0.62), (0.45, 0.45, 0.46)
+    return {
+        "pot, metal paint": Scene(subjects.pot, Finish(paint, (0.45, 0.45), 0.8), samples=8),
+        "pot, bronze": Scene(subjects.pot, Finish(bronze, (0.35, 0.35), 0.7), samples=8),
+        "cow, steel": Scene(subjects.monkey, Finish(steel, (0.6, 0.6), 0.9), samples=8),
+        "fruits, metal paint": Scene(subjects.harvest, Finish(paint, (0.5, 0.5), 0.7), samples=8, denoise=True),
+    }
+
+
 def hollow_scenes() -> dict[str, Scene]:
     """Return name → scene: hollows of one colour, of several, and of none."""
     brass, mixed = (_made_scenes()[name] for name in ("goblet_satin", "harvest_concave"))

@@ -32,10 +32,10 @@ _LEAST_SCALE = 0.05
 _READ_PART, _SHADED_PART = 0.1, 0.25  # of the work, at the ends of reading and of the first estimate
 _ROUNDS = 2  # of refinement, each from the lights of the one before
 _FIRST_ERROR = 10.0  # degrees: assumed standard deviation of the first estimate's directions
-# Degrees between the lights of different parts of the subject (warning, stricter limits, error). Of nine captures 8 or
-# less ended 1 to 3° off, 44 (metal paint) 0.8°, but 49, 49 and 54 (gold, patina, velvet) 20, 53 and 77°, which the
-# stricter limits refuse.
-_DOUBTFUL_DISAGREEMENT, _UNSURE_DISAGREEMENT, _MOST_DISAGREEMENT = 15.0, 40.0, 60.0
+# Degrees between the lights of different parts of the subject by matt shading (warning, stricter limits). Of captures
+# above 40, two of metal paint and steel end 0.8° off, but gold, bronze, patina and velvet 10 to 77°: parts of the
+# former agree to 1.6° with the recovered material, of the latter to 4.4 to 12.6°.
+_DOUBTFUL_DISAGREEMENT, _UNSURE_DISAGREEMENT = 15.0, 40.0
 # The most where the model does not fit. Disagreement and error are 10 and 3° on bunnies that darken as no material of
 # the model does, 15 and 36° on a goblet of satin brass.
 _MOST_UNFIT = 12.0
@@ -45,10 +45,25 @@ _SPREAD_FACTOR, _SPREAD_MARGIN = 2.0, 0.03
 _BRIGHT = 95.0  # percentile of radiance, which becomes WHITE
 _OPEN, _LEAST_OPEN = 0.9, 0.65  # least part of the sky that texels of the refinement see; of all texels
 _JACKKNIFE_TEXELS = 256  # in each fit without one part
-# Degrees of the rotation that makes the normals under refined lights integrable: at most 2 for clay, glaze and
-# terracotta, 17 to 24 for matt and brass goblets, whose lights are 18 and 36° off.
-_MOST_ROTATION, _MOST_UNSURE_ROTATION = 10.0, 4.0
-_DOUBTFUL_REFINED, _MOST_REFINED = 3.0, 10.0  # degrees between refined lights by parts: golden fruits: 12, 49° off
+_DOUBTFUL_REFINED = 3.0  # degrees between refined lights by parts
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Limits of refined lights, in degrees. rotation: that makes the normals under them integrable. errors: by parts.
+
+    remedy: what else gives the lights.
+    """
+
+    rotation: float
+    errors: float
+    remedy: str
+
+
+# Rotations are at most 2 for clay, glaze and terracotta, 5 for metal paint, 17 to 24 for matt and brass goblets, whose
+# lights are 18 and 36° off. Parts of golden fruits, 49° off, agree to 12°.
+_USUAL = _Limits(10.0, 10.0, "put a ball into the photographs")
+_STRICT = _Limits(4.0, _DOUBTFUL_REFINED, f"{_USUAL.remedy}, or if it is flat and lamps stood near it, use --flat")
 
 
 @dataclass(frozen=True)
@@ -105,22 +120,17 @@ def uncalibrated_steps(
     first = yield from map_steps(steps, lambda part: _READ_PART + (_SHADED_PART - _READ_PART) * part)
     disagreement = float(first.errors.mean())
     apart = f"lights from different parts of the subject differ by {disagreement:.0f}°"
-    if not disagreement <= _MOST_DISAGREEMENT:
-        raise InputError(
-            f"{apart}: lights cannot be found from its shading; put a ball into the photographs, or if it is flat and"
-            " lamps stood near it, use --flat"
-        )
-    unsure = disagreement > _UNSURE_DISAGREEMENT
+    limits = _USUAL if disagreement <= _UNSURE_DISAGREEMENT else _STRICT
     if inside_out:
         first = replace(first, directions=first.directions * (-1, -1, 1))
     strength = first.intensities * float(np.percentile(values.max(axis=0), _BRIGHT)) / WHITE
     lit = _with_lights(small, first.directions, np.repeat(strength[:, None], 3, axis=1))
     domain = yield from map_steps(card_steps(lit), lambda _: _SHADED_PART)
-    pixels = _Pixels(values, weight, small, seed, _MOST_UNSURE_ROTATION if unsure else _MOST_ROTATION)
+    pixels = _Pixels(values, weight, small, seed, limits)
     refined, kept, domain = yield from pixels.refined(domain, model, _spread(first.intensities))
     if not kept:
         if disagreement > _MOST_UNFIT:
-            raise InputError(f"{apart}, and no material explains them; put a ball into the photographs")
+            raise InputError(f"{apart}, and no material explains them; {limits.remedy}")
         power = strength[:, None]
         turn = pixels.rotation(first.directions * power, domain, check=True)
         directions, intensities, errors = first.directions @ turn, np.repeat(power, 3, axis=1), first.errors
@@ -133,8 +143,8 @@ def uncalibrated_steps(
         errors = errors_of((yield from pixels.without_parts(domain, model)), directions)
         warnings = refined.warnings()
         still = f"lights from different parts of the subject differ by {errors.mean():.0f}° with its recovered material"
-        if errors.mean() > (_DOUBTFUL_REFINED if unsure else _MOST_REFINED):
-            raise InputError(f"{still}; put a ball into the photographs")
+        if errors.mean() > limits.errors:
+            raise InputError(f"{still}; {limits.remedy}")
         if errors.mean() > _DOUBTFUL_REFINED:
             warnings.append(f"{still}; a ball beside it shows them better")
     if disagreement > _DOUBTFUL_DISAGREEMENT:
@@ -150,16 +160,13 @@ def uncalibrated_steps(
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Refines the lights of a reduced capture. values, weight: (K, P) radiance and weight of its P masked pixels.
-
-    most_rotation: degrees between lights by shading and by the surface, above which they contradict each other.
-    """
+    """Refines the lights of a reduced capture. values, weight: (K, P) radiance and weight of its P masked pixels."""
 
     values: np.ndarray
     weight: np.ndarray
     capture: Capture
     seed: int
-    most_rotation: float
+    limits: _Limits
 
     def refined(
         self, domain: Domain, model: ReflectanceModel, spread: float
@@ -201,17 +208,17 @@ class _Pixels:
 
         Only open texels count. left_out: (H, W) bool, other texels. covariance: of the rotation by highlights, None for
         matt subjects, whose shading does not determine it. check: raise InputError where the rotation by the surface
-        alone exceeds ``most_rotation``.
+        alone exceeds the limit.
         """
         mask, chosen = self.capture.masks[0], open_texels(domain, self.capture.cameras[0]).solvable
         chosen = chosen if left_out is None else chosen & ~left_out
         surface = *shading_normals(self.values, self.weight * chosen[mask], lights), mask, _plane(self.capture)
         turn = rotation(*surface)
         degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
-        if check and degrees > self.most_rotation:
+        if check and degrees > self.limits.rotation:
             raise InputError(
-                f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface; put"
-                " a ball into the photographs"
+                f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface;"
+                f" {self.limits.remedy}"
             )
         return turn if covariance is None else rotation(*surface, covariance)
 

@@ -14,8 +14,8 @@
 #define VOTING_TAPS 24
 // Width of the similarity of two numbers (standard deviation of a Gaussian), as a fraction of their range.
 #define SIMILARITY_WIDTH 0.1
-// An offer is refined, whatever its fitness, if it has this many times the votes of the texel's own material. Near the
-// mouth of rti_icon a ratio of 1 refines twice as many offers and leaves a third fewer isolated texels.
+// A proposal is refined, whatever its fitness, if it has this many times the votes of the texel's own material. Near the
+// mouth of rti_icon a ratio of 1 refines twice as many proposals and leaves a third fewer isolated texels.
 #define VOTE_RATIO 1.5
 
 float votes_for(ivec4 place, inout float c[12])

@@ -18,40 +18,42 @@ from .kernels import FITNESS, FLOAT_2D, GEOMETRY, OBSERVATIONS, PACKING, fitness
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
-SPREAD_REACH = 2  # largest distance, in texels, of candidates and votes (shaders/refine/spread.glsl, votes.glsl)
-_OFFERS = {True: 8, False: 4}  # neighbours' materials in a spread: twice four where unknowns are searched
+PROPAGATION_REACH = (
+    2  # largest distance, in texels, of candidates and votes (shaders/refine/propagate.glsl, votes.glsl)
+)
+_PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
 
 
 @dataclass(frozen=True)
 class RefinementPasses:
-    """The compiled passes of a refinement. evaluations: renders of all observations in a step; offers: in a spread.
+    """The compiled passes of a refinement. evaluations: renders of all observations in a step.
 
-    vote: replaces ``keep`` after a spread; None without votes. ``keep`` is always a fragment pass, because its output
-    may be read back.
+    proposals: renders in a propagation. vote: replaces ``keep`` after a propagation; None without votes. ``keep`` is
+    always a fragment pass, because its output may be read back.
     """
 
     begin: Pass
     step: Pass
-    spread: Pass
+    propagate: Pass
     keep: Pass
     vote: Pass | None
     evaluations: int
-    offers: int
+    proposals: int
 
     def close(self) -> None:
         """Free the shaders."""
-        for work in (self.begin, self.step, self.spread, self.keep, self.vote):
+        for work in (self.begin, self.step, self.propagate, self.keep, self.vote):
             if work is not None:
                 work.close()
 
 
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
-    """Return the renders of all observations per texel in a step and in a spread."""
+    """Return the renders of all observations per texel in a step and in a propagation."""
     free, _ = resolved_slopes(model, resolved)
     evaluations = slope_renders(free, resolved.refinement) + CANDIDATES
     if isinstance(resolved, ResolvedMaterials):
         return evaluations, resolved.materials.count
-    return evaluations, _OFFERS[free.defines["SEARCHED"] > 0]
+    return evaluations, _PROPOSALS[free.defines["SEARCHED"] > 0]
 
 
 def slope_renders(free: FreeParameters, settings: Refinement) -> int:
@@ -81,15 +83,15 @@ def build_refinement_passes(
     """Compile the passes of a refinement. penalty: shader of the term added to the loss."""
     settings = resolved.refinement
     free, slopes = resolved_slopes(model, resolved)
-    evaluations, offers = renders(model, resolved)
+    evaluations, proposals = renders(model, resolved)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(fitness), **step_defines(settings),
-        "EVALUATIONS": evaluations, "OFFERS": offers,
+        "EVALUATIONS": evaluations, "PROPOSALS": proposals,
     }  # fmt: skip
-    spread: str = "refine/spread"
+    propagate: str = "refine/propagate"
     materials: Samplers = {}
     if isinstance(resolved, ResolvedMaterials):
-        spread, materials = "materials/offer", {"u_materials": FLOAT_2D}
+        propagate, materials = "materials/propose", {"u_materials": FLOAT_2D}
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
     step, constants = OBSERVATIONS, STEP
     if resolved.starts and settings.race_iterations:
@@ -113,11 +115,11 @@ def build_refinement_passes(
     return RefinementPasses(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("refine/step", step, constants),
-        spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
+        propagate=make(propagate, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
         keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
         vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if has_votes else None,
         evaluations=evaluations,
-        offers=offers,
+        proposals=proposals,
     )
 
 

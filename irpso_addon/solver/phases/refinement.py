@@ -13,8 +13,8 @@ from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels.refinement import NO_PENALTY, SPREAD_REACH, RefinementPasses, build_refinement_passes
-from ..settings.resolve import BEST, SPREAD, ResolvedRefinement, Track
+from ..kernels.refinement import NO_PENALTY, PROPAGATION_REACH, RefinementPasses, build_refinement_passes
+from ..settings.resolve import BEST, PROPAGATE, ResolvedRefinement, Track
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, refinement_table
 from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
@@ -50,13 +50,13 @@ class RefinementPhase(TexturePhase):
     def evaluations(self) -> int:
         """Renders of all observations in the next iteration, at a texel that has not converged."""
         track, made = self.track
-        return self.passes.evaluations + (self.passes.offers if track.start == SPREAD and made == 0 else 0)
+        return self.passes.evaluations + (self.passes.proposals if track.start == PROPAGATE and made == 0 else 0)
 
     @property
     def reach(self) -> int:
-        """SPREAD_REACH if the next iteration reads the neighbours' best materials, else 0."""
+        """PROPAGATION_REACH if the next iteration reads the neighbours' best materials, else 0."""
         track, made = self.track
-        return SPREAD_REACH if track.start == SPREAD and made == 0 and not self.done else 0
+        return PROPAGATION_REACH if track.start == PROPAGATE and made == 0 and not self.done else 0
 
     @property
     def placed(self) -> bool:
@@ -85,7 +85,7 @@ class RefinementPhase(TexturePhase):
         self.work = target
         if made == track.iterations - 1:
             target = self._spare()
-            if track.start == SPREAD and self.passes.vote is not None:
+            if track.start == PROPAGATE and self.passes.vote is not None:
                 yield from self._in_bands("vote", self.passes.vote, target, self._best_and_work(), bands, seconds)
             else:
                 yield from self._run(bands, self.passes.keep, target, self._best_and_work())
@@ -169,8 +169,10 @@ class RefinementPhase(TexturePhase):
             self.work = self.best
             return
         target = self._spare()
-        if track.start == SPREAD:
-            yield from self._in_bands("spread", self.passes.spread, target, self._material(self.best), bands, seconds)
+        if track.start == PROPAGATE:
+            yield from self._in_bands(
+                "propagate", self.passes.propagate, target, self._material(self.best), bands, seconds
+            )
         else:
             yield from self._run(bands, self.passes.begin, target, self._material(self.best), track.start)
         self.work = target

@@ -9,8 +9,8 @@ import numpy as np
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.textures import Texture
-from ..kernels.refinement import SPREAD_REACH
-from ..settings.resolve import BEST, SPREAD, ResolvedMaterials, Track
+from ..kernels.refinement import PROPAGATION_REACH
+from ..settings.resolve import BEST, PROPAGATE, ResolvedMaterials, Track
 from ..state.alternatives import Alternatives
 from ..state.textures import SOLVED, texel_states
 from .mixture import features_of, material_table, sampled
@@ -36,8 +36,8 @@ class SharedMaterialsPhase(RefinementPhase):
 
     @property
     def reach(self) -> int:
-        """SPREAD_REACH if the next iteration needs the halo and the whole domain's sample, else 0."""
-        return SPREAD_REACH if self._in_round and self._table is None and not self.done else 0
+        """PROPAGATION_REACH if the next iteration needs the halo and the whole domain's sample, else 0."""
+        return PROPAGATION_REACH if self._in_round and self._table is None and not self.done else 0
 
     def sample(self) -> np.ndarray:
         """Return this tile's part of the sample, as ``mixture.sampled`` does, with a last column of weights."""
@@ -103,7 +103,7 @@ class SharedMaterialsPhase(RefinementPhase):
 
     @property
     def _in_round(self) -> bool:
-        return self.track[0].start == SPREAD
+        return self.track[0].start == PROPAGATE
 
     def _widening(self, track: Track, made: int) -> float:
         last = track.iterations - 1

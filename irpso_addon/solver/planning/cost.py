@@ -9,7 +9,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
-from ..kernels.refinement import SPREAD_REACH, renders
+from ..kernels.refinement import PROPAGATION_REACH, renders
 from ..phases import neighbour_test, separation
 from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
@@ -225,14 +225,14 @@ def _refinement_work(
     resolved: ResolvedRefinement, model: ReflectanceModel, observations: int, cost: float
 ) -> tuple[float, ...]:
     """Return the work of a refinement. From a start all texels step, in its race some; from the best, ever fewer."""
-    settings, (step, spread) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
+    settings, (step, propagation) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
     from_best = [step * max(LEAST_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
-    after_spread = [spread + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]
+    after_propagation = [propagation + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]
     from_starts: list[float] = []
     if resolved.starts:
         race = [*[step] * settings.start_iterations, *[step * RACING] * settings.race_iterations]
         from_starts = [step] * settings.start_iterations + race * len(resolved.starts)
-    return (*from_starts, *from_best, *after_spread * settings.rounds)
+    return (*from_starts, *from_best, *after_propagation * settings.rounds)
 
 
 def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
@@ -265,7 +265,7 @@ def _neighbour_reads(resolved: _SinglePhase, schedule: Schedule) -> tuple[int, i
         return prior_kernels.reach_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
         return surface_kernels.REACH, 1 + resolved.surface.rounds
-    return SPREAD_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
+    return PROPAGATION_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
 
 
 def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Schedule) -> int:
@@ -275,8 +275,8 @@ def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Sche
         return int(sum(_swarm_work(resolved, schedule, 1)))
     if isinstance(resolved, ResolvedPrior | ResolvedSurface):
         return sum(_renders_by_iteration(resolved, model, schedule))
-    step, spread = renders(model, resolved)
-    return resolved.iterations * step + resolved.refinement.rounds * spread
+    step, propagation = renders(model, resolved)
+    return resolved.iterations * step + resolved.refinement.rounds * propagation
 
 
 def _renders_by_iteration(

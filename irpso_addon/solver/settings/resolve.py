@@ -11,7 +11,7 @@ from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
 from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
-SPREAD = -2  # instead of a start: the best materials of neighbours
+PROPAGATE = -2  # instead of a start: the best materials of neighbours
 BEST = -1  # instead of a start: the texel's best material so far, with its damping
 _ROUNDS = 2  # rounds of a refinement with fixed normals, at most, and of a prefit with sheen, which has two optima
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
@@ -46,7 +46,7 @@ class ResolvedSwarm:
 
 @dataclass(frozen=True)
 class Track:
-    """Iterations from one start: an index of the model's starts, BEST or SPREAD."""
+    """Iterations from one start: an index of the model's starts, BEST or PROPAGATE."""
 
     start: int
     iterations: int
@@ -69,8 +69,8 @@ class ResolvedRefinement:
         if starts:
             raced = refinement.start_iterations + refinement.race_iterations
             several = [Track(BEST, refinement.start_iterations), *(Track(start, raced) for start in starts)]
-        spreads = [Track(SPREAD, refinement.round_iterations)] * refinement.rounds
-        return (*several, Track(BEST, refinement.iterations), *spreads)
+        propagations = [Track(PROPAGATE, refinement.round_iterations)] * refinement.rounds
+        return (*several, Track(BEST, refinement.iterations), *propagations)
 
     @property
     def iterations(self) -> int:

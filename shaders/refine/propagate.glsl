@@ -1,15 +1,16 @@
-// Over W×H texels: tries materials of neighbours (offers). The four adjacent texels offer their whole material, with
-// the normal rotated into this texel's frame. The four texels at distance two offer their searched numbers, to be
-// combined with this texel's normal and linear weights. The most probable of the offers worth refining (offers.glsl)
-// replaces the texel's material. Without one the texel has converged. Reads the best estimates so far, u_status, the
-// geometry with its packing, the sample stack and the observation table. Writes o_estimate and o_status.
+// Over W×H texels: tries materials of neighbours (proposals), as PatchMatch propagates them (Barnes et al. 2009). The
+// four adjacent texels propose their whole material, with the normal rotated into this texel's frame. The four texels
+// at distance two propose their searched numbers, to be combined with this texel's normal and linear weights. The most
+// probable of the proposals worth refining (proposals.glsl) replaces the texel's material. Without one the texel has
+// converged. Reads the best estimates so far, u_status, the geometry with its packing, the sample stack and the
+// observation table. Writes o_estimate and o_status.
 
 #include "common/packing.glsl"
 #include "fitness/fitness.glsl"
-#include "refine/offers.glsl"
+#include "refine/proposals.glsl"
 
 // kind: 0 for the whole material of ``other``, else its searched numbers with the rest of ``own``.
-Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
+Material proposal_of(ivec2 other, Frame f, int kind, inout float own[12])
 {
     float c[12];
     float other_c[12];
@@ -50,18 +51,18 @@ bool texel_kernel(ivec2 texel)
     material_to(own, c);
     Texel t = observed_texel(texel);
     ivec4 place = surface_place_of(texel);
-    Material candidates[OFFERS];
-    float sum[OFFERS];
-    bool exists[OFFERS];
-    for (int p = 0; p < OFFERS; p++) {
+    Material proposals[PROPOSALS];
+    float sum[PROPOSALS];
+    bool exists[PROPOSALS];
+    for (int p = 0; p < PROPOSALS; p++) {
         int side = p % 4;
         ivec2 offset = side < 2 ? ivec2(2 * side - 1, 0) : ivec2(0, 2 * side - 5);
         ivec2 other = neighbour_at(place, (1 + p / 4) * offset);
         exists[p] = other.x >= 0;
-        candidates[p] = own;
+        proposals[p] = own;
         sum[p] = 0.0;
         if (exists[p]) {
-            candidates[p] = offer_of(other, t.frame, p / 4, c);
+            proposals[p] = proposal_of(other, t.frame, p / 4, c);
         }
     }
     float weights = 0.0;
@@ -69,36 +70,36 @@ bool texel_kernel(ivec2 texel)
     Observation o;
     EACH_OBSERVATION(t, o) {
         float relative = scale * relative_error(t, o);
-        for (int p = 0; p < OFFERS; p++) {
-            vec3 error = error_of(o, reflectance(candidates[p], o.l, o.v));
+        for (int p = 0; p < PROPOSALS; p++) {
+            vec3 error = error_of(o, reflectance(proposals[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);
         }
         weights += o.weight;
     }
-    o_status.w += float(OFFERS);
+    o_status.w += float(PROPOSALS);
     float freedom = degrees_of_freedom(weights);
     bool voted = SEARCHED > 0 && VOTES > 0.0 && freedom > 0.0;
     float own_votes = voted ? votes_for(place, c) : 0.0;
     float lowest = 0.0;
     int chosen = -1;
-    for (int p = 0; p < OFFERS; p++) {
-        float fitness = with_priors(sum[p] / (3.0 * weights), weights, candidates[p]);
+    for (int p = 0; p < PROPOSALS; p++) {
+        float fitness = with_priors(sum[p] / (3.0 * weights), weights, proposals[p]);
         // Skips NaN as well.
         if (!(exists[p] && fitness < UNFIT)) {
             continue;
         }
-        float offered[12];
-        material_to(candidates[p], offered);
-        float votes = voted ? votes_for(place, offered) : 0.0;
+        float proposed[12];
+        material_to(proposals[p], proposed);
+        float votes = voted ? votes_for(place, proposed) : 0.0;
         float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
         if (is_worth_refining(fitness, status.x, votes, own_votes) && (chosen < 0 || deviance < lowest)) {
             lowest = deviance;
             chosen = p;
         }
     }
-    for (int p = 0; p < OFFERS; p++) {
+    for (int p = 0; p < PROPOSALS; p++) {
         if (p == chosen) {
-            write_material(candidates[p]);
+            write_material(proposals[p]);
             o_status = fresh_status(o_status.w);
         }
     }

@@ -1,12 +1,12 @@
 // Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or, if
 // u_mirror is 1, with the normal that mirrors its brightest sample: a fit that missed the lobe also missed the normal.
-// The most probable material worth refining (offers.glsl) replaces the texel's. Without one the texel has converged.
+// The most probable material worth refining (proposals.glsl) replaces the texel's. Without one the texel has converged.
 // Reads the best estimates so far, u_status, u_materials, the geometry, the sample stack and the observation table;
 // writes o_estimate and o_status.
 
 #include "fitness/fitness.glsl"
 #include "refine/mirror.glsl"
-#include "refine/offers.glsl"
+#include "refine/proposals.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
@@ -29,9 +29,9 @@ bool texel_kernel(ivec2 texel)
     float lowest = 0.0;
     for (int k = 0; k < count; k++) {
         take_material(k, c);
-        Material offer = material_from(c);
+        Material proposal = material_from(c);
         float weights;
-        float fitness = with_priors(fitness_of(t, offer, weights), weights, offer);
+        float fitness = with_priors(fitness_of(t, proposal, weights), weights, proposal);
         float freedom = degrees_of_freedom(weights);
         // Skips NaN as well.
         if (!(fitness < UNFIT)) {
@@ -42,7 +42,7 @@ bool texel_kernel(ivec2 texel)
         if (is_worth_refining(fitness, status.x, votes, own_votes) && (!found || deviance < lowest)) {
             found = true;
             lowest = deviance;
-            write_material(offer);
+            write_material(proposal);
         }
     }
     o_status.w += float(count);

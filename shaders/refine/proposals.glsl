@@ -1,10 +1,11 @@
-// Common code of the passes that try other materials (offers): spread.glsl, materials/offer.glsl. Reads u_status.
+// Common code of the passes that try other materials (proposals): propagate.glsl, materials/propose.glsl. Reads
+// u_status.
 
 #include "refine/status.glsl"
 #include "refine/votes.glsl"
 
-// Returns whether an offer may replace the texel's material and be refined. An offer that is not refined yet has the
-// linear weights of another texel, so its fitness is a weak measure. Many votes are sufficient.
+// Returns whether a proposal may replace the texel's material and be refined. A proposal that is not refined yet has
+// the linear weights of another texel, so its fitness is a weak measure. Many votes are sufficient.
 bool is_worth_refining(float fitness, float own_fitness, float votes, float own_votes)
 {
     return fitness < CANDIDATE_RATIO * own_fitness || votes > VOTE_RATIO * (1.0 + own_votes);
