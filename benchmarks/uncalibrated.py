@@ -40,7 +40,7 @@ _HOLLOWS = "goblet, rose, matt", "goblet, green enamel", "fruits, terracotta", "
 _LIGHT_FILES = "light_directions.txt", "light_intensities.txt"
 # Not used in developing the method.
 _UNSEEN = (
-    "cat_clay", "skin_sss", "goblet, patina", "bunny_lambert_noshadow", "pot, bronze", "cow, steel", "fruits, metal paint",
+    "cat_clay", "skin_sss", "goblet, patina", "bunny_lambert_noshadow", "pot, bronze", "fruits, metal paint",
 )  # fmt: skip
 
 
