@@ -70,9 +70,9 @@ def read_photographs(
 ) -> CaptureSpec:
     """Return the spec of a capture, or of a folder of images or videos with placeholder lights.
 
-    Images of a folder: those in filenames.txt, else all except masks and ``leave_out``, sorted by name; then
-    ``frames``, of its videos or of the video at ``path``. Its camera.toml gives the camera. Raises InputError if there
-    are no images.
+    Images of a folder: those in filenames.txt, else all except masks, pictures of calibrations and ``leave_out``,
+    sorted by name; then ``frames``, of its videos or of the video at ``path``. Its camera.toml gives the camera. Raises
+    InputError if there are no images.
     """
     path = Path(path)
     if frames and path.is_file():
@@ -82,7 +82,7 @@ def read_photographs(
     names = path / diligent.FILENAMES
     if not path.is_dir() or _has_lights(path):
         return read.read_spec(path, colour_space)
-    hidden = {p.resolve() for p in leave_out}
+    hidden = {p.resolve() for p in (*leave_out, *_pictures_of_tables(path))}
     if names.exists():
         images = [find_image(path, name) for _, name in read_lines(names, "write the image names into it")]
     else:
@@ -100,6 +100,11 @@ def read_photographs(
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
     view = ViewSpec("camera", make, str(path), None, ImageRef(mask) if mask else None, lens=lens)
     return CaptureSpec(path.resolve().name, "images", path, shots, (view,))
+
+
+def _pictures_of_tables(folder: Path) -> list[Path]:
+    """Return the pictures that calibrations have written beside tables in a folder: NAME_balls.png of NAME.toml."""
+    return [p for p in folder.glob("*_balls.png") if p.with_name(f"{p.stem.removesuffix('_balls')}.toml").is_file()]
 
 
 def camera_keys(path: Path) -> dict[str, Any]:

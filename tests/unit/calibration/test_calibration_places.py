@@ -26,8 +26,8 @@ def calibrated(balls, spec, radius=None, **options):
     return run_steps(calibrate_steps(spec, balls[1], Request("matte", "near", **options), radius=radius))
 
 
-def test_files_of_macos_beside_photographs_are_none(tmp_path):
-    for name in ("a.png", "b.png", "._a.png"):
+def test_files_of_macos_and_of_calibrations_beside_photographs_are_none(tmp_path):
+    for name in ("a.png", "b.png", "._a.png", "dome.toml", "dome_balls.png"):
         (tmp_path / name).touch()
     assert [shot.name for shot in read_photographs(tmp_path).observations] == ["a.png", "b.png"]
 
