@@ -72,6 +72,17 @@ def test_directions_that_are_2_degrees_off_are_refined_along_with_unknown_intens
     assert off(found.factors, true).max() < 0.02
 
 
+@pytest.mark.parametrize(("model", "most", "least"), [("principled", 4.0, 0.0), ("lambert", 20.0, 8.0)])
+def test_highlights_tell_a_common_rotation_but_for_that_about_the_view_and_matt_shading_tells_none(model, most, least):
+    rng = np.random.default_rng(3)
+    domain, _ = subject(model, 20)
+    found = estimate_lights(photographed(domain, gains(20, rng), rng), load_model(model), refine_degrees=10)
+    across, up, about = np.degrees(np.sqrt(np.diag(found.rotation)))
+    print(f"deviations {across:.2f}°, {up:.2f}°, {about:.2f}°")
+    assert least < min(across, up) and max(across, up) < most and about > 8
+    assert (estimate_lights(domain, load_model(model)).rotation == 0).all()
+
+
 def test_an_observation_that_is_held_out_changes_no_other_and_gets_the_intensity_of_its_image():
     rng = np.random.default_rng(4)
     domain, _ = subject("lambert", 13)

@@ -98,6 +98,19 @@ def test_a_turned_surface_is_turned_back(perspective):
         assert angles(np.eye(3) @ matrix @ rotation(normals[mask] @ matrix, mask[mask], mask), np.eye(3)).max() > 1
 
 
+@pytest.mark.parametrize("free", [(0,), (2,), (0, 1), (0, 1, 2)])
+def test_a_surface_is_turned_back_only_about_axes_that_other_evidence_leaves_open(free):
+    normals, mask, opened = relief(), np.ones((SIDE, SIDE), bool), np.isin(range(3), free)
+    deviations = np.where(opened, np.radians(20), np.radians(1e-4))
+    whole = np.radians((3.0, -2.0, 5.0))
+    for turn in (whole * opened, whole):
+        found = rotation(normals[mask] @ _rotation(turn), mask[mask], mask, None, np.diag(deviations**2))
+        vector = np.array([found[2, 1] - found[1, 2], found[0, 2] - found[2, 0], found[1, 0] - found[0, 1]]) / 2
+        assert np.degrees(np.abs(vector[~opened])).max(initial=0) < 1e-3
+        if turn is not whole or opened.all():
+            assert angles(_rotation(turn) @ found, np.eye(3)).max() < 0.6
+
+
 def _rotation(turn):
     result = np.eye(3)
     for axis, angle in enumerate(turn):
