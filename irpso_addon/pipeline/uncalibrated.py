@@ -241,7 +241,7 @@ def open_texels(domain: Domain, camera: Camera) -> Domain:
     """Return a card's domain with only those texels solvable that see most of the sky, by a Lambertian relief.
 
     Interreflection in hollows biases the shading of all parts alike: lights of terracotta fruits in a bowl are off by
-    4.2° with these texels, by 1.3° without. About a third of the texels is left out at most.
+    4.2° with the texels in it, by 1.3° without them. About a third of all is left out at most.
     """
     normals, _ = lambert_seed(domain)
     sky = open_sky(card_height(camera, normals, domain.solvable))

@@ -1,4 +1,5 @@
-// Mean absolute error of a material's render at a texel. It does not depend on the fitness.
+// Mean absolute error of a material's render at a texel. The samples have their weights in the
+// fitness; its loss does not matter.
 
 #include "common/observation.glsl"
 #include "material.glsl"

@@ -1,4 +1,4 @@
-// Over W×H texels: mean absolute error between the renders of the estimates and the samples. It does not depend on the
+// Over W×H texels: mean absolute error between the renders of the estimates and the samples, by their weights in the
 // fitness. Writes o_residual: (mean error, sum of weights, largest error, 0).
 
 #include "common/estimate.glsl"

@@ -1,6 +1,6 @@
-// Over W×H texels: acceptance test. The texel keeps its former estimate, the prefit's normal with the rest fitted to
-// it, if the refined estimate fits much worse than the prefit's model did: such a refinement has turned the normal to
-// compensate errors of its model. All fitnesses are those of the prefit, on grey samples.
+// Over W×H texels: acceptance test. The texel keeps its former estimate, that of the prefit with the rest fitted to its
+// normal, or of a later phase, if the refined estimate fits much worse than the prefit's model did: such a refinement
+// has turned the normal to compensate errors of its model. All fitnesses are those of the prefit, on grey samples.
 // Reads the estimates before the refinement, u_work (after it) and u_prefit_fitness. Writes the estimates.
 
 #include "common/estimate.glsl"
