@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from ..errors import CaptureError
@@ -46,8 +47,18 @@ def is_exr(path: Path) -> bool:
 
 
 def read_exr_header(path: Path) -> tuple[ExrPart, ...]:
-    """Return the parts of an EXR file. Raises CaptureError where it is missing, damaged, cut short or deep."""
-    data = read_bytes(path)
+    """Return the parts of an EXR file. Raises CaptureError where it is missing, damaged, cut short or deep.
+
+    Of a file that can be mapped into memory only the pages with headers are read.
+    """
+    try:
+        with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+            return _parts(path, data)
+    except (OSError, ValueError):  # a folder, an empty file, or on a drive without maps
+        return _parts(path, read_bytes(path))
+
+
+def _parts(path: Path, data: bytes | mmap) -> tuple[ExrPart, ...]:
     if data[:4] != struct.pack("<I", _MAGIC):
         raise CaptureError(f"{path}: is no OpenEXR file; replace it by one", "image_unknown")
     try:
@@ -61,7 +72,7 @@ def read_exr_header(path: Path) -> tuple[ExrPart, ...]:
         raise truncated(path) from error
 
 
-def _headers(data: bytes, several: bool) -> tuple[list[dict[str, bytes]], int]:
+def _headers(data: bytes | mmap, several: bool) -> tuple[list[dict[str, bytes]], int]:
     headers, at = [], 8
     while True:
         header: dict[str, bytes] = {}
@@ -79,12 +90,13 @@ def _headers(data: bytes, several: bool) -> tuple[list[dict[str, bytes]], int]:
             return headers, at + bool(several)
 
 
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    end = data.index(b"\0", at, at + 257)
+def _text(data: bytes | mmap, at: int) -> tuple[str, int]:
+    if (end := data.find(b"\0", at, at + 257)) < 0:
+        raise ValueError("text")
     return data[at:end].decode(), end + 1
 
 
-def _check_chunks(data: bytes, at: int, headers: list[dict[str, bytes]], flags: int) -> None:
+def _check_chunks(data: bytes | mmap, at: int, headers: list[dict[str, bytes]], flags: int) -> None:
     """Raise ValueError if a chunk of pixels lies beyond the end of the file."""
     several = bool(flags & _MULTI_PART)
     counts = []
