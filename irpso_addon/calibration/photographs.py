@@ -52,7 +52,7 @@ def videos_of(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir() or _has_lights(path) or (path / diligent.FILENAMES).exists():
         return []
-    files = sorted(path.iterdir())
+    files = sorted(p for p in path.iterdir() if not p.name.startswith("."))
     photographs = {p.stem.lower() for p in files if is_photograph(p)}
     return [p for p in files if p.suffix.lower() in _VIDEO_SUFFIXES and p.stem.lower() not in photographs]
 
@@ -61,7 +61,7 @@ def _has_lights(folder: Path) -> bool:
     """Return whether a folder holds a capture with lights."""
     if (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists():
         return True
-    lists = [p for p in folder.iterdir() if p.suffix.lower() == ".lp"]
+    lists = [p for p in folder.iterdir() if p.suffix.lower() == ".lp" and not p.name.startswith(".")]
     return len(lists) == 1 and not (folder / diligent.FILENAMES).exists()
 
 
@@ -157,9 +157,8 @@ def calibrated_table(
     """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
     cameras: camera index → keys. lights: shot index → light; None removes the shot; a light of intensity 1 keeps the
-    source's, if both are near or both distant. card: keys of the card, which
-    replace the source's. Everything else of a capture.toml is preserved, except comments. Image paths become relative
-    to ``folder``.
+    source's, if both are near or both distant. card: keys of the card, which replace the source's. Everything else of a
+    capture.toml is preserved, except comments. Image paths become relative to ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)

@@ -75,7 +75,8 @@ def _spec_of_folder(folder: Path, colour_space: str) -> CaptureSpec:
         return table.spec_of_table(folder / table.TABLE, colour_space)
     if diligent.is_diligent(folder):
         return diligent.spec_of_folder(folder, colour_space)
-    lists = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".lp" and p.is_file())
+    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
+    lists = [p for p in files if p.suffix.lower() == ".lp"]
     if len(lists) == 1:
         return rti.spec_of_lp(lists[0], colour_space)
     if lists:

@@ -35,6 +35,7 @@ _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
 # Defaults that do not apply to cards, or to meshes.
 _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadows")
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
+_OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
@@ -104,10 +105,12 @@ def read_list(path: Path, parse: Parse) -> list[Row]:
 
 
 def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    """Return a job with the defaults: a card without those of meshes, a mesh without those of cards."""
+    """Return a job with the defaults: a card without those of meshes, a mesh without those of cards, and so on."""
+    if "shadows" in row:  # the opposite of no_shadows
+        defaults = {key: value for key, value in defaults.items() if key != "no_shadows"}
     merged = {**defaults, **row}
     card = "blend" not in merged and not str(merged.get("capture", "")).lower().endswith(".blend")
-    others = _OF_MESHES if card else _OF_CARDS
+    others = (*(_OF_MESHES if card else _OF_CARDS), *(() if merged.get("asset") else _OF_ASSETS))
     return {key: value for key, value in merged.items() if key not in others or key in row}
 
 
@@ -124,14 +127,25 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     if rig is not None and not isinstance(rig, str):
         raise InputError(f'{where}: rig must be a text, as in rig = "folder"')
     words, listed = (_command(row, place) for place in (path, None))
-    unset = [_option(key) for key, value in row.items() if value is False and key not in _SWITCHED_OFF]
     try:
-        parse([*words, *unset, "-o", name])
+        for key in [key for key, value in row.items() if value is False and key not in _SWITCHED_OFF]:
+            _check_known(_option(key), parse)
+        parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
     if rig is None:
         return Row(name, tuple(words), tuple(listed))
     return Row(name, tuple(words), (*listed, "rig", rig), path.parent / rig)
+
+
+def _check_known(option: str, parse: Parse) -> None:
+    """Raise InputError unless ``recover`` has this option, of whatever value."""
+    for value in ([], ["0"]):
+        try:
+            parse(["recover", "capture", "-o", "out", option, *value])
+        except InputError as error:
+            if "unrecognized" in str(error) and option in str(error):
+                raise
 
 
 def _command(row: dict[str, Any], path: Path | None) -> list[str]:

@@ -35,7 +35,7 @@ from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
-from .options.values import check_shelf, shelf_of, silent, warn, warn_quietly
+from .options.values import shelf_of, silent, warn, warn_quietly
 
 INTERRUPTED = "interrupted"  # key of a report: a signal came when the search had ended
 _FINISHING = "irpso: the result is being written; interrupt again to stop at once"
@@ -62,8 +62,6 @@ def run(options: Namespace) -> dict:
 def _recover(options: Namespace, job: Job) -> dict:
     if options.asset is not None:
         shelf_of(options, options.asset).path(options.asset_name or job.name)  # before anything slow
-    else:
-        check_shelf(options, "give its library, --asset LIBRARY")
     probed = probe.probe()
     context.ensure()
     run = Run(job, StepBars(silent(options)))
@@ -153,8 +151,8 @@ def _each_slot(options: Namespace) -> dict:
     if options.dry_run:
         return {"slots": reports}
     result = {"texels": sum(report["texels"] for report in reports.values()), "slots": reports}
+    write_json(folder / REPORT, plain(result))  # first: it makes the other file one of ours
     material.save_blend(folder / BLEND)
-    write_json(folder / REPORT, plain(result))
     return {"output": str(folder), **result}
 
 

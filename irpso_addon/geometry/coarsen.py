@@ -22,8 +22,8 @@ _NEAR, _FAR = 0.75, 0.25  # bilinear weights: a texel's centre lies a quarter of
 def coarser(domain: Domain) -> Domain:
     """Return the domain at half the size, rounded up: radiance averaged by weight, the rest over covered texels.
 
-    A sample's weight is the mean of its texels' weights; one clipped texel makes it a lower bound. Raises ValueError
-    for a tile with a halo.
+    A sample's weight is the mean of its texels' weights. Where all of these are clipped, it is a lower bound, else the
+    clipped ones do not count. Raises ValueError for a tile with a halo.
     """
     if any(domain.halo):
         raise ValueError("a tile with a halo has no coarser domain: its cells would differ from the whole domain's")
@@ -94,13 +94,16 @@ def _cells(values: np.ndarray) -> np.ndarray:
 
 def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     weight, clipped = weight_and_clipped(np.where(coverage, layer[..., 3], 0))
+    bound = clipped.any(axis=-1)
+    counts = _cells((weight > 0) & ~bound).any(axis=(1, 3))  # cells with a sample that is no bound
+    weight[bound & counts.repeat(2, axis=0).repeat(2, axis=1)[: bound.shape[0], : bound.shape[1]]] = 0
     mean, total = _cell_means(layer[..., :3], weight.astype(np.float64))
     # A cell without weight has the plain mean of the photographs, for display.
     plain, _ = _cell_means(layer[..., :3], coverage & np.isfinite(layer[..., :3]).all(axis=-1))
     mean = np.where(total[..., None] > 0, mean, plain)
     count = np.maximum(_cells(coverage).sum(axis=(1, 3)), 1)
-    weight = bounded(total / count, _cells(clipped).any(axis=(1, 3)))
-    return np.concatenate([mean, weight[..., None]], axis=-1).astype(np.float32)
+    weights = bounded(total / count, _cells(clipped).any(axis=(1, 3)) & ~counts[..., None])
+    return np.concatenate([mean, weights[..., None]], axis=-1).astype(np.float32)
 
 
 def _cell_means(radiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -55,6 +55,11 @@ class SampleStack(Protocol):
         """Return (H, W) bool: covered texels that at least one observation sees lit."""
 
 
+def place_of(stack: SampleStack) -> str:
+    """Return where a stack is: "scratch" for one in a mapped file, else "memory"."""
+    return "scratch" if isinstance(stack, ArrayStack) and isinstance(stack.values.base, np.memmap) else "memory"
+
+
 @dataclass(frozen=True, eq=False)
 class ArrayStack:
     """A ``SampleStack`` over one array, in memory or mapped from a file. values: (K, H, W, 4) float32."""

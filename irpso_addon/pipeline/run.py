@@ -20,6 +20,7 @@ from ..core.steps import map_steps, one_step, run_steps
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, GeometryBake, subset
 from ..geometry.light.surroundings import CardSurroundings, MeshSurroundings, Surroundings
+from ..geometry.samples import place_of
 from ..geometry.surface.bake import surface_bake
 from ..results.maps import Maps
 from ..solver.engine.engine import RecoveryEngine
@@ -99,7 +100,9 @@ class Run:
     def first_plan(self) -> Plan:
         """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
         if self._plan is None:
-            self._plan = self._planned(covered_texels(self.job.capture, self.job.mesh, self.job.size))
+            cached = self._cached()
+            place = None if cached is None else place_of(cached.stack)
+            self._plan = self._planned(covered_texels(self.job.capture, self.job.mesh, self.job.size), place)
         return self._plan
 
     def open(self) -> Generator[None, None, None]:
@@ -190,8 +193,8 @@ class Run:
         job, kept = self.job, self._kept
         self._show(READ, 0.0)
         plan = self.first_plan()  # raises InputError before the images are read
-        if kept.domain is not None and job.source is not None and kept.source == job.source:
-            return kept.domain
+        if (cached := self._cached()) is not None:
+            return cached
         kept.clear()  # memory may not hold two domains
         scratch = job.scratch if plan.stack_on == "scratch" else None
         if job.mesh is None:
@@ -204,6 +207,11 @@ class Run:
         if job.source is not None:
             kept.source, kept.domain = job.source, domain
         return domain
+
+    def _cached(self) -> Domain | None:
+        """Return the domain of an equal source that the last run has read."""
+        kept, source = self._kept, self.job.source
+        return kept.domain if source is not None and kept.source == source else None
 
     def _wants_lights(self, domain: Domain) -> bool:
         lights = self.job.lights

@@ -60,8 +60,9 @@ class _Limits:
     remedy: str
 
 
-# Rotations are at most 2 for clay, glaze and terracotta, 5 for metal paint, 17 to 24 for matt and brass goblets, whose
-# lights are 18 and 36° off. Parts of golden fruits, 49° off, agree to 12°.
+# Rotations are at most 2 for clay, glaze and terracotta, 5 for a pot of metal paint, 17 to 24 for matt and brass
+# goblets, whose lights are 18 and 36° off. Parts of golden fruits, 49° off, agree to 12°. Where matt shading disagrees
+# by more than _UNSURE_DISAGREEMENT, rotations are at most 3 for metal paint and steel, 5 to 28 for the others.
 _USUAL = _Limits(10.0, 10.0, "put a ball into the photographs")
 _STRICT = _Limits(4.0, _DOUBTFUL_REFINED, f"{_USUAL.remedy}, or if it is flat and lamps stood near it, use --flat")
 
@@ -143,7 +144,7 @@ def uncalibrated_steps(
         errors = errors_of((yield from pixels.without_parts(domain, model)), directions)
         warnings = refined.warnings()
         still = f"lights from different parts of the subject differ by {errors.mean():.0f}° with its recovered material"
-        if errors.mean() > limits.errors:
+        if not errors.mean() <= limits.errors:
             raise InputError(f"{still}; {limits.remedy}")
         if errors.mean() > _DOUBTFUL_REFINED:
             warnings.append(f"{still}; a ball beside it shows them better")
@@ -207,20 +208,20 @@ class _Pixels:
         """Return the ``rotation`` (3, 3) that makes matt shading under lights (K, 3) integrable: lights @ rotation.
 
         Only open texels count. left_out: (H, W) bool, other texels. covariance: of the rotation by highlights, None for
-        matt subjects, whose shading does not determine it. check: raise InputError where the rotation by the surface
-        alone exceeds the limit.
+        matt subjects, whose shading does not determine it. check: raise InputError where this rotation, or that by the
+        surface alone, exceeds the limit.
         """
         mask, chosen = self.capture.masks[0], open_texels(domain, self.capture.cameras[0]).solvable
         chosen = chosen if left_out is None else chosen & ~left_out
         surface = *shading_normals(self.values, self.weight * chosen[mask], lights), mask, _plane(self.capture)
-        turn = rotation(*surface)
-        degrees = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
-        if check and degrees > self.limits.rotation:
+        turns = [rotation(*surface)] + ([] if covariance is None else [rotation(*surface, covariance)])
+        degrees = max(float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))) for turn in turns)
+        if check and not degrees <= self.limits.rotation:
             raise InputError(
                 f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface;"
                 f" {self.limits.remedy}"
             )
-        return turn if covariance is None else rotation(*surface, covariance)
+        return turns[-1]
 
     def without_parts(self, domain: Domain, model: ReflectanceModel) -> Generator[float, None, np.ndarray]:
         """Yield the fraction done; return (PARTS, K, 3) directions of the lights without each part of the subject."""

@@ -14,8 +14,8 @@
 #define VOTING_TAPS 24
 // Width of the similarity of two numbers (standard deviation of a Gaussian), as a fraction of their range.
 #define SIMILARITY_WIDTH 0.1
-// A proposal is refined, whatever its fitness, if it has this many times the votes of the texel's own material. Near the
-// mouth of rti_icon a ratio of 1 refines twice as many proposals and leaves a third fewer isolated texels.
+// A proposal is refined, whatever its fitness, if it has this many times the votes of the texel's own material. Near
+// the mouth of rti_icon a ratio of 1 refines twice as many proposals and leaves a third fewer isolated texels.
 #define VOTE_RATIO 1.5
 
 float votes_for(ivec4 place, inout float c[12])
@@ -45,7 +45,8 @@ float degrees_of_freedom(float weights)
     return max(3.0 * weights - float(FREE_COUNT), 0.0);
 }
 
-// Returns −2 log posterior of a material, up to a constant (fitness/with_priors.glsl). fitness: with the model's priors.
+// Returns −2 log posterior of a material, up to a constant (fitness/with_priors.glsl). fitness: with the model's
+// priors.
 float deviance_of(float freedom, float fitness, float votes)
 {
     return freedom * log(fitness + NOISE_FLOOR) - 2.0 * VOTES * log(1.0 + votes);

@@ -24,7 +24,8 @@ def usable_samples(values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, 
     level, bright = np.zeros((2, values.shape[1]))
     seen = valid.any(axis=0)
     known = np.where(valid, values, np.nan)[:, seen]
-    level[seen], bright[seen] = np.nanpercentile(known, (_USUAL, _BRIGHT), axis=0)
+    if seen.any():
+        level[seen], bright[seen] = np.nanpercentile(known, (_USUAL, _BRIGHT), axis=0)
     level += 1e-9
     bright /= level
     scaled = np.where(valid, values, 0) / level

@@ -118,7 +118,7 @@ def _png_icc(chunk: bytes) -> bytes:
 
 def _jpeg(path: Path, data: bytes) -> ImageHeader:
     image = open_jpeg(data)
-    if image is None or b"\xff\xd9" not in data[_jpeg_scan(data) :]:
+    if image is None or data.find(b"\xff\xd9", _jpeg_scan(data)) < 0:
         raise truncated(path)
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
@@ -133,7 +133,8 @@ def _jpeg_scan(data: bytes) -> int:
     """
     place = 2
     while place + 4 <= len(data) and data[place] == 0xFF and data[place + 1] not in _NO_SEGMENT:
-        place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+        fill = data[place + 1] == 0xFF  # any number of these may precede a marker
+        place += 1 if fill else 2 + int.from_bytes(data[place + 2 : place + 4], "big")
     return place
 
 

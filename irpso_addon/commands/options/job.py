@@ -37,6 +37,7 @@ from ...solver.state.checkpoint import glance
 from ...solver.views.held_out import held_out_last
 from .hold_out import held_out_list
 from .values import (
+    check_shelf,
     check_size,
     fixed_from_options,
     framing_from_options,
@@ -55,6 +56,8 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     opened: the open file already holds the mesh. Raises InputError.
     """
     folder = _output_folder(options)
+    if options.asset is None:
+        check_shelf(options, "give its library, --asset LIBRARY")
     options.blend = blend_of(options)
     resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)

@@ -14,7 +14,7 @@ from ..kernels.encoding import build_encoding
 from ..phases.phase import Phase
 from ..phases.swarm import SwarmPhase, particle_count
 from ..settings.groups import Fitness
-from ..settings.resolve import Resolved, ResolvedPrefit, ResolvedSwarm
+from ..settings.resolve import Resolved, ResolvedPrefit, ResolvedSurface, ResolvedSwarm
 from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.prepare import Prepared
@@ -122,7 +122,10 @@ def _same_search(a: Resolved, b: Resolved) -> bool:
 
 def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
     """Return all settings of the current phase."""
-    return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement, schedule.threshold
+    of_kind: object = schedule.threshold if isinstance(stage, ResolvedSwarm) else None
+    if isinstance(stage, ResolvedSurface):
+        of_kind = schedule.prior.noise_freedom
+    return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement, of_kind
 
 
 def _same_swarms(

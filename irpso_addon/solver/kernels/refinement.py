@@ -18,9 +18,8 @@ from .kernels import FITNESS, FLOAT_2D, GEOMETRY, OBSERVATIONS, PACKING, fitness
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
-PROPAGATION_REACH = (
-    2  # largest distance, in texels, of candidates and votes (shaders/refine/propagate.glsl, votes.glsl)
-)
+# Largest distance, in texels, of proposals and votes (shaders/refine/propagate.glsl, votes.glsl).
+PROPAGATION_REACH = 2
 _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
 
 

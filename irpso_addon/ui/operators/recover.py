@@ -46,7 +46,6 @@ class IRPSO_OT_recover(bpy.types.Operator):
                 probe.probe()
             session.begin(make_job(context)).run()
         except (IrpsoError, MemoryError) as error:
-            session.end()
             return failures.report_and_cancel(self, error)
         return _keep(self)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
+from ...core.errors import InputError
 from ...pipeline.run import RunCache
 from ..common import failures
 from ..common.polls import usable
@@ -31,10 +32,16 @@ def idle(operator: type[bpy.types.Operator]) -> bool:
 
 
 def begin(job: SceneJob) -> Session:
-    """Close the former session and begin a new one; unkept maps of the former are stored."""
+    """Close the former session and begin a new one; unkept maps of the former are stored.
+
+    Raises InputError where they cannot be stored; the former session then stays.
+    """
     global _current
     if _current is not None:
-        stored_recoveries.store(_current)
+        if not stored_recoveries.store(_current):
+            raise InputError(
+                f"the recovery of '{_current.job.name}' could not be stored (Blender's log says why); keep or close it"
+            )
         _current.close()
     failures.clear()
     _current = Session(job, _previous_run, _on_change)

@@ -16,7 +16,6 @@ from ...core.errors import CheckpointError, GpuUnavailableError
 from ...core.paths import BASE_PACKAGE
 from ...exports.place import file_stem
 from ...solver.state.checkpoint import read_note
-from ..common.file_paths import first_free
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
 _log = logging.getLogger(__name__)
@@ -44,13 +43,14 @@ def folder() -> Path | None:
         return None
 
 
-def store(running: Any) -> None:
-    """Store a session whose maps are not kept; a former one of its capture and file that is further done stays, too.
+def store(running: Any) -> bool:
+    """Store a session whose maps are not kept; return whether nothing is lost.
 
-    Errors are only logged, because Blender is closing its file.
+    Of one capture and file at most two are stored: the one that got farthest, and the last. Errors are only logged,
+    because Blender may be closing its file.
     """
     if running.recovery is None or running.kept or (directory := folder()) is None:
-        return
+        return True
     job, file = running.job, bpy.data.filepath
     about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
     digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
@@ -65,14 +65,16 @@ def store(running: Any) -> None:
         running.recovery.save(job.resumed or _place(directory, job.name, digest, running.fraction), notes, running=True)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
+        return False
     refresh()
+    return True
 
 
 def _place(directory: Path, name: str, digest: str, fraction: float) -> Path:
     stem = f"{file_stem(name)}-{digest}"
     path = directory / f"{stem}.npz"
     former = _read(path) if path.exists() else None
-    return path if former is None or former.fraction <= fraction else first_free(directory, stem, ".npz")
+    return path if former is None or former.fraction < fraction else directory / f"{stem}-last.npz"
 
 
 def listed() -> list[StoredRecovery]:

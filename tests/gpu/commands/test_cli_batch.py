@@ -170,8 +170,8 @@ def test_mesh_defaults_do_not_apply_to_cards(tmp_path):
     assert "--resolution" not in card.words and "--resolution" in mesh.words
 
 
-def words_of(folder, *lines):
-    text = '[[job]]\ncapture = "a"\n' + "\n".join(lines)
+def words_of(folder, *lines, head=""):
+    text = f'{head}[[job]]\ncapture = "a"\n' + "\n".join(lines)
     (folder / "list.toml").write_text(text, encoding="utf-8")
     (job,) = batch.read_list(folder / "list.toml", build_parser().parse_args)
     return list(job.words[2:-2])
@@ -184,6 +184,8 @@ def test_a_list_of_values_is_one_option_unless_it_may_be_repeated(tmp_path):
 
 def test_false_switches_off_what_is_on(tmp_path):
     assert words_of(tmp_path, "shadows = false", "height = false") == ["--no-shadows"]
+    defaults = '[defaults]\nhold_out = "auto"\nno_shadows = true\nauthor = "me"\n'
+    assert words_of(tmp_path, 'blend = "b.blend"', "hold_out = false", "shadows = true", head=defaults)[2:] == []
     assert words_of(tmp_path, "shadows = true", "height = true", "preview = false") == ["--height", "--no-preview"]
 
 

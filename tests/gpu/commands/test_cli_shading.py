@@ -64,6 +64,18 @@ def test_a_surface_that_contradicts_the_lights_is_refused(solid, monkeypatch):
         run_steps(uncalibrated.uncalibrated_steps(capture, load_model("metallic_roughness")))
 
 
+@pytest.mark.parametrize(("errors", "refused"), [(3.0, False), (0.0, True)])
+def test_a_subject_whose_parts_disagree_is_tried_under_strict_limits(solid, monkeypatch, errors, refused):
+    monkeypatch.setattr(uncalibrated, "_UNSURE_DISAGREEMENT", 0.0)
+    monkeypatch.setattr(uncalibrated, "_STRICT", replace(uncalibrated._STRICT, errors=errors))
+    steps = uncalibrated.uncalibrated_steps(read_capture(solid[0]), load_model("metallic_roughness"))
+    if refused:
+        with pytest.raises(InputError, match="with its recovered material; put a ball .* use --flat"):
+            run_steps(steps)
+    else:
+        assert run_steps(steps).errors.mean() < 3
+
+
 def test_texels_in_a_hollow_are_left_out(tmp_path):
     """A pit sees less of the sky, a bump of the same shape and the plane around them all of it, or nearly."""
     y, x = np.mgrid[:60, :60] / 30 - 1

@@ -202,6 +202,14 @@ def test_a_changed_error_to_stop_at_is_that_of_the_running_swarms(recover):
     second.close()
 
 
+def test_a_changed_error_to_stop_at_restarts_no_other_phase(recover):
+    first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
+    first.step(iterations=3)
+    second = first.reconfigure(STANDARD.replaced(threshold=1e-3))
+    assert second.progress.iteration == 3
+    second.close()
+
+
 def test_finished_stages_do_not_run_again(recover):
     first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
     before = 6  # the prefit, with sheen, two tests, the separation of indirect light, the prefit in it

@@ -143,7 +143,7 @@ def test_tiles_find_the_same_maps(whole, resident):
 
 @pytest.mark.parametrize("iterations", [7, 10, 18, 30, 31, 32])
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
-    # After 7 the first prefit has ended, after 18 the one with sheen makes a round of offers, after 30 it has ended,
+    # After 7 the first prefit has ended, after 18 the one with sheen makes a round of proposals, after 30 it has ended,
     # after 31 the choice, after 32 the search.
     assert resumed(recover, velvet()[0], LAMBERT, SHORT, iterations) == [whole, whole]
 

@@ -51,7 +51,8 @@ def test_pixels_without_a_sample_are_unusable_without_a_warning_of_numpy():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         scaled, usable = usable_samples(values, weight)
-    assert usable[:, 0].all() and not usable[:, 1].any() and np.isfinite(scaled).all()
+        _, nothing = usable_samples(values, 0 * weight)
+    assert usable[:, 0].all() and not usable[:, 1].any() and np.isfinite(scaled).all() and not nothing.any()
 
 
 def test_what_is_integrable_is_a_surface_up_to_a_bas_relief():

@@ -188,6 +188,8 @@ def test_a_video_may_follow_a_jpeg_and_a_thumbnail_is_not_its_end(tmp_path):
     whole = jpeg_of(40, 30, b"thumbnail \xff\xd9")
     (tmp_path / "motion.jpg").write_bytes(whole + bytes(300_000))
     assert read_header(tmp_path / "motion.jpg").width == 40
+    (tmp_path / "filled.jpg").write_bytes(whole[:2] + b"\xff\xff" + whole[2:])
+    assert read_header(tmp_path / "filled.jpg").width == 40
     (tmp_path / "cut.jpg").write_bytes(whole[:-2])
     with pytest.raises(CaptureError, match="cut short"):
         read_header(tmp_path / "cut.jpg")

@@ -44,16 +44,18 @@ def test_a_coarse_texel_is_the_weighted_mean_of_the_covered_ones_under_it(height
     assert np.isfinite(coarse.stack.values).all()
 
 
-def test_a_clipped_texel_makes_a_lower_bound_in_its_channel():
+def test_clipped_texels_alone_make_a_lower_bound_in_their_channels():
     domain = make_domain(2, 4)
     domain.bake.coverage[:] = True
     layer = domain.stack.layer(0)
     layer[...] = (0.5, 0.6, 0.7, 1.0)
-    layer[0, 2] = (0.9, 1.0, 0.7, -(2 + 0.5 / 2))  # green is clipped, its weight a half
-    plain, mixed = coarser(domain).stack.layer(0)[0]
-    np.testing.assert_allclose(plain, (0.5, 0.6, 0.7, 1.0), rtol=1e-6)
+    layer[:, 2:] = (0.9, 1.0, 0.7, -(2 + 1.0 / 2))  # green is clipped
+    layer[0, 2] = (0.5, 1.0, 0.5, -(3 + 0.5 / 2))  # red and green, its weight a half
+    layer[0, 0] = (0.9, 1.0, 0.7, -(2 + 1.0 / 2))  # one among others
+    mixed, bound = coarser(domain).stack.layer(0)[0]
+    np.testing.assert_allclose(mixed, (0.5, 0.6, 0.7, 3 / 4), rtol=1e-6)
     weight = 3.5 / 4
-    np.testing.assert_allclose(mixed, ((1.5 + 0.45) / 3.5, (1.8 + 0.5) / 3.5, 0.7, -(2 + weight / 2)), rtol=1e-6)
+    np.testing.assert_allclose(bound, ((2.7 + 0.25) / 3.5, 1.0, (2.1 + 0.25) / 3.5, -(3 + weight / 2)), rtol=1e-6)
 
 
 def test_a_coarse_texel_without_weight_shows_the_mean_of_its_photographed_texels():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.samples import mapped_array
+from irpso_addon.geometry.samples import mapped_array, new_stack, place_of
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning import memory
 from irpso_addon.solver.planning.cost import recovery_cost
@@ -203,6 +203,10 @@ def test_a_plan_names_what_it_needs_with_the_samples_that_are_in_memory():
         plan_recovery(mask, cost, Memory(64 * G, needed - 1), stack_on="memory")
     with pytest.raises(InputError, match="even with the images in a scratch file"):
         plan_recovery(mask, cost, Memory(64 * G, M))
+
+
+def test_the_place_of_samples_is_known(tmp_path):
+    assert [place_of(new_stack(2, 3, 4, folder)) for folder in (None, tmp_path)] == ["memory", "scratch"]
 
 
 def test_a_plan_is_plain_data_and_lines_for_people():
