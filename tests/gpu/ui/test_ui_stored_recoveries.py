@@ -185,6 +185,31 @@ def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, 
     assert folder.read_text() == "in the way" and "Plane skin could not be stored" in caplog.text
 
 
+def test_another_recovery_replaces_one_that_is_less_far_and_none_that_cannot_be_stored(plane, folder):
+    from irpso_addon.ui.session import session, stored_recoveries
+    from irpso_addon.ui.session.job import make_job
+
+    def begun(steps):
+        running = session.begin(make_job(bpy.context))
+        while running.recovery is None:
+            running.tick(0.05)
+        running.recovery.step(steps)
+        return running
+
+    fractions = [begun(steps).fraction for steps in (3, 6, 2, 1)]  # each stores the one before
+    assert fractions[0] < fractions[1] == 1
+    assert [one.fraction for one in stored_recoveries.listed()] == [fractions[2], 1.0]
+    for path in folder.iterdir():
+        path.unlink()
+    folder.rmdir()
+    folder.touch()  # a file, where the folder should be
+    running = session.current()
+    with pytest.raises(InputError, match="could not be stored .* keep or close it"):
+        session.begin(make_job(bpy.context))
+    assert session.current() is running and not running.closed
+    session.end()
+
+
 def test_a_given_image_that_is_not_in_the_file_is_named(stored):
     from irpso_addon.ui.properties import recipe
 
