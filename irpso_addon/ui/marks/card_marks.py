@@ -12,12 +12,13 @@ from ...blender.images import decode
 from ...capture.frame.find import DetectedCorners, corner_steps
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.spec import build_capture
+from ...core.steps import map_steps
 from ..common.file_paths import absolute
 from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..common.words import n_, rpt
 from ..overlay.paint import HALO, Painter
-from ..session.scene_capture import crop_around, keep_corners, spec_of
+from ..session.scene_capture import crop_around, keep_corners, spec_steps
 from .marking import Marking
 
 _COLOUR = (1.0, 0.75, 0.2, 1.0)
@@ -169,7 +170,8 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
 
     def _search_steps(self, settings) -> Generator[float, None, DetectedCorners]:
         """Yield the fraction done (0…1); return the corners. Raises InputError."""
-        return (yield from corner_steps(build_capture(spec_of(settings), decode)))
+        spec = yield from map_steps(spec_steps(settings), lambda _: 0.0)
+        return (yield from corner_steps(build_capture(spec, decode)))
 
     def finished(self, context, detected: DetectedCorners) -> set[str]:
         """Store the corners, and the width of a printed marker board's field."""

@@ -14,12 +14,13 @@ from ...capture.bounds import without_bounds
 from ...capture.spec import build_capture
 from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
+from ...core.steps import run_steps
 from ...gpu.viewport import Drawing
 from ..common import failures
 from ..common.words import iface, n_
 from ..overlay import handlers
 from ..overlay.paint import Painter
-from ..session.scene_capture import spec_of
+from ..session.scene_capture import spec_steps
 
 _PICTURE = "IRPSO Photograph"
 _MOST_PIXELS = 1600  # most pixels of the shown picture's longer side
@@ -62,7 +63,7 @@ class Marking:
 
     def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
         """Yield the linear photographs (H, W, 3) whose brightest values are shown: of one camera, at most ``most``."""
-        shots = build_capture(spec_of(settings), decode).observations
+        shots = build_capture(run_steps(spec_steps(settings)), decode).observations
         shots = [shot for shot in shots if shot.camera == shots[0].camera]
         for index in sorted({round(k * (len(shots) - 1) / max(most - 1, 1)) for k in range(most)}):
             yield without_bounds(shots[index].read())[..., :3]

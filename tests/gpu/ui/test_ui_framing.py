@@ -97,6 +97,12 @@ def test_corners_are_found_by_a_printed_board_with_the_width_of_its_field(settin
     true = from_upper_left(camera, board_of("A4", 8).field_corners)
     np.testing.assert_allclose(np.reshape(settings.corners, (4, 2)), true, atol=1.0)
     assert (settings.framing, settings.card_width) == ("CORNERS", 130.0)
+    damaged = tmp_path / "board" / "001.exr"
+    damaged.write_bytes(damaged.read_bytes()[:-50])
+    with pytest.raises(RuntimeError, match="cut short"):
+        bpy.ops.irpso.find_corners()
+    settings.skip_damaged = True
+    assert bpy.ops.irpso.find_corners() == {"FINISHED"}
 
 
 def test_photographs_without_a_card_are_refused_where_corners_are_looked_for(settings):
