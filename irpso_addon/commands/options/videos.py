@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ...blender.frames import COUNT, frame_steps
 from ...calibration.photographs import videos_of
-from ...calibration.write import checked_output, frames_folder
+from ...calibration.write import checked_output, frames_folder, table_path
 from ...core.errors import InputError
 from ...core.files import check_unused
 from ...core.progress_bar import ProgressBar
@@ -22,7 +22,8 @@ from .values import silent, warn
 def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
     """Yield the frames of the capture's videos, written to OUT_photographs; none where it has no video.
 
-    They are removed if the caller raises. Raises InputError where a video shows no lights, or its camera moves.
+    They are removed if the caller raises before it has written a capture of them. Raises InputError where a video shows
+    no lights, or its camera moves.
     """
     if not Path(options.capture).exists():
         raise InputError(f"{options.capture}: is not there; give a folder of photographs, a video, or a capture")
@@ -32,9 +33,10 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
             raise InputError(f"--count: applies to videos, and {options.capture} has none; leave it out")
         yield ()
         return
-    folder = frames_folder(checked_output(Path(options.output), options.replace))
+    out = checked_output(Path(options.output), options.replace)
+    folder, table = frames_folder(out), table_path(out)
     check_unused(folder, "calibrate these frames in place of the video, or delete the folder first")
-    bar = ProgressBar("frames", silent(options))
+    bar, before = ProgressBar("frames", silent(options)), _written_at(table)
     frames = bar.run(frame_steps(videos, folder, COUNT if options.count is None else options.count), tuple)
     try:
         warn(frames.warnings)
@@ -43,5 +45,10 @@ def frames_of_videos(options: Namespace) -> Iterator[tuple[Path, ...]]:
             sys.stdout.write(f"{len(frames.files)} of {frames.total} frames of {shown} written to {folder}\n")
         yield tuple(folder / name for name in frames.files)
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        if _written_at(table) == before:
+            shutil.rmtree(folder, ignore_errors=True)
         raise
+
+
+def _written_at(path: Path) -> int | None:
+    return path.stat().st_mtime_ns if path.exists() else None

@@ -1,9 +1,13 @@
 """Frames chosen from a video of a lamp that is carried around: different lights, no blur, no moving camera."""
 
+from argparse import Namespace
+
 import numpy as np
 import pytest
 
+from irpso_addon.blender.frames import Frames
 from irpso_addon.calibration.video import check_camera, chosen_frames, describe_frame
+from irpso_addon.commands.options import videos
 from irpso_addon.core.errors import InputError
 from tests.builders.video import direction, lit, scene
 
@@ -74,6 +78,28 @@ def test_faded_frames_are_left_out():
     frames = filmed(lights, lambda frame, k: frame * min(1, k / 15, (79 - k) / 15))
     chosen = chosen_frames(looks_of(frames), 20, "v")
     assert min(chosen) >= 2 and max(chosen) <= 77
+
+
+@pytest.mark.parametrize("written", [False, True])
+def test_an_interrupt_removes_frames_unless_a_capture_refers_to_them(tmp_path, monkeypatch, written):
+    def steps(found, folder, count):
+        folder.mkdir()
+        (folder / "a.png").touch()
+        yield from ()
+        return Frames(("a.png",), (1,), 1, ())
+
+    monkeypatch.setattr(videos, "frame_steps", steps)
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.mp4").touch()
+    options = Namespace(
+        capture=tmp_path / "in", output=tmp_path / "out", replace=False, count=None, quiet=True, json=False
+    )
+    with pytest.raises(KeyboardInterrupt), videos.frames_of_videos(options) as frames:
+        if written:
+            (tmp_path / "out").mkdir()
+            (tmp_path / "out" / "capture.toml").touch()
+        raise KeyboardInterrupt
+    assert frames[0].exists() == written
 
 
 def test_a_video_of_one_light_is_refused_even_if_its_exposure_changes():
