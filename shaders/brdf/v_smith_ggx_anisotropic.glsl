@@ -1,5 +1,5 @@
-// Visibility for anisotropic GGX: masking and shadowing over 4 (n·l) (n·v). Height-correlated: Heitz 2014, Understanding
-// the Masking-Shadowing Function in Microfacet-Based BRDFs, Eq. 86 and 99. Cycles uses this form.
+// Visibility for anisotropic GGX: masking and shadowing over 4 (n·l) (n·v). Height-correlated: Heitz 2014,
+// Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs, Eq. 86 and 99. Cycles uses this form.
 
 // V = G / (4 n·l n·v), G = 1 / (1 + Λ(l) + Λ(v)), Λ(d) = (√(1 + ((αx x·d)² + (αy y·d)²) / (n·d)²) − 1) / 2. Multiplied
 // out as in v_smith_ggx.glsl. l and v: (x·d, y·d, n·d) of light and view.

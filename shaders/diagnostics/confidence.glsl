@@ -100,7 +100,8 @@ void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FR
 
 // Computes the deviations of the free parameters from a = JᵀJ, as fractions of their ranges. An undetermined parameter
 // has the deviation 1. It raises the deviations of the parameters that are correlated with it.
-void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, float energy, out float deviation[FREE_COUNT])
+void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, float energy,
+                     out float deviation[FREE_COUNT])
 {
     // Scales a to a unit diagonal. A pivot is then the remainder of 1.
     float norm[FREE_COUNT];

@@ -32,5 +32,6 @@ float relative_error(Texel t, Observation o)
 // Returns the weight of an error in iteratively reweighted least squares.
 vec3 reweighted(Texel t, Observation o, vec3 error, float relative)
 {
-    return o.weight * relative * relative * active_channels(o, error) * loss_weight(loss_scale(t.scale) * relative * error);
+    vec3 weight = loss_weight(loss_scale(t.scale) * relative * error);
+    return o.weight * relative * relative * active_channels(o, error) * weight;
 }

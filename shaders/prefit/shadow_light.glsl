@@ -1,9 +1,9 @@
-// Over W×H texels: estimates the indirect light of a matt texel from its shadows. Indirect light from matt surfaces changes
-// slowly with the lamp's direction: spherical harmonics to order 2 (Basri and Jacobs 2003). A texel in attached or cast
-// shadow shows indirect light alone. The pass fits harmonics to the samples in shadow; they predict the lit samples'
-// indirect light. Reads the estimates' normals and u_misfit, the prefit's loss, at most 1 (0: skip the texel). Writes nine
-// coefficients (mean over the channels of radiance over irradiance/π), red and green of the chroma, and the indirect share
-// of the texel's light; zeros where a test fails.
+// Over W×H texels: estimates the indirect light of a matt texel from its shadows. Indirect light from matt surfaces
+// changes slowly with the lamp's direction: spherical harmonics to order 2 (Basri and Jacobs 2003). A texel in attached
+// or cast shadow shows indirect light alone. The pass fits harmonics to the samples in shadow; they predict the lit
+// samples' indirect light. Reads the estimates' normals and u_misfit, the prefit's loss, at most 1 (0: skip the texel).
+// Writes nine coefficients (mean over the channels of radiance over irradiance/π), red and green of the chroma, and the
+// indirect share of the texel's light; zeros where a test fails.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -25,8 +25,8 @@
 // Acceptance tests. On convex subjects the dark samples show noise and sheen, which harmonics do not explain. The
 // extrapolated harmonics turn the normal by about 1° on their own: a turn below the chord LEAST_TURN is not accepted.
 // Metal is dark beside its highlight, like a matt texel with cast shadows; but the prefit explains it better. Where the
-// Lambertian fit did not have to be better than the prefit, normals of brass without bounces were off by 6.7 in place of
-// 2.7° in the mean, by 38 in place of 3° at the accepted texels.
+// Lambertian fit did not have to be better than the prefit, normals of brass without bounces were off by 6.7 in place
+// of 2.7° in the mean, by 38 in place of 3° at the accepted texels.
 #define FEWEST 10            // samples in shadow
 #define FEWEST_LIT 4         // lit samples
 #define MOST_UNEXPLAINED 0.3 // of the light in shadow
@@ -252,7 +252,8 @@ Indirect fit_indirect(Texel t, vec3 n, Indirect previous, float albedo, float br
     return fit;
 }
 
-// The fit of a texel. The normal n, ``before`` and the albedo decide which samples lie in shadow; ``indirect`` fits these.
+// The fit of a texel. The normal n, ``before`` and the albedo decide which samples lie in shadow; ``indirect`` fits
+// these.
 struct Fit {
     vec3 n;
     Indirect before;
@@ -266,8 +267,8 @@ bool is_lit(Sample s, Fit fit)
     return s.cosine > FACING && !cast_shadow(s, fit.before, fit.albedo);
 }
 
-// Fits a Lambertian texel to the lit samples without this indirect light. Returns its normal; fit.n if they are too few or
-// the normal faces away.
+// Fits a Lambertian texel to the lit samples without this indirect light. Returns its normal; fit.n if they are too few
+// or the normal faces away.
 vec3 lambertian_normal(Texel t, Fit fit, Indirect indirect)
 {
     vec3 scaled = vec3(0.0); // albedo times normal

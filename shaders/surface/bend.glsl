@@ -1,7 +1,7 @@
 // Over W×H texels: sets the normals to those of the final slopes (settle.glsl, smooth.glsl). The linear parameters move
-// to their optimum for the new normal, to first order. If the deviance rises by more than TOLERANCE², the estimate stays.
-// Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance and geometry. Writes
-// o_estimate.
+// to their optimum for the new normal, to first order. If the deviance rises by more than TOLERANCE², the estimate
+// stays. Reads the estimates, the samples, u_noise (x: loss of the estimate), u_field, u_covariance and geometry.
+// Writes o_estimate.
 
 #include "common/estimate.glsl"
 #include "surface/normal_matrix.glsl"

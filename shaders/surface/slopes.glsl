@@ -82,6 +82,7 @@ vec2 slope_derivative(Grid g, vec3 n, vec3 d)
 vec3 normal_of(Grid g, vec2 slopes)
 {
     float area = g.step_x.x * g.step_y.y - g.step_x.y * g.step_y.x;
-    vec2 slope = vec2(g.step_y.y * slopes.x - g.step_x.y * slopes.y, g.step_x.x * slopes.y - g.step_y.x * slopes.x) / area;
+    vec2 slope =
+        vec2(g.step_y.y * slopes.x - g.step_x.y * slopes.y, g.step_x.x * slopes.y - g.step_y.x * slopes.x) / area;
     return normalize(vec3(-slope, max(1.0 + dot(slope, g.view_slope), 0.0)));
 }

@@ -2,10 +2,10 @@
 // offset d, up to a relief of variance t² that differs from place to place. Plane and t² come from the neighbours alone
 // by a random-effects regression (DerSimonian & Laird 1986, Meta-analysis in Clinical Trials; with covariates: Thompson
 // & Sharp 1999, Explaining Heterogeneity in Meta-analysis). A neighbour has the precision 1 / (v + t²), v the variance
-// of its noise, and the multiplicity exp(−½ (s − s')² / (h² + v + v')), so that steps of the surface end the plane.
-// The texel's slope is the posterior mean: s + P (P + T)⁻¹ (m − s), T = t² plus the variance of m.
-// P is SMOOTHNESS times the covariance in u_covariance. All slopes are divided by the lengths of the texel's own steps:
-// texels may be long, and no square overflows. Reads u_field (slopes), u_covariance, geometry and packing. Writes o_field.
+// of its noise, and the multiplicity exp(−½ (s − s')² / (h² + v + v')), so that steps of the surface end the plane. The
+// texel's slope is the posterior mean: s + P (P + T)⁻¹ (m − s), T = t² plus the variance of m. P is SMOOTHNESS times
+// the covariance in u_covariance. All slopes are divided by the lengths of the texel's own steps: texels may be long,
+// and no square overflows. Reads u_field (slopes), u_covariance, geometry and packing. Writes o_field.
 
 #include "surface/slopes.glsl"
 #include "surface/loops.glsl"
