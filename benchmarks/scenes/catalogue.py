@@ -10,6 +10,10 @@ from pathlib import Path
 from . import subjects
 from .materials import Finish
 
+# Two colours of a finish.
+_PAINT = (0.55, 0.45, 0.3), (0.4, 0.4, 0.42)
+_BRONZE = (0.6, 0.38, 0.2), (0.5, 0.3, 0.15)
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -36,7 +40,6 @@ def _made_scenes() -> dict[str, Scene]:
     clay = (0.65, 0.5, 0.38), (0.3, 0.16, 0.1)
     glaze = (0.08, 0.25, 0.5), (0.75, 0.65, 0.45)
     brass = (0.9, 0.62, 0.3), (0.8, 0.5, 0.25)
-    paint = (0.55, 0.45, 0.3), (0.4, 0.4, 0.42)
     brass_finish = Finish(brass, (0.5, 0.5), 1.0)
     parts = Finish(((1, 1, 1),) * 2, (0.5, 0.5), attributes=True, scale=6)
     return {
@@ -44,20 +47,19 @@ def _made_scenes() -> dict[str, Scene]:
         "cat_clay": Scene(subjects.monkey, Finish(clay, (0.5, 0.5), specular=0.4, scale=5)),
         "pot_glaze": Scene(subjects.pot, Finish(glaze, (0.2, 0.2), specular=0.7, scale=3)),
         "goblet_satin": Scene(subjects.goblet, brass_finish, saturated=0.02, samples=8, denoise=True),
-        "cow_metalpaint": Scene(subjects.monkey, Finish(paint, (0.45, 0.45), 0.8), samples=8),
+        "cow_metalpaint": Scene(subjects.monkey, Finish(_PAINT, (0.45, 0.45), 0.8), samples=8),
         "harvest_concave": Scene(subjects.harvest, parts, samples=8, denoise=True),
     }
 
 
 def metal_scenes() -> dict[str, Scene]:
     """Return name → scene: open relief of metals and metal paints."""
-    paint, bronze = ((0.55, 0.45, 0.3), (0.4, 0.4, 0.42)), ((0.6, 0.38, 0.2), (0.5, 0.3, 0.15))
     steel = (0.6, 0.6, 0.62), (0.45, 0.45, 0.46)
     return {
-        "pot, metal paint": Scene(subjects.pot, Finish(paint, (0.45, 0.45), 0.8), samples=8),
-        "pot, bronze": Scene(subjects.pot, Finish(bronze, (0.35, 0.35), 0.7), samples=8),
+        "pot, metal paint": Scene(subjects.pot, Finish(_PAINT, (0.45, 0.45), 0.8), samples=8),
+        "pot, bronze": Scene(subjects.pot, Finish(_BRONZE, (0.35, 0.35), 0.7), samples=8),
         "cow, steel": Scene(subjects.monkey, Finish(steel, (0.6, 0.6), 0.9), samples=8),
-        "fruits, metal paint": Scene(subjects.harvest, Finish(paint, (0.5, 0.5), 0.7), samples=8, denoise=True),
+        "fruits, metal paint": Scene(subjects.harvest, Finish(_PAINT, (0.5, 0.5), 0.7), samples=8, denoise=True),
     }
 
 
@@ -73,7 +75,7 @@ def hollow_scenes() -> dict[str, Scene]:
     }
     fruits = {
         "gold": Finish(((0.85, 0.6, 0.25), (0.7, 0.48, 0.2)), (0.4, 0.4), 1.0),
-        "bronze": Finish(((0.6, 0.38, 0.2), (0.5, 0.3, 0.15)), (0.3, 0.3), 0.9),
+        "bronze": Finish(_BRONZE, (0.3, 0.3), 0.9),
         "terracotta": Finish(((0.7, 0.35, 0.22), (0.55, 0.25, 0.15)), (0.6, 0.6), specular=0.3),
         "marble": Finish(((0.7, 0.7, 0.7), (0.45, 0.45, 0.46)), (0.4, 0.4)),
     }

@@ -22,6 +22,7 @@ from ..capture.images.linearise import Decoder
 from ..capture.images.raw import is_raw
 from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
 from ..capture.types import Light
+from ..core.files import visible
 from ..core.toml_text import toml_value
 
 _SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", *HEIF_SUFFIXES)
@@ -52,7 +53,7 @@ def videos_of(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir() or _has_lights(path) or (path / diligent.FILENAMES).exists():
         return []
-    files = sorted(p for p in path.iterdir() if not p.name.startswith("."))
+    files = visible(path)
     photographs = {p.stem.lower() for p in files if is_photograph(p)}
     return [p for p in files if p.suffix.lower() in _VIDEO_SUFFIXES and p.stem.lower() not in photographs]
 
@@ -61,7 +62,7 @@ def _has_lights(folder: Path) -> bool:
     """Return whether a folder holds a capture with lights."""
     if (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists():
         return True
-    lists = [p for p in folder.iterdir() if p.suffix.lower() == ".lp" and not p.name.startswith(".")]
+    lists = [p for p in visible(folder) if p.suffix.lower() == ".lp"]
     return len(lists) == 1 and not (folder / diligent.FILENAMES).exists()
 
 
@@ -86,11 +87,9 @@ def read_photographs(
     if names.exists():
         images = [find_image(path, name) for _, name in read_lines(names, "write the image names into it")]
     else:
-        images = sorted(
-            p for p in path.iterdir()
-            if is_photograph(p) and not p.name.startswith(".")  # macOS writes ._NAME beside each file on other disks
-            and p.name not in diligent.MASKS and p.resolve() not in hidden
-        )  # fmt: skip
+        images = [
+            p for p in visible(path) if is_photograph(p) and p.name not in diligent.MASKS and p.resolve() not in hidden
+        ]
         images += frames
     if not images:
         raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")

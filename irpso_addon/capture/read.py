@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..core.files import visible
 from .errors import CaptureError
 from .formats import diligent, rti, table
 from .framing import Framing, framed
@@ -75,8 +76,7 @@ def _spec_of_folder(folder: Path, colour_space: str) -> CaptureSpec:
         return table.spec_of_table(folder / table.TABLE, colour_space)
     if diligent.is_diligent(folder):
         return diligent.spec_of_folder(folder, colour_space)
-    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
-    lists = [p for p in files if p.suffix.lower() == ".lp"]
+    lists = [p for p in visible(folder) if p.suffix.lower() == ".lp" and p.is_file()]
     if len(lists) == 1:
         return rti.spec_of_lp(lists[0], colour_space)
     if lists:

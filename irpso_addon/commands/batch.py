@@ -140,12 +140,11 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
 
 def _check_known(option: str, parse: Parse) -> None:
     """Raise InputError unless ``recover`` has this option, of whatever value."""
-    for value in ([], ["0"]):
-        try:
-            parse(["recover", "capture", "-o", "out", option, *value])
-        except InputError as error:
-            if "unrecognized" in str(error) and option in str(error):
-                raise
+    try:
+        parse(["recover", "capture", "-o", "out", option])
+    except InputError as error:  # also of a known one, whose value is missing
+        if "unrecognized" in str(error):
+            raise
 
 
 def _command(row: dict[str, Any], path: Path | None) -> list[str]:

@@ -46,6 +46,11 @@ def remove_partials(path: Path) -> None:
         left.unlink(missing_ok=True)
 
 
+def visible(folder: Path) -> list[Path]:
+    """Return what is in a folder, by name, but for names that begin with a dot: macOS writes ._NAME beside a file."""
+    return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+
+
 def check_unused(path: Path, remedy: str = "choose a new folder or delete it first") -> None:
     """Raise InputError unless a folder can be made at ``path``: nothing is there, or an empty folder."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):

@@ -94,15 +94,15 @@ def _cells(values: np.ndarray) -> np.ndarray:
 
 def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     weight, clipped = weight_and_clipped(np.where(coverage, layer[..., 3], 0))
-    bound = clipped.any(axis=-1)
-    counts = _cells((weight > 0) & ~bound).any(axis=(1, 3))  # cells with a sample that is no bound
-    weight[bound & counts.repeat(2, axis=0).repeat(2, axis=1)[: bound.shape[0], : bound.shape[1]]] = 0
-    mean, total = _cell_means(layer[..., :3], weight.astype(np.float64))
+    bound, weight = clipped.any(axis=-1), weight.astype(np.float64)
+    mean, total = _cell_means(layer[..., :3], np.where(bound, 0, weight))
+    least, total_bound = _cell_means(layer[..., :3], np.where(bound, weight, 0))
     # A cell without weight has the plain mean of the photographs, for display.
     plain, _ = _cell_means(layer[..., :3], coverage & np.isfinite(layer[..., :3]).all(axis=-1))
-    mean = np.where(total[..., None] > 0, mean, plain)
+    exact = total[..., None] > 0
+    mean = np.where(exact, mean, np.where(total_bound[..., None] > 0, least, plain))
     count = np.maximum(_cells(coverage).sum(axis=(1, 3)), 1)
-    weights = bounded(total / count, _cells(clipped).any(axis=(1, 3)) & ~counts[..., None])
+    weights = bounded(np.where(total > 0, total, total_bound) / count, _cells(clipped).any(axis=(1, 3)) & ~exact)
     return np.concatenate([mean, weights[..., None]], axis=-1).astype(np.float32)
 
 

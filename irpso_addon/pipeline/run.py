@@ -145,11 +145,8 @@ class Run:
 
     def relighting(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
-        domain, held_out, evaluations = (
-            present(self.domain),
-            self.job.held_out_indices,
-            present(self.progress).evaluations,
-        )
+        domain, evaluations = present(self.domain), present(self.progress).evaluations
+        held_out = self.job.held_out_indices
         if self.recovery is not None and held_out:
             self._held_out_indirect = yield from self.recovery.indirect_in(subset(domain, held_out, domain.solvable))
         steps = relit_steps(domain, maps, held_out, self.job.capture, self._elsewhere, self.indirect)

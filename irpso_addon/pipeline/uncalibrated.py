@@ -214,14 +214,15 @@ class _Pixels:
         mask, chosen = self.capture.masks[0], open_texels(domain, self.capture.cameras[0]).solvable
         chosen = chosen if left_out is None else chosen & ~left_out
         surface = *shading_normals(self.values, self.weight * chosen[mask], lights), mask, _plane(self.capture)
-        turns = [rotation(*surface)] + ([] if covariance is None else [rotation(*surface, covariance)])
-        degrees = max(float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))) for turn in turns)
-        if check and not degrees <= self.limits.rotation:
-            raise InputError(
-                f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface;"
-                f" {self.limits.remedy}"
-            )
-        return turns[-1]
+        turn = rotation(*surface, covariance)
+        for checked in (turn, rotation(*surface)) if check else ():
+            degrees = float(np.degrees(np.arccos(np.clip((np.trace(checked) - 1) / 2, -1, 1))))
+            if not degrees <= self.limits.rotation:
+                raise InputError(
+                    f"the lights from its shading are turned by {degrees:.0f}° against those from the visible surface;"
+                    f" {self.limits.remedy}"
+                )
+        return turn
 
     def without_parts(self, domain: Domain, model: ReflectanceModel) -> Generator[float, None, np.ndarray]:
         """Yield the fraction done; return (PARTS, K, 3) directions of the lights without each part of the subject."""

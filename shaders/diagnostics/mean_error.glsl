@@ -1,5 +1,5 @@
-// Mean absolute error of a material's render at a texel. The samples have their weights in the
-// fitness; its loss does not matter.
+// Mean absolute error of a material's render at a texel. The samples have their weights in the fitness; its
+// loss does not matter.
 
 #include "common/observation.glsl"
 #include "material.glsl"

@@ -19,7 +19,7 @@ from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
-from ...core.files import natural
+from ...core.files import natural, visible
 from ..photographs import is_photograph
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .bursts import bursts_of
@@ -56,7 +56,7 @@ class Source:
 def images_in(folder: Path) -> list[Path]:
     """Return the images of a folder, by suffix, in natural order."""
     try:
-        files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
+        files = [p for p in visible(folder) if p.is_file()]
     except OSError as error:
         raise InputError(f"{folder}: cannot be opened ({error.strerror}); give a folder of photographs") from error
     return sorted(filter(is_photograph, files), key=natural)

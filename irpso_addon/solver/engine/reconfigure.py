@@ -122,8 +122,10 @@ def _same_search(a: Resolved, b: Resolved) -> bool:
 
 def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
     """Return all settings of the current phase."""
-    of_kind: object = schedule.threshold if isinstance(stage, ResolvedSwarm) else None
-    if isinstance(stage, ResolvedSurface):
+    of_kind: object = None
+    if isinstance(stage, ResolvedSwarm):
+        of_kind = schedule.threshold
+    elif isinstance(stage, ResolvedSurface):
         of_kind = schedule.prior.noise_freedom
     return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement, of_kind
 

@@ -47,7 +47,7 @@ _EXTENSIONS = ".lp;.toml;.txt"
 _TABLES = (".lp", ".toml")  # files that are a capture by themselves
 _CAMERA = "camera.toml"  # except this one, which belongs to a folder
 _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
-CARD_SETTINGS = ("picture_scale", "framing", "crop", "corners", "card_distance", "card_width")
+CARD_SETTINGS = ("framing", "crop", "corners", "card_distance", "card_width")
 
 
 @dataclass
@@ -76,7 +76,7 @@ def checking(scene) -> str:
     return _running[0].doing
 
 
-def import_again(scene, path: Path, names: Sequence[str] = CARD_SETTINGS) -> None:
+def import_again(scene, path: Path, names: Sequence[str]) -> None:
     """Import another table of the same photographs; the settings of these names stay."""
     settings = scene.irpso
     # A copy: a vector property would change with the setting.

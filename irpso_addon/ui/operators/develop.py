@@ -23,7 +23,7 @@ from ..common.polls import has_files
 from ..common.sliced import SlicedOperator
 from ..common.words import n_, rpt
 from ..session.scene_capture import capture_path
-from .capture_import import import_again
+from .capture_import import CARD_SETTINGS, import_again
 
 _COLOURS = (
     ("NONE", "None", "The camera's own colors"),
@@ -143,7 +143,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
             summary = rpt(
                 "Gray card found in {file} at {place}; linear images", file=Path(card["file"]).name, place=card["patch"]
             )
-        import_again(context.scene, out)
+        import_again(context.scene, out, ("picture_scale", *CARD_SETTINGS))
         return reported(self, out, report["warnings"], summary)
 
 

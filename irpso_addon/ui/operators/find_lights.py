@@ -53,7 +53,7 @@ _CARDS = (
     ("FRAME", "As Framed", "The part that Frame, under Subject, shows; of another folder the whole photographs"),
     ("FIND", "Find Corners", "Find the card's corners: by printed markers, or as the only rectangle in the picture"),
 )
-_PHOTOGRAPH_SETTINGS = ("chart_photograph", "chart_corners")  # which new lights do not change
+_PHOTOGRAPH_SETTINGS = ("picture_scale", "chart_photograph", "chart_corners")  # which new lights do not change
 
 
 def free_table(folder: Path) -> Path:
@@ -216,7 +216,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         (path, warnings, measured), settings = result, context.scene.irpso
         names: tuple[str, ...] = ()
         if self._is_capture:
-            names = _PHOTOGRAPH_SETTINGS + CARD_SETTINGS[: 1 if self.found_by == "FLAT" else None]
+            names = _PHOTOGRAPH_SETTINGS if self.found_by == "FLAT" else (*CARD_SETTINGS, *_PHOTOGRAPH_SETTINGS)
         import_again(context.scene, path, names)
         if self.found_by == "MESH":
             settings.subject = "MESH"
