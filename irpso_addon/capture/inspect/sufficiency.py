@@ -28,27 +28,27 @@ class Figure:
 # docs/benchmarks/lights.md, of the preset standard; even lights down to 73° from the axis. On cards with 15 % cast
 # shadow and 10 % interreflection, as photographs have them: the number of lights.
 NUMBER = (
-    Figure(3, (0.106, 0.673, 0.971)),
-    Figure(5, (0.137, 0.592, 0.924)),
-    Figure(10, (0.0, 0.354, 0.812)),
-    Figure(20, (0.0, 0.092, 0.382)),
-    Figure(50, (0.0, 0.054, 0.108)),
-    Figure(100, (0.0, 0.033, 0.054)),
+    Figure(3, (0.101, 0.779, 0.898)),
+    Figure(5, (0.146, 0.448, 0.846)),
+    Figure(10, (0.01, 0.167, 0.643)),
+    Figure(20, (0.0, 0.019, 0.149)),
+    Figure(50, (0.0, 0.031, 0.038)),
+    Figure(100, (0.0, 0.022, 0.027)),
 )
 # On cards with noise alone, 50 lights: the angle in degrees between their mean and the outermost,
 CONE = (
-    Figure(10, (0.024, 0.300, 0.789)),
-    Figure(20, (0.0, 0.152, 0.368)),
-    Figure(30, (0.0, 0.088, 0.172)),
-    Figure(45, (0.0, 0.033, 0.040)),
+    Figure(10, (0.001, 0.091, 0.354)),
+    Figure(20, (0.0, 0.062, 0.1)),
+    Figure(30, (0.0, 0.011, 0.014)),
+    Figure(45, (0.0, 0.001, 0.001)),
 )
 # and their spread perpendicular to the best-fitting plane over the spread in it.
 ACROSS = (
-    Figure(0.02, (0.017, 0.199, 0.409)),
-    Figure(0.05, (0.0, 0.179, 0.342)),
-    Figure(0.1, (0.0, 0.162, 0.292)),
-    Figure(0.2, (0.0, 0.117, 0.215)),
-    Figure(0.5, (0.0, 0.037, 0.063)),
+    Figure(0.02, (0.003, 0.051, 0.191)),
+    Figure(0.05, (0.0, 0.041, 0.089)),
+    Figure(0.1, (0.0, 0.044, 0.043)),
+    Figure(0.2, (0.0, 0.029, 0.029)),
+    Figure(0.5, (0.0, 0.006, 0.001)),
 )
 FEWEST = 3  # lights of a normal
 FLAT_USELESS = 1e-3  # smallest over largest singular value: below, lights have no third direction

@@ -41,7 +41,7 @@ def test_the_page_says_when_inspects_figures_are_not_those_measured():
         ]  # fmt: skip
 
     assert lights._outdated(rows(0.0)) == []
-    assert "number 10, roughness: 35.4% there, 45.4% here" in lights._outdated(rows(0.1))[0]
+    assert "number 10, roughness: 16.7% there, 26.7% here" in lights._outdated(rows(0.1))[0]
 
 
 @pytest.mark.parametrize("figure", sufficiency.NUMBER, ids=lambda figure: f"{figure.value} lights")
