@@ -160,15 +160,13 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 # Conclusions from the tables; check them when the tables have changed.
 VERDICT = (
     "**It pays for swarms that search everything (`swarm`) from a random start, or with little time.** With 3"
-    " levels they do 40 % less work than with 1, in about 70 % of the time. From a random start normals are then up"
-    " to 38 % better and never worse, and at equal work 22 to 88 % better. From a Lambertian start, which is"
-    " already good, they are 3 to 59 % better at equal work, but from 10 % better to 40 % worse at equal"
-    " iterations.",
+    " levels they do 40 % less work than with 1, in about 75 % of the time. From a random start normals are then 6"
+    " to 16 % better, and at equal work 20 to 63 % better. From a Lambertian start, which is already good, they are"
+    " 2 to 33 % better at equal work, but 6 to 29 % worse at equal iterations.",
     "",
     "**It hardly pays for `standard`**, whose prefit starts near the normals and whose refinement converges to the"
-    " same result: it takes a fifth to two thirds more seconds, less on larger domains, for normals that differ by"
-    " at most a tenth. It improves one metal paint's narrow highlight (relit 3 dB better); other subjects are relit"
-    " 0 to 0.4 dB better. So it is off by default.",
+    " same result: it takes a sixth to a half more seconds, for normals that differ by at most a twentieth. Photographs"
+    " are relit 0 to 0.7 dB better. So it is off by default.",
 )
 
 
