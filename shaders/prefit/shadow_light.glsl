@@ -281,7 +281,7 @@ vec3 lambertian_normal(Texel t, Fit fit, Indirect indirect)
             if (read_sample(t, k, fit.n, s) && is_lit(s, fit)) {
                 float direct = direct_light(s, indirect);
                 float weight = round == 0 ? 1.0 : weight_of(direct - dot(scaled, s.l), fit.bright);
-                gram += weight * outerProduct(s.l, s.l);
+                gram += weight * mat3(s.l * s.l.x, s.l * s.l.y, s.l * s.l.z);
                 right += weight * direct * s.l;
                 lit++;
             }

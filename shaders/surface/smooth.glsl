@@ -47,7 +47,14 @@ Sums sums_over_neighbours(ivec2 texel, ivec4 place, vec2 lengths, float t2)
 {
     vec2 own = texelFetch(u_field, texel, 0).xy;
     float own_variance = variance_at(texel, lengths);
-    Sums p = Sums(mat3(0.0), mat3(0.0), mat3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0);
+    Sums p;
+    p.w = mat3(0.0);
+    p.w_squared = mat3(0.0);
+    p.k_w = mat3(0.0);
+    p.y_along_x = vec3(0.0);
+    p.y_along_y = vec3(0.0);
+    p.squares = 0.0;
+    p.count = 0.0;
     for (int t = 0; t < TAPS; t++) {
         ivec2 offset = tap_at(t);
         ivec2 other = connected_at(place, offset);

@@ -23,7 +23,7 @@ _SAMPLED_WIDTH = 64
 
 
 class Diagnostics:
-    """The resolved estimates, their residual, deviations and alternatives: ``finding`` measures, ``maps`` returns them.
+    """The next estimates, their residual, deviations and alternatives: ``finding`` measures, ``maps`` returns them.
 
     Raises ShaderError where the model does not compile.
     """
@@ -43,21 +43,21 @@ class Diagnostics:
         self._error = textures.empty(*estimates.size)
         self._measures: tuple[Confidence, Alternatives] | None = None  # made at first use: two more shaders
         self._bands = Bands()
-        self._resolved = False  # whether ``maps`` returns the resolved estimates
+        self._of_next = False  # whether ``maps`` returns the next estimates
         self._sample: tuple[Texture, Texture] | None = None  # places of texels, and their residuals
         self._sampled = sampled_residual_pass(model, domain.defines)
 
     def finding(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
-        """Resolve a phase's estimates and measure them, in bands of about ``seconds``; yields after each.
+        """Conclude a phase and measure its estimates, in bands of about ``seconds``; yields after each.
 
         phase: None after the last one. confidence: measure deviations and alternatives too. paced: as in Bands.
         """
         self._bands.paced = paced
-        self._resolved = False
+        self._of_next = False
         if phase is not None and phase.placed:
-            self._resolved = True
+            self._of_next = True
             yield from phase.conclude(self._bands, seconds)
-        targets, inputs = [self._error], {**self._domain.textures, **self._estimates.bindings(self._resolved)}
+        targets, inputs = [self._error], {**self._domain.textures, **self._estimates.bindings(self._of_next)}
         constants = {"u_observations": self._domain.domain.observations}
         yield from self._bands.run(
             "residual", self._error.height, seconds,
@@ -67,7 +67,7 @@ class Diagnostics:
             if self._measures is None:
                 settings = self._model, self._fixed, self._fitness, self._domain.defines
                 self._measures = Confidence(*settings), Alternatives(*settings)
-            materials = self._estimates.bindings(self._resolved)
+            materials = self._estimates.bindings(self._of_next)
             for measure in self._measures:
                 yield from measure.measuring(self._domain, materials, self._bands, seconds)
 
@@ -76,7 +76,7 @@ class Diagnostics:
         packing, solvable = self._domain.packing, self._domain.domain.solvable
         values = {
             name: packing.unpack(value, self._model.parameter(name).default)
-            for name, value in self._estimates.values(self._resolved).items()
+            for name, value in self._estimates.values(self._of_next).items()
         }
         error = packing.unpack(textures.download(self._error)[..., 0])
         deviations = alternatives = None
@@ -89,7 +89,7 @@ class Diagnostics:
     def at(self, rows: np.ndarray, columns: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the values of ``maps`` at n texels: parameter name → (n, components), and (n,) residuals."""
         places = self._domain.packing.places(rows, columns)
-        return self._estimates.at(places, self._resolved), textures.texels(self._error, places)[:, 0]
+        return self._estimates.at(places, self._of_next), textures.texels(self._error, places)[:, 0]
 
     def mean_error(self, shown: Mapping[str, Texture]) -> float:
         """Return the mean residual of at most 4096 texels, NaN where none is solved. shown: estimates by sampler name.

@@ -165,19 +165,25 @@ class Recovery(RecoveryEngine):
         return True
 
     def mean_error(self) -> float:
-        self._give_stack()
+        self.give_stack()
         return self._diagnostics.mean_error(self._show())
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Texture]]:
         """Lend the live textures, as RecoveryEngine.view: of the current stage, before acceptance test and prior."""
-        self._give_stack()
+        self.give_stack()
         yield {**self._textures.textures, **self._show()}
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         fixed, fitness, defines = self.fixed, self.schedule.fitness, self._textures.defines
         work = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
         return work, loss_constants(self._textures, fitness.delta)
+
+    def give_stack(self) -> None:
+        """Upload the packed samples, if they are still on the host: by default the first iteration does."""
+        if self._stack is not None:
+            stack, self._stack = self._stack, None
+            self._textures.give_stack(stack)
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n): the results of this tile's texels that neighbouring tiles read; NaN elsewhere."""
@@ -277,11 +283,11 @@ class Recovery(RecoveryEngine):
 
     def _copied(self) -> Estimates:
         """Return a copy of the current estimates: this recovery stays as it is."""
-        resolved = self._phase is not None and self._phase.placed
-        if resolved:
-            self._give_stack()
-            self._running().resolve()
-        return Estimates(self.model, self._estimates.values(resolved))
+        placed = self._phase is not None and self._phase.placed
+        if placed:
+            self.give_stack()
+            self._running().conclude_at_once()
+        return Estimates(self.model, self._estimates.values(of_next=placed))
 
     def close(self) -> None:
         self._work = self._finding = self._stack = None  # generators first: they hold textures
@@ -334,15 +340,11 @@ class Recovery(RecoveryEngine):
         """The stage and the iteration, as a checkpoint counts them."""
         return self._index, self._phase.iteration if self._phase is not None else 0
 
-    def _give_stack(self) -> None:
-        if self._stack is not None:
-            stack, self._stack = self._stack, None
-            self._textures.give_stack(stack)
 
     def _iteration(self, phase: Phase, seconds: float) -> Iterator[None]:
         """Make the next iteration; after the last one of a stage begin the next stage. Yields often."""
         if self._stack is not None:
-            self._give_stack()
+            self.give_stack()
             yield
         cost = self._solved * phase.evaluations
         yield from phase.advance(self._bands, seconds)
@@ -354,10 +356,11 @@ class Recovery(RecoveryEngine):
 
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
         yield from phase.conclude(self._bands, seconds)
-        self._estimates.accept()
+        if not phase.keeps_estimates:
+            self._estimates.accept()
         if (measured := (yield from phase.measuring(self._bands, seconds))) is not None:
             yield from self._take_prefit(measured)
-            self._give_stack()
+            self.give_stack()
         yield  # the last one: view() must not see a closed phase
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes have other costs
@@ -373,7 +376,7 @@ class Recovery(RecoveryEngine):
 
     def _look(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Finish the iteration, then measure what maps() returns."""
-        self._give_stack()
+        self.give_stack()
         if self._work is not None:
             self._bands.paced = paced
             for _ in self._work:  # yield from would close it where a caller stops early

@@ -130,6 +130,7 @@ class TilePool:
                 tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.memory
             )
             tile.memory = None
+            tile.recovery.give_stack()  # on the host one packed stack at a time; a sample needs it before an iteration
             tile.progress = tile.recovery.progress
         self._last = number
         return tile.recovery

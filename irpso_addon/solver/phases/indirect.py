@@ -41,10 +41,14 @@ class IndirectPhase(NeighbourTest):
             limits(schedule), measured.get(EVIDENCE),
         )  # fmt: skip
 
+    @property
+    def keeps_estimates(self) -> bool:
+        """True: this phase only measures."""
+        return True
+
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Leave the estimates unchanged: this swap and that of the caller cancel."""
-        yield
-        self.estimates.accept()
+        """Write nothing."""
+        yield from ()
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
         """Return name → measurement, packed; the shadow threshold (h, w) of each texel replaces the evidence.

@@ -31,7 +31,7 @@ def band_seconds(time_budget_s: float | None) -> float:
 
 
 class Phase(Protocol):
-    """A sequence of iterations. It reads the current estimates and writes the resolved ones.
+    """A sequence of iterations. It reads the current estimates and writes the next ones.
 
     title: searched parameters, for display. iterations: their number. Textures and shaders are made at first use, in
     slices of ``advance``.
@@ -61,18 +61,23 @@ class Phase(Protocol):
     def placed(self) -> bool:
         """Whether there is a result to show; until then the current estimates are shown."""
 
+    @property
+    def keeps_estimates(self) -> bool:
+        """Whether the phase only measures: ``conclude`` writes no estimates, and the current ones stay."""
+        return False
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the result so far into the resolved estimates, in bands. The search itself does not change."""
+        """Write the result so far into the next estimates, in bands. The search itself does not change."""
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the result so far into other textures, before any acceptance test."""
         return None
 
-    def resolve(self) -> None:
-        """Do what ``conclude`` does, at once."""
+    def conclude_at_once(self) -> None:
+        """Do what ``conclude`` does, in one go."""
         for _ in self.conclude(Bands(), BACKGROUND_BAND_SECONDS):
             pass
 
@@ -113,10 +118,10 @@ class Phase(Protocol):
 
 
 class Acceptance(Protocol):
-    """A test that decides which resolved estimates are accepted."""
+    """A test that decides which next estimates are accepted."""
 
     def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Replace the resolved estimates by the accepted ones, in bands; takes effect after the last one."""
+        """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
 
     def close(self) -> None:
         """Free shaders and textures."""
@@ -132,7 +137,7 @@ class Passes(Protocol):
 class TexturePhase(Phase):
     """A phase whose textures a table declares. A subclass sets ``textures`` and ``passes``.
 
-    acceptance: test of the resolved estimates, or None. shared: groups of RGBA textures that neighbours read.
+    acceptance: test of the next estimates, or None. shared: groups of RGBA textures that neighbours read.
     """
 
     iteration = 0

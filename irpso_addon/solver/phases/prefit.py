@@ -105,7 +105,12 @@ class PrefitPhase(Phase):
     @property
     def placed(self) -> bool:
         """Whether there are normals to show."""
-        return not self._resolved.sheen and (self._refining or self.inner.placed)
+        return not self.keeps_estimates and (self._refining or self.inner.placed)
+
+    @property
+    def keeps_estimates(self) -> bool:
+        """Whether the current estimates stay: the selection between two prefits adopts the normals with sheen."""
+        return self._resolved.sheen
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
@@ -117,12 +122,10 @@ class PrefitPhase(Phase):
             self._begin_refinement()
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the normals so far into the resolved estimates."""
+        """Write the normals so far into the next estimates."""
         yield from self.inner.conclude(bands, seconds)
-        if self._resolved.sheen:
-            self._estimates.accept()  # this swap and that of the caller cancel
-            return
-        yield from self._adopt.in_one_draw(bands, self._estimates.resolved, self._inputs(self.own.resolved))
+        if not self.keeps_estimates:
+            yield from self._adopt.in_one_draw(bands, self._estimates.next, self._inputs(self.own.next))
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the normals so far into other textures."""
@@ -136,20 +139,20 @@ class PrefitPhase(Phase):
         return {**self._estimates.bindings(), **self._domain.textures, **prefit}
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → packed float32 array: the fitness (h, w) of the resolved estimates of the prefit's model.
+        """Return name → packed float32 array: the fitness (h, w) of the next estimates of the prefit's model.
 
         Includes earlier measurements and, where the stage ``seeks`` it, the evidence of indirect light (h, w, 4). Of a
         prefit with sheen: normals and fitness (h, w, 4). In bands.
         """
         targets = [textures.empty(*self.own.size, "R32F")]
-        inputs = {**self.own.bindings(resolved=True), **self._domain.textures}
+        inputs = {**self.own.bindings(of_next=True), **self._domain.textures}
         constants = _acceptance_constants(self._domain, self._schedule)
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         fitness = textures.download(targets[0])[..., 0]
         if self._chosen is not None:
             fitness = np.where(self._chosen, fitness, self._earlier[FITNESS])
         if self._resolved.sheen:
-            normals = normals_of(self.own, self._model, resolved=True)
+            normals = normals_of(self.own, self._model, of_next=True)
             return {**self._earlier, SHEEN: np.concatenate([normals, fitness[..., None]], axis=-1)}
         if self._evidence is None:
             return {**self._earlier, FITNESS: fitness}
@@ -202,7 +205,7 @@ class PrefitPhase(Phase):
 class AcceptanceTest:
     """Decides at every texel whether a phase of the recovery's model may replace the prefit's normal.
 
-    fitness: (h, w) of the prefit, packed. The accepted estimates become the resolved ones.
+    fitness: (h, w) of the prefit, packed. The accepted estimates become the next ones.
     """
 
     def __init__(
@@ -220,12 +223,12 @@ class AcceptanceTest:
         self._pass = _acceptance_pass(model, schedule, self._domain.defines)
 
     def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Replace the resolved estimates by the accepted ones, in bands; takes effect after the last one."""
-        work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.resolved)}
+        """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
+        work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.next)}
         inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_prefit_fitness": self._fitness[0]}
         constants = _acceptance_constants(self._domain, self._schedule)
         yield from self._pass.in_bands("acceptance", bands, seconds, self._decided, inputs, constants)
-        self._estimates.resolved, self._decided = self._decided, self._estimates.resolved
+        self._estimates.next, self._decided = self._decided, self._estimates.next
 
     def close(self) -> None:
         """Free shader and textures."""
@@ -253,10 +256,10 @@ def _first_estimates(
     return Estimates(own, values | {"normal": normals, "base": domain.scale[..., None]})
 
 
-def normals_of(estimates: Estimates, model: ReflectanceModel, resolved: bool = False) -> np.ndarray:
-    """Return the normals (h, w, 3) of the current estimates, or of the resolved ones, packed."""
+def normals_of(estimates: Estimates, model: ReflectanceModel, of_next: bool = False) -> np.ndarray:
+    """Return the normals (h, w, 3) of the current estimates, or of the next ones, packed."""
     name = next(p.name for p in model.parameters if p.is_normal)
-    return estimates.values(resolved)[name]
+    return estimates.values(of_next)[name]
 
 
 def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
@@ -278,14 +281,14 @@ def adopt_where(
     chosen: np.ndarray,
     normals: np.ndarray,
 ) -> Iterator[None]:
-    """Write normals (h, w, 3) into the resolved estimates where chosen, (h, w) bool; elsewhere the current ones stay.
+    """Write normals (h, w, 3) into the next estimates where chosen, (h, w) bool; elsewhere the current ones stay.
 
     adopt: from ``adopt_pass``.
     """
     normals = np.where(chosen[..., None], normals, normals_of(estimates, model))
     uploaded = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
     inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": uploaded}
-    yield from adopt.in_one_draw(bands, estimates.resolved, inputs)
+    yield from adopt.in_one_draw(bands, estimates.next, inputs)
 
 
 def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:

@@ -93,9 +93,9 @@ class RefinementPhase(TexturePhase):
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the best material so far into the resolved estimates; then run the acceptance test."""
+        """Write the best material so far into the next estimates; then run the acceptance test."""
         yield from self._ready(bands)
-        targets = [*self.estimates.resolved, *self.textures.of("result")]
+        targets = [*self.estimates.next, *self.textures.of("result")]
         yield from self._run(bands, self.passes.keep, targets, self._comparable())
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
@@ -113,7 +113,7 @@ class RefinementPhase(TexturePhase):
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every texel's best material; NaN where no texel is solved."""
         self._write_result()
-        packed = np.concatenate([textures.download(t) for t in self.estimates.resolved], axis=-1)
+        packed = np.concatenate([textures.download(t) for t in self.estimates.next], axis=-1)
         return self.domain.packing.unpack(packed[..., : self.model.components], np.nan)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
@@ -157,7 +157,7 @@ class RefinementPhase(TexturePhase):
 
     def _write_result(self) -> None:
         self._ensure_ready()
-        self.preview(self.estimates.resolved)
+        self.preview(self.estimates.next)
 
     def _widening(self, track: Track, made: int) -> float:
         """Return the factor on δ in an iteration: from a start it falls to 1 before the race; else 1."""

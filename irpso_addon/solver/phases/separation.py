@@ -109,11 +109,14 @@ class SeparationPhase(Phase):
             self._separation = np.where(separated[..., None], self._separation, by_shadows((yield from asked)))
         self.iteration += 1
 
+    @property
+    def keeps_estimates(self) -> bool:
+        """Whether no light was separated."""
+        return not self._separation.any()
+
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the normals of the fit to direct light into the resolved estimates."""
-        if not self._separation.any():
-            yield
-            self._estimates.accept()  # this swap and that of the caller cancel
+        """Write the normals of the fit to direct light into the next estimates, if light was separated."""
+        if self.keeps_estimates:
             return
         domain, packing = self._domain.domain, self._domain.packing
         chosen = domain.solvable & (self._separation[..., 2] > 0)

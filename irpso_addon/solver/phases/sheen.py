@@ -46,7 +46,7 @@ class SheenPhase(NeighbourTest):
         self._adopt = adopt_pass(model, domain.defines)
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the chosen normals into the resolved estimates."""
+        """Write the chosen normals into the next estimates."""
         chosen, normals = self.read(self.decided)[..., 0] > 0, self._prefits[SHEEN][..., :3]
         yield from adopt_where(self._adopt, bands, self.domain, self.estimates, self.model, chosen, normals)
 

@@ -91,11 +91,11 @@ class SpatialPriorPhase(TexturePhase):
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the most probable materials into the resolved estimates; the current ones before the last iteration."""
+        """Write the most probable materials into the next estimates; the current ones before the last iteration."""
         if not self.done:
-            yield from self._copy(bands, self.estimates.current, self.estimates.resolved)
+            yield from self._copy(bands, self.estimates.current, self.estimates.next)
             return
-        yield from self._in_bands("prior keep", self.passes.keep, self.estimates.resolved, bands, seconds)
+        yield from self._in_bands("prior keep", self.passes.keep, self.estimates.next, bands, seconds)
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 

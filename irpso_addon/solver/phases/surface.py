@@ -70,7 +70,7 @@ class SurfacePhase(TexturePhase):
         textures, passes = self.textures, self.passes
         if self.iteration == NOISE:
             # The pass also copies the estimates, into textures that are free now.
-            targets = [*textures.of("noise"), *self.estimates.resolved]
+            targets = [*textures.of("noise"), *self.estimates.next]
             yield from self._in_bands("noise", passes.noise, targets, bands, seconds)
         elif self.iteration == INFORMATION:
             yield from self._in_bands("variance", passes.variance, textures.spares("noise"), bands, seconds)
@@ -86,7 +86,7 @@ class SurfacePhase(TexturePhase):
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the materials with bent normals into the resolved estimates."""
+        """Write the materials with bent normals into the next estimates."""
         textures, passes = self.textures, self.passes
         slopes = textures.spares("field")
         yield from self._in_bands("settle", passes.settle, slopes, bands, seconds)
@@ -94,7 +94,7 @@ class SurfacePhase(TexturePhase):
             smoothed = textures.spares("noise")
             yield from self._in_bands("smooth", passes.smooth, smoothed, bands, seconds, field=slopes)
             slopes = smoothed
-        yield from self._in_bands("bend", passes.bend, self.estimates.resolved, bands, seconds, field=slopes)
+        yield from self._in_bands("bend", passes.bend, self.estimates.next, bands, seconds, field=slopes)
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 

@@ -85,9 +85,9 @@ class SwarmPhase(TexturePhase):
         }
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Write the global bests into the resolved estimates, in one band: it is a short pass."""
+        """Write the global bests into the next estimates, in one band: it is a short pass."""
         yield from self.textures.make()
-        targets = self.estimates.resolved
+        targets = self.estimates.next
         yield from self.passes.resolve.in_one_draw(bands, targets, self._inputs(), self.constants())
 
     def preview(self, targets: Sequence[Texture]) -> None:

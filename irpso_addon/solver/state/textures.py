@@ -157,7 +157,7 @@ class Estimates:
         packed = np.pad(packed, ((0, 0), (0, 0), (0, 4 * self.count - packed.shape[-1])))
         self.size = packed.shape[1], packed.shape[0]
         self.current = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(self.count)]
-        self.resolved = [textures.empty(*self.size) for _ in range(self.count)]
+        self.next = [textures.empty(*self.size) for _ in range(self.count)]
         self._shown: list[Texture] = []
 
     @property
@@ -167,22 +167,22 @@ class Estimates:
             self._shown = [textures.empty(*self.size) for _ in range(self.count)]
         return self._shown
 
-    def bindings(self, resolved: bool = False) -> dict[str, Texture]:
-        """Return the textures by sampler name: of the current estimates, or of the resolved ones."""
-        chosen = self.resolved if resolved else self.current
+    def bindings(self, of_next: bool = False) -> dict[str, Texture]:
+        """Return the textures by sampler name: of the current estimates, or of the next ones."""
+        chosen = self.next if of_next else self.current
         return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
 
     def accept(self) -> None:
-        """Swap the resolved estimates with the current ones."""
-        self.current, self.resolved = self.resolved, self.current
+        """Swap the next estimates with the current ones."""
+        self.current, self.next = self.next, self.current
 
-    def values(self, resolved: bool = True) -> dict[str, np.ndarray]:
+    def values(self, of_next: bool = True) -> dict[str, np.ndarray]:
         """Return the parameters as arrays (H, W, components)."""
-        return self._split([textures.download(t) for t in (self.resolved if resolved else self.current)])
+        return self._split([textures.download(t) for t in (self.next if of_next else self.current)])
 
-    def at(self, places: np.ndarray, resolved: bool) -> dict[str, np.ndarray]:
+    def at(self, places: np.ndarray, of_next: bool) -> dict[str, np.ndarray]:
         """Return the parameters (n, components) at n places (x, y) of the textures."""
-        return self._split([textures.texels(t, places) for t in (self.resolved if resolved else self.current)])
+        return self._split([textures.texels(t, places) for t in (self.next if of_next else self.current)])
 
     def _split(self, read: list[np.ndarray]) -> dict[str, np.ndarray]:
         packed, at = np.concatenate(read, axis=-1), self.model.offset
@@ -190,4 +190,4 @@ class Estimates:
 
     def close(self) -> None:
         """Free the textures."""
-        self.current, self.resolved, self._shown = [], [], []
+        self.current, self.next, self._shown = [], [], []

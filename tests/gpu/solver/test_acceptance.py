@@ -42,7 +42,7 @@ def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(re
     theirs = pack.unpack(recovery.memory().arrays["prefit_fitness"])
     while recovery.progress.title != "refinement":
         recovery.step(iterations=1)
-    before = {n: pack.unpack(v) for n, v in recovery.phase.estimates.values(resolved=False).items()}
+    before = {n: pack.unpack(v) for n, v in recovery.phase.estimates.values(of_next=False).items()}
     recovery.step(iterations=recovery.progress.iterations - 1)
     phase = recovery.phase
     phase.acceptance, acceptance = None, phase.acceptance
@@ -106,16 +106,16 @@ def test_the_acceptance_test_matches_float64():
     off["base_color"] = off["base_color"] * np.linspace(0.9, 1.1, 9, dtype=np.float32)[:, None]
     misfit, _ = bounded_misfit(domain, "principled", off, STANDARD.prefit, scale.astype(np.float64))
     flat = np.concatenate([pack.pack(off[p.name]) for p in PRINCIPLED.parameters], axis=-1)
-    estimates.resolved = [textures.upload(np.ascontiguousarray(flat[..., 4 * i : 4 * i + 4])) for i in range(2)]
+    estimates.next = [textures.upload(np.ascontiguousarray(flat[..., 4 * i : 4 * i + 4])) for i in range(2)]
     limit = (misfit - 0.005) / STANDARD.prefit.acceptance_ratio
     for factor, taken in ((1.001, True), (0.999, False)):
-        work = list(estimates.resolved)
+        work = list(estimates.next)
         acceptance = AcceptanceTest(PRINCIPLED, STANDARD, uploaded, estimates, pack.pack(np.float32(limit * factor)))
         for _ in acceptance.deciding(Bands(), 1.0):
             pass
         result = pack.unpack(estimates.values()["base_color"])
         acceptance.close()
-        estimates.resolved = work
+        estimates.next = work
         clear = limit > 0.05
         assert clear.mean() > 0.6
         same = (result == off["base_color"]).all(axis=-1)

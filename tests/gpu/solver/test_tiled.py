@@ -231,6 +231,22 @@ def test_a_checkpoint_does_not_depend_on_the_tiles(name, most, tmp_path, monkeyp
             assert recovery.step() == progress and everything(recovery.maps()) == wanted, (first, second, stop)
 
 
+@pytest.mark.parametrize("how", ["tiles", "turns"])
+def test_tiles_resume_within_the_shared_materials(how, tmp_path):
+    (domain, wanted, progress), schedule = known("materials"), SCHEDULES["materials"]
+
+    def make():
+        return tiled(domain, schedule, FEW, resident=how == "tiles")
+
+    with make() as recovery:
+        while recovery.progress.title != "shared materials" or recovery.progress.iteration < 2:
+            recovery.step(iterations=1)
+        recovery.save(tmp_path / "run.npz")
+    with make() as recovery:
+        recovery.load(tmp_path / "run.npz")
+        assert recovery.step() == progress and everything(recovery.maps()) == wanted
+
+
 @pytest.mark.parametrize(("resident", "threshold"), [(True, 0.06), (False, 0.2)])
 def test_tiles_stop_at_the_threshold_when_the_whole_does(resident, threshold):
     domain, _ = subject(9, 8, holes=False)
