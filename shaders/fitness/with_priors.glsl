@@ -5,9 +5,17 @@
 
 #include "material.glsl"
 #include "priors.glsl"
+#include "fitness/loss.glsl"
 
-// In units of δ²: 0.3 % of a texel's scale, about one step of 8 bits.
+// Fitness of an error of 0.3 % of the brightness, about one step of 8 bits. A robust fitness is in units of δ², which is
+// 3 % of it by default, the others in radiance.
+#if FITNESS == FITNESS_L1
+#define NOISE_FLOOR (0.003 * u_brightness)
+#elif FITNESS == FITNESS_L2
+#define NOISE_FLOOR (9e-6 * u_brightness * u_brightness)
+#else
 #define NOISE_FLOOR 0.01
+#endif
 // Upper limit of D / n. It exceeds all realistic values and keeps exp() from overflow.
 #define MAX_PRIOR_PER_SAMPLE 30.0
 

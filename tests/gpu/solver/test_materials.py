@@ -69,6 +69,15 @@ def test_an_unseen_lobe_is_recovered_from_texels_of_the_same_material(card):
     assert np.median(np.abs(shared[~smooth] - MATT)) <= np.median(np.abs(alone[~smooth] - MATT)) + 0.02
 
 
+def test_dark_photographs_weigh_as_much_against_priors_as_bright_ones(card):
+    # With squared errors a fitness is in units of radiance: its noise floor must follow them.
+    domain, _, _ = card
+    values = domain.stack.values.copy()
+    values[..., :3] /= 16
+    dark = replace(with_samples(domain, values), intensities=domain.intensities / 16)
+    np.testing.assert_allclose(roughness(dark, loss="l2"), roughness(domain, loss="l2"), atol=0.02)
+
+
 def test_a_lone_texel_keeps_its_material_if_its_samples_decide(card):
     domain, smooth, _ = card
     stack = domain.stack.values.copy()
