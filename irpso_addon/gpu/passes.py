@@ -11,6 +11,8 @@ from .kernel import MAX_OUTPUTS, Entry, Kernel
 from .program import GROUP, Program, program_of
 from .textures import Texture
 
+_MOST_FRAMEBUFFERS = 12  # of a pass: a refinement draws into five sets of textures, in two windows
+
 
 class Pass:
     """A kernel, compiled at its first run. Fragment and compute entries take the same arguments and write the same.
@@ -87,15 +89,18 @@ class Pass:
         return bands.once(lambda: self.run(targets, textures, constants), lambda: self.fence(targets))
 
     def framebuffer(self, targets: Sequence[Texture]) -> Any:
-        """Return the frame buffer that has ``targets`` as attachments, made once for each set of targets and window.
+        """Return the frame buffer that has ``targets`` as attachments, kept for the last sets of targets and windows.
 
-        Frame buffers belong to the context in which they are made, and every window has one of its own.
+        Frame buffers belong to the context in which they are made, and every window has one of its own. A frame buffer
+        keeps its targets alive, also those that a halo from other tiles has replaced.
         """
         import gpu
 
         window = context_guard.active()
         key = (id(window), *(id(target) for target in targets))
         if key not in self._framebuffers:
+            if len(self._framebuffers) == _MOST_FRAMEBUFFERS:
+                self._framebuffers.pop(next(iter(self._framebuffers)))
             self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), window, tuple(targets))
         return self._framebuffers[key][0]
 

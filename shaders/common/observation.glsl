@@ -62,6 +62,9 @@ struct Observation {
     vec3 intensity;
     vec3 radiance;
     vec3 clipped;
+#ifdef GREY
+    vec3 lit_channels;  // 1 in those that the light has
+#endif
 };
 
 // Reads observation k. Returns false if it has no weight at this texel.
@@ -100,13 +103,14 @@ bool observe(Texel t, int k, out Observation o)
     o.v = view_at(t.frame, k);
 #endif
 #ifdef GREY
-    vec3 lit_channels = vec3(greaterThan(o.intensity, vec3(0.0)));
-    float channels = dot(lit_channels, vec3(1.0));
+    o.lit_channels = vec3(greaterThan(o.intensity, vec3(0.0)));
+    float channels = dot(o.lit_channels, vec3(1.0));
     if (channels == 0.0) {
         return false;
     }
     // A channel in which the light is 0 has no weight. Its divisor, 1, is arbitrary.
-    o.radiance = vec3(dot(lit_channels * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, lit_channels)) / channels);
+    vec3 divisor = mix(vec3(1.0), o.intensity, o.lit_channels);
+    o.radiance = vec3(dot(o.lit_channels * o.radiance, 1.0 / divisor) / channels);
     o.intensity = vec3(1.0);
     if (o.radiance.r < GREY_SHADOW * t.scale) {
         return false;

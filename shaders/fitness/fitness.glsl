@@ -17,8 +17,8 @@ float fitness_of(Texel t, Material s, out float weights)
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(s, o.l, o.v));
 #ifdef GREY
-        // Compares a coloured model with grey samples.
-        error = vec3((error.r + error.g + error.b) / 3.0);
+        // Compares a coloured model with grey samples, over the channels that these are made of.
+        error = vec3(dot(o.lit_channels, error) / dot(o.lit_channels, vec3(1.0)));
 #endif
         sum += o.weight * loss_of(scale * relative_error(t, o) * error);
         weights += o.weight;

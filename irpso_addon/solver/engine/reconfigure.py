@@ -14,7 +14,7 @@ from ..kernels.encoding import build_encoding
 from ..phases.phase import Phase
 from ..phases.swarm import SwarmPhase, particle_count
 from ..settings.groups import Fitness
-from ..settings.resolve import Resolved, ResolvedPrefit, ResolvedSurface, ResolvedSwarm
+from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit, ResolvedSheen, ResolvedSurface, ResolvedSwarm
 from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.prepare import Prepared
@@ -103,13 +103,19 @@ def warm_started(schedule: Schedule) -> Schedule:
 
 
 def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> int:
-    """Return the number of finished stages with which another schedule begins, too; constants may differ."""
+    """Return the number of finished stages with which another schedule begins, too; constants may differ.
+
+    0 where a finished test of the prefit has replaced a measurement that the other schedule needs.
+    """
     count = 0
     for done, stage in zip(before, stages, strict=False):
         if not _same_search(done, stage):
             break
         count += 1
-    return count
+    undone, left = before[count:], stages[count:]
+    seeks = any(isinstance(stage, ResolvedIndirect) for stage in left)
+    replaced = ResolvedSheen | ResolvedIndirect if seeks else ResolvedSheen
+    return 0 if any(isinstance(stage, replaced) for stage in undone) else count
 
 
 def _same_search(a: Resolved, b: Resolved) -> bool:

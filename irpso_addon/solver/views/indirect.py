@@ -74,6 +74,7 @@ class IndirectLight:
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in rays]))
+        self._inputs["u_received"], *self._targets = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(3))
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
 
     def at_texels(self, radiance: np.ndarray) -> np.ndarray:
@@ -132,7 +133,7 @@ class IndirectLight:
         """
         lit = self._grid(self.exchange.lit[observation].astype(np.float32))
         inputs = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
-        received, target = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(2))
+        received, (target, other) = inputs["u_received"], self._targets
         constants = {
             "u_observation": observation, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
         }  # fmt: skip
@@ -142,7 +143,7 @@ class IndirectLight:
             last = left == 0
             bounce = {"u_to_camera": int(last), "u_branches": branches if last else 0}
             self._pass.run([target], {**inputs, "u_received": received}, constants | bounce)
-            received, target = target, received
+            received, target, other = target, other, target
         result = textures.download(received).reshape(-1, 4)[: len(self.exchange.texels)]
         return result[:, :3], result[:, 3]
 
@@ -150,6 +151,7 @@ class IndirectLight:
         """Free shader and textures."""
         self._pass.close()
         self._inputs.clear()
+        self._targets.clear()
 
     def _grid(self, values: np.ndarray) -> np.ndarray:
         """Return (h, w, …): the grid of elements (E, …), with zeros at the end."""

@@ -119,6 +119,16 @@ def test_a_pass_runs_again_on_other_targets_of_another_size(entry):
     work.close()
 
 
+def test_a_pass_keeps_few_of_many_targets_alive():
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}))
+    for _ in range(40):
+        target = textures.empty(3, 2, value=BEFORE)
+        work.run([target], {}, {"u_mark": 5, "u_skip": 0, "u_scale": 0.1})
+        np.testing.assert_array_equal(read(target)[..., 2], 5)
+    assert len(work._framebuffers) < 20
+    work.close()
+
+
 def test_a_fence_is_waited_at_before_anything_was_drawn(entry):
     work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
     target = textures.empty(5, 3, value=BEFORE)

@@ -63,6 +63,17 @@ def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(re
         np.testing.assert_array_equal(found[name][kept], before[name][kept])
 
 
+def test_the_acceptance_test_compares_the_channels_that_a_lamp_has(recover):
+    red = np.tile((1.5, 0.0, 0.0), (DIRECTIONS, 1))
+    domain, truth = card("principled", shape=(8, 12), noise=0.002, colors=red)
+    recovery = recover(domain, PRINCIPLED, STANDARD)
+    prefit = prefit_fitness(recovery).values["normal"]
+    recovery.step()
+    found = recovery.maps(confidence=False).values["normal"]
+    assert (found == prefit).all(axis=-1).mean() < 0.1
+    assert degrees(recovery.maps(confidence=False), truth["normal"]).mean() < 0.2
+
+
 def test_with_a_kept_normal_the_other_parameters_are_optimal(recover, half):
     domain, _ = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
