@@ -111,9 +111,12 @@ class RefinementPhase(TexturePhase):
         return self.domain.packing.unpack(self.read("result")[..., 0], np.nan)
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: every texel's best material; NaN where no texel is solved."""
-        self._write_result()
-        packed = np.concatenate([textures.download(t) for t in self.estimates.next], axis=-1)
+        """Return (H, W, n) float32 over the domain: every texel's best material; NaN where no texel is solved.
+
+        Within a round that is the best one at its begin, as the neighbours of the whole domain read it.
+        """
+        self._ensure_ready()
+        packed = np.concatenate([self.reader.read(texture) for texture in self.best[:-1]], axis=-1)
         return self.domain.packing.unpack(packed[..., : self.model.components], np.nan)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:

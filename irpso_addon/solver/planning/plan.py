@@ -306,14 +306,15 @@ def _device_in_turns(texels: int, device: int, cost: Cost) -> int:
 
 
 def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limits) -> bool:
-    """Return whether every texture is within the device's limits."""
+    """Return whether every texture is within the device's limits. shape: of the window, with its border."""
     places = _grid_places(texels)
     side = int(np.ceil(np.sqrt(places)))
+    height, width = shape if texels == shape[0] * shape[1] else (side, side)  # Packing leaves a full window as it is
     tiles = max(phase.atlas for phase in cost.phases)
     if max(*shape, side) > limits.side or places * FLOAT4 * cost.observations > limits.texture:
         return False
     try:
-        atlas = plan_atlas(side, side, tiles, limits.side)
+        atlas = plan_atlas(width, height, tiles, limits.side)
     except InputError:
         return False
     return places * FLOAT4 * atlas.across * atlas.down <= limits.texture

@@ -106,6 +106,17 @@ def test_a_texture_that_is_too_large_makes_tiles_that_stay_on_the_device():
     assert all(5 * np.ceil(np.sqrt(tile.texels)) <= 300 for tile in narrow.tiles) and len(narrow.tiles) >= 3
 
 
+def test_a_full_oblong_card_is_cut_where_its_own_particles_exceed_a_texture():
+    # A grid of its texels would be square; a full card keeps its shape, beside which fewer tiles of particles fit.
+    cost, limits = cost_of(8), Limits(side=16384, texture=1 << 40)
+    tiles = max(phase.atlas for phase in cost.phases)
+    card = np.ones((1200, 8400), bool)
+    assert (16384 // 8400) * (16384 // 1200) < tiles <= (16384 // 3175) ** 2
+    assert len(plan_recovery(card, cost, PLENTY, limits).tiles) > 1
+    card[0, 0] = False
+    assert len(plan_recovery(card, cost, PLENTY, limits).tiles) == 1
+
+
 def test_a_single_tile_smaller_than_the_domain_has_a_halo():
     covered = np.zeros((200, 200), bool)
     covered[10:40, 20:50] = True
