@@ -65,7 +65,12 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], rotations: Sequen
     pictures = []
     temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # Blender also removes it when the process is ended
     with table_top.own_scene("IRPSO pictures") as scene, temporary as folder:
-        scene.collection.objects.link(obj)
+        # A copy: constraints, a parent or an animation would move the object away from the places given here.
+        placeable = obj.copy()
+        placeable.parent = None
+        placeable.constraints.clear()
+        placeable.animation_data_clear()
+        scene.collection.objects.link(placeable)
         corners = [_extent(obj, axes, place) for place in placed]
         low, high = (np.array(ends) for ends in zip(*corners, strict=True))
         _add_camera(scene, axes, low.min(axis=0), high.max(axis=0))
@@ -75,13 +80,10 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], rotations: Sequen
         cycles.place_lamp(lamp, np.array(axes) @ np.array(_LAMP) / np.linalg.norm(_LAMP))
         cycles.set_up(scene, cycles.View(side, side, samples=_SAMPLES))
         rendered = Path(folder) / "picture.exr"
-        try:
-            for place in placed:
-                obj.matrix_world = place
-                cycles.render_radiance(scene, rendered)
-                pictures.append(_displayed(rendered))
-        finally:
-            obj.matrix_world = before
+        for place in placed:
+            placeable.matrix_world = place
+            cycles.render_radiance(scene, rendered)
+            pictures.append(_displayed(rendered))
     return pictures
 
 

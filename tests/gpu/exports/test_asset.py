@@ -79,6 +79,25 @@ def test_the_library_has_the_material_with_maps_preview_and_words_and_the_open_f
     assert linear[1] / linear[0] == pytest.approx(RED[1] / RED[0], abs=0.03)
 
 
+def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, tmp_path):
+    anchor = bpy.data.objects.new("anchor", None)
+    bpy.context.collection.objects.link(anchor)
+    anchor.location = (5, 6, 7)
+    follow = card.constraints.new("COPY_LOCATION")
+    follow.target, follow.use_offset = anchor, True
+    card.location, card.rotation_euler, card.scale = (0, 0, 3), (0, 0, 7), (-1, 1, 1)
+    bpy.context.view_layer.update()
+    before = tuple(np.array(values) for values in (card.location, card.rotation_euler, card.scale, card.matrix_world))
+    assert before[3][:3, 3].tolist() == [5, 6, 10]
+    path = write_to_shelf(Shelf(tmp_path), card, "leaf")
+    bpy.context.view_layer.update()
+    after = (card.location, card.rotation_euler, card.scale, card.matrix_world)
+    for old, new in zip(before, after, strict=True):
+        np.testing.assert_array_equal(new, old)
+    alpha = np.array(loaded(path).preview.image_pixels_float[:]).reshape(256, 256, 4)[..., 3]
+    assert alpha[128, 128] == 1 and np.ptp(np.nonzero(alpha > 0.5)[1]) > 225
+
+
 def test_pictures_in_files_stay_files(tmp_path):
     obj = red_card(tmp_path)
     pictures = {path: path.read_bytes() for path in tmp_path.glob("*.*")}
