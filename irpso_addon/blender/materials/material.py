@@ -70,16 +70,23 @@ def build_material(
     return material
 
 
-def subject_name(name: str, origin: str) -> str:
-    """Return a subject name for a recovery from ``origin``: ``name``, numbered where another origin uses it.
+def subject_name(name: str, origin: str, obj=None) -> str:
+    """Return a subject name for a recovery from ``origin``: ``name``, numbered where another recovery uses it.
 
-    Two captures may lie in folders of one name, and a mesh may have that name too: none may take another's maps.
+    Two captures may lie in folders of one name, and a mesh may have that name too: none may take another's maps. obj:
+    the mesh object. A name is also taken where only other objects show its material: one may have been renamed.
     """
     import bpy
 
-    taken = {made[TAG]: made.get(ORIGIN, origin) for made in bpy.data.materials if TAG in made}
+    def is_free(name: str) -> bool:
+        made = [material for material in bpy.data.materials if material.get(TAG) == name]
+        users = [one for one in bpy.data.objects if any(slot.material in made for slot in one.material_slots)]
+        return all(material.get(ORIGIN, origin) == origin for material in made) and (
+            obj is None or not users or obj in users
+        )
+
     numbered = (name if number == 0 else f"{name}.{number:03d}" for number in itertools.count())
-    return next(free for free in numbered if taken.get(free, origin) == origin)
+    return next(free for free in numbered if is_free(free))
 
 
 def slots_subject(obj, slots: Sequence[int]) -> str:

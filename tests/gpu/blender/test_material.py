@@ -298,3 +298,20 @@ def test_maps_from_another_capture_get_a_new_name():
     build_material(found, "icon.001")[ORIGIN] = "/b/icon"
     assert subject_name("icon", "/b/icon") == "icon.001"
     assert subject_name("icon", "mesh") == "icon.002"
+
+
+def test_a_mesh_does_not_take_the_material_of_a_renamed_mesh():
+    first = bpy.data.objects.new("Vase", bpy.data.meshes.new("clay"))
+    made = build_material(random_maps(load_model("lambert")), "Vase")
+    made[ORIGIN] = "mesh"
+    apply_material(first, made)
+    apply_material(bpy.data.objects.new("Copy", bpy.data.meshes.new("clay copy")), made.copy())
+    assert subject_name("Vase", "mesh", first) == "Vase"
+    first.name = "Pot"
+    second = bpy.data.objects.new("Vase", bpy.data.meshes.new("glass"))
+    assert subject_name("Vase", "mesh", second) == "Vase.001"
+    made = build_material(random_maps(load_model("lambert"), 1), "Vase.001")
+    made[ORIGIN] = "mesh"
+    apply_material(second, made)
+    assert subject_name("Vase", "mesh", second) == "Vase.001"
+    assert subject_name("Vase", "mesh", first) == "Vase"
