@@ -159,9 +159,10 @@ class IRPSO_OT_export(bpy.types.Operator):
         found = current_maps(
             running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded))
         )
-        result = Result(file_stem(running.job.name), found.written, found.height, card=card)
+        job = running.job
+        result = Result(file_stem(job.name), found.written, found.height, card=card, mesh=job.mesh)
         if occluded and not card:
-            result = replace(result, baked_sky=mesh_open_sky(alone(running.job.mesh), result.maps))
+            result = replace(result, baked_sky=mesh_open_sky(alone(job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
         text = rpt("{what} written to {name}", what=FORMATS[self.format][0], name=report["output"])
