@@ -193,18 +193,19 @@ def subject_object(uid: int | None, subject: str):
     return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
 
 
-def card_object(subject: str, height: int, width: int, displaced: bool = False):
+def card_object(subject: str, height: int, width: int, displaced: bool | None = False):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
     A tag identifies it later. It takes the maps' proportions unless the user has edited its mesh; a new one is linked
-    into the scene's collection. displaced: subdivide it to show a relief.
+    into the scene's collection. displaced: subdivide it to show a relief; None keeps the former subdivision.
     """
     import bpy
 
     x, y = 0.5, 0.5 * height / width
     if (found := find_card(subject)) is not None:
         _give_height(found.data, x, y)
-        divide(found, max(height, width) if displaced else 0)
+        if displaced is not None:
+            divide(found, max(height, width) if displaced else 0)
         return found
     mesh = bpy.data.meshes.new(f"IRPSO {subject}")
     mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])
