@@ -152,6 +152,22 @@ def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_
     assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
 
 
+def test_copies_of_nodes_are_the_users_own():
+    tree = build_material(random_maps(load_model("principled")), "icon").node_tree
+    copies = {}
+    for role in ("map roughness", "look"):
+        old = tree.nodes[f"IRPSO {role}"]
+        copies[role] = tree.nodes.new(old.bl_idname)
+        copies[role]["irpso_role"] = old["irpso_role"]
+    copies["look"].location = (11, 22)
+    before = links(tree)
+    build_material(random_maps(load_model("principled"), 1), "icon")
+    assert links(tree) == before
+    assert not any(output.is_linked for node in copies.values() for output in node.outputs)
+    build_material(random_maps(load_model("lambert"), 1), "icon")
+    assert set(copies.values()) <= set(tree.nodes) and tuple(copies["look"].location) == (11, 22)
+
+
 def test_gloss_and_relief_set_by_the_user_survive_a_second_run_and_a_change_of_model():
     material = build_material(random_maps(load_model("principled")), "icon")
     inputs = material.node_tree.nodes["IRPSO look"].inputs
