@@ -110,6 +110,25 @@ def test_pictures_in_files_stay_files(tmp_path):
     assert all(node.image.packed_file for node in nodes if node.type == "TEX_IMAGE")
 
 
+def test_a_painted_image_that_is_not_saved_stays_painted_and_is_refused(tmp_path):
+    obj = red_card(tmp_path)
+    image = bpy.data.images["IRPSO leaf base_color"]
+    image.pixels[:4] = (0, 1, 0, 1)
+    with pytest.raises(InputError, match="image 'IRPSO leaf base_color' has unsaved changes; save it"):
+        write_to_shelf(Shelf(tmp_path / "library"), obj, "leaf")
+    assert image.is_dirty and tuple(image.pixels[:4]) == (0, 1, 0, 1)
+
+
+def test_an_image_whose_file_is_gone_is_named_and_the_others_stay_files(tmp_path):
+    obj = red_card(tmp_path)
+    (tmp_path / "IRPSO_leaf_normal.png").unlink()
+    before = counts()
+    with pytest.raises(InputError, match=r"image 'IRPSO leaf normal': .*IRPSO_leaf_normal\.png cannot be packed; find"):
+        write_to_shelf(Shelf(tmp_path / "library"), obj, "leaf")
+    assert counts() == before and not any(image.packed_files for image in bpy.data.images)
+    assert not list((tmp_path / "library").glob("*"))
+
+
 def test_a_catalog_is_made_once_and_others_stay(tmp_path):
     theirs = "# mine\nVERSION 1\n\n11111111-2222-3333-4444-555555555555:Stone/Marble:marble"
     (tmp_path / CATALOGS).write_text(theirs)
