@@ -12,6 +12,7 @@ import numpy as np
 from ...capture.images.exr import read_exr
 from ...core.encode import srgb_from_linear
 from ..scenes import cycles, table_top
+from ..scenes.true_surface import node_of
 from .material import TAG
 
 _SAMPLES = 32  # of a pixel
@@ -138,4 +139,5 @@ def _add_sky(scene: Any) -> None:
     ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = 0.0, _SKY
     tree.links.new(place.outputs["Generated"], parts.inputs["Vector"])
     tree.links.new(parts.outputs["Z"], ramp.inputs["Value"])
-    tree.links.new(ramp.outputs["Result"], tree.nodes["Background"].inputs["Strength"])
+    background = node_of(tree.nodes, "ShaderNodeBackground")
+    tree.links.new(ramp.outputs["Result"], background.inputs["Strength"])
