@@ -22,6 +22,7 @@ from ...exports.tile import tiled
 from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
 from ...geometry.domain import subset
 from ...geometry.surface.mesh import alone
+from ...pipeline.result import check_surface
 from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
@@ -206,6 +207,7 @@ def _subject(running: session.Session) -> Any:
     subject = running.subject()
     if subject is None:
         raise InputError(f"'{running.job.name}' has no object to export yet: press Keep first")
+    check_surface(running.job, subject)
     return subject
 
 
