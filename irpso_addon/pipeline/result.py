@@ -186,12 +186,12 @@ def check_surface(job: Job, subject: Any) -> None:
 
 
 def make_material(
-    job: Job, subject: Any, found: ResultMaps, height: Height | None, folder: Path | None = None
+    job: Job, subject: Any, found: ResultMaps, height: Height | None, folder: str | Path | None = None
 ) -> tuple[Any, Any]:
     """Assign the maps to their object as a material; return both. A card's object is created.
 
-    subject: from ``subject_of``. height: the relief that displaces the surface. folder: of pictures, None to pack them.
-    Raises InputError.
+    subject: from ``subject_of``. height: the relief that displaces the surface. folder: of pictures, as for
+    ``build_material``. Raises InputError.
     """
     maps = found.written
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)

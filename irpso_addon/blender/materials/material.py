@@ -39,7 +39,8 @@ def build_material(
 ):
     """Return the bpy material of a subject, created or updated, with its maps as images.
 
-    images_folder: of the image files; None packs them. uv_map: the mesh's UV map; "" is the active one.
+    images_folder: of the image files; one that begins with // lies beside the open file, and so do the images' paths.
+    None packs them. uv_map: the mesh's UV map; "" is the active one.
     The model's [material] chooses the ``shader``: "two_lobe", or "principled": image nodes drive the sockets of a
     Principled BSDF that the parameters name. Nodes of the user stay unchanged. height: displaces a fine enough mesh.
     Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
@@ -54,7 +55,7 @@ def build_material(
     try:
         with OwnNodes(material.node_tree) as nodes:
             surface, sockets = build(nodes, maps.model, uv_map)
-            folder = None if images_folder is None else Path(images_folder).resolve()
+            folder = None if images_folder is None else Path(bpy.path.abspath(str(images_folder))).absolute()
             images = material_images(maps, subject, folder)
             sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
             _connect(nodes, maps.model, sources, sockets)
@@ -63,6 +64,13 @@ def build_material(
             if height is not None:
                 nodes.link(displacement(nodes, maps, height, subject, folder, uv_map), output.inputs["Displacement"])
                 material.displacement_method = METHOD
+            if str(images_folder).startswith("//"):
+                for image in bpy.data.images:
+                    if (
+                        str(image.get(IMAGE_TAG, "")).startswith(f"{subject}/")
+                        and Path(image.filepath).parent == folder
+                    ):
+                        image.filepath = bpy.path.relpath(image.filepath)
     except InputError:
         if former is None:
             bpy.data.materials.remove(material)

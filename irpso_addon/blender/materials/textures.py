@@ -96,7 +96,7 @@ def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str, former
     sets = (
         {number: folder / f"{tile_stem(one, number, maps.tiles)}{suffix}" for number in maps.tiles} for one in stems
     )
-    paths = next(one for one in sets if all(path in own or not path.exists() for path in one.values()))
+    paths = next(one for one in sets if all(path.resolve() in own or not path.exists() for path in one.values()))
     for number, part in split_maps(maps):
         values = map_values(table, part)
         if table.fits_unit:

@@ -91,6 +91,28 @@ def test_pictures_beside_the_file_have_relative_paths_and_move_with_it(tmp_path)
     np.testing.assert_allclose(pixels(image), maps.values["base_color"], atol=4e-5)
 
 
+@pytest.mark.parametrize("tiles", [(1001,), tuple(range(1001, 1008))])
+def test_a_folder_beside_the_file_moves_with_it(tiles, tmp_path):
+    maps, (rows, columns) = replace(random_maps(load_model("lambert")), tiles=tiles), SHAPE
+    project = tmp_path / "a"
+    project.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(project / "icon.blend"))
+    for _ in range(2):
+        material = build_material(maps, "icon", "//maps/")
+    material.use_fake_user = True
+    number = "" if len(tiles) == 1 else ".<UDIM>"
+    found = {image.filepath.replace("\\", "/") for image in bpy.data.images}
+    assert found == {f"//maps/IRPSO_icon_{name}{number}.png" for name in ("base_color", "normal")}
+    assert len(list((project / "maps").iterdir())) == 2 * len(tiles)
+    bpy.ops.wm.save_mainfile()
+    project.rename(tmp_path / "b")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "icon.blend"))
+    image = bpy.data.images["IRPSO icon base_color"]
+    width = columns // len(tiles)
+    assert tuple(image.size) == (width, rows) and len(image.tiles) == len(tiles)
+    np.testing.assert_allclose(pixels(image), maps.values["base_color"][:, :width], atol=4e-5)
+
+
 def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
     model = load_model("lambert")
     build_material(random_maps(model, 0), "icon")
