@@ -30,8 +30,8 @@ class About:
 
 
 def recovered_slot(obj: Any) -> Any:
-    """Return the first recovered material of an object. Raises InputError where it has none."""
-    materials = (slot.material for slot in obj.material_slots)
+    """Return the recovered material of an object's active slot, else its first. Raises InputError where it has none."""
+    materials = (obj.active_material, *(slot.material for slot in obj.material_slots))
     recovered = next((material for material in materials if material is not None and TAG in material), None)
     if recovered is None:
         raise InputError(f"object '{obj.name}' has no recovered material")

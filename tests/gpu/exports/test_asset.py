@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.materials.asset import recovered_slot
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
@@ -146,6 +147,17 @@ def test_what_the_library_has_already_is_refused_and_kept(card, tmp_path):
     with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
         write_to_shelf(Shelf(tmp_path), card, "leaf")
     assert path.read_bytes() == kept
+
+
+def test_the_material_of_the_active_slot_is_saved_if_it_was_recovered(card):
+    first = card.material_slots[0].material
+    second, mine = first.copy(), bpy.data.materials.new("mine")
+    for material in (second, mine):
+        card.data.materials.append(material)
+    found = []
+    for card.active_material_index in range(3):
+        found.append(recovered_slot(card))
+    assert found == [first, second, first]
 
 
 def test_recover_and_export_write_assets(tmp_path):
