@@ -11,13 +11,13 @@ import numpy as np
 
 from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
+from ..blender.materials.surface_check import check_surface
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.optional import present
 from ..geometry.domain import Domain, subset
 from ..geometry.relief.height import Height
 from ..geometry.surface.bake import surface_bake
-from ..geometry.surface.slots import listed, slot_names
 from ..gpu import context
 from ..results.derived_map import DerivedMap, indirect_map
 from ..results.derived_maps import DerivedMaps, derived_maps
@@ -147,42 +147,9 @@ def subject_of(job: Job) -> Any:
         raise InputError(f"'{job.name}' has been deleted: undo that and keep again, or export the maps")
     if subject is not None:
         material.check_object(subject)
-        check_surface(job, subject)
+        if job.mesh is not None:
+            check_surface(subject, job.mesh, job.name)
     return subject
-
-
-def check_surface(job: Job, subject: Any) -> None:
-    """Raise InputError where the slots or the UV map of a mesh's maps are others than at the start of the recovery.
-
-    Materials tell whether slots have moved: one that lies elsewhere now, unless the maps' own material is in its place.
-    """
-    import bpy
-
-    if job.mesh is None:
-        return
-    before, slots = job.mesh.slots, subject.material_slots
-    now = slot_names(subject)
-    own = [slot.material is not None and slot.material.get(material.TAG) == job.name for slot in slots]
-    moved = [
-        slot
-        for slot in job.mesh.solved_slots
-        if slot < min(len(before), len(now))
-        and not own[slot]
-        and before[slot] != now[slot]
-        and (before[slot] in now or now[slot] in before)
-    ]
-    if moved or len(now) < len(before):
-        raise InputError(
-            f"the material slots of '{subject.name}' were {listed(before)} when its recovery began, and are"
-            f" {listed(now) or 'none'} now; restore their order, or recover again"
-        )
-    evaluated = subject.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    layers = {layer.name for data in (subject.data, evaluated.data) for layer in data.uv_layers}
-    if job.mesh.uv_map not in layers:
-        raise InputError(
-            f"'{subject.name}' has no UV map '{job.mesh.uv_map}' any more, in which its maps were recovered; give it"
-            " this name again, or recover again"
-        )
 
 
 def make_material(

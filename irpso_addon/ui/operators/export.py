@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
+from ...blender.materials.surface_check import check_surface
 from ...blender.occlusion import mesh_open_sky
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
@@ -22,7 +23,6 @@ from ...exports.tile import tiled
 from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
 from ...geometry.domain import subset
 from ...geometry.surface.mesh import alone
-from ...pipeline.result import check_surface
 from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
@@ -207,7 +207,8 @@ def _subject(running: session.Session) -> Any:
     subject = running.subject()
     if subject is None:
         raise InputError(f"'{running.job.name}' has no object to export yet: press Keep first")
-    check_surface(running.job, subject)
+    if running.job.mesh is not None:
+        check_surface(subject, running.job.mesh, running.job.name)
     return subject
 
 
