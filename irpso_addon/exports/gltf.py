@@ -34,7 +34,7 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
         surfaces[number], error = _surface(maps, stem, open_sky_of(result, index))
         if error is not None:
             report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
-    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces):
+    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces, result.mesh):
         report["warnings"] = warnings
     return report
 

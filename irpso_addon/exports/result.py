@@ -16,6 +16,7 @@ from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, tile_part, tile_stem
 from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
+from ..geometry.surface.mesh import MeshData
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
@@ -28,7 +29,7 @@ class Result:
 
     height: the relief, None if not requested. folder: of the result, None if it is only in memory. report: its own, {}
     in memory. card: whether the maps are a flat card's, not a mesh's. baked_sky: (H, W) ``mesh_open_sky`` of a mesh,
-    None if not requested.
+    None if not requested. mesh: the one of a session's maps, None for a card or a folder's result.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Result:
     report: Mapping[str, Any] = field(default_factory=dict)
     card: bool = True
     baked_sky: np.ndarray | None = None
+    mesh: MeshData | None = None
 
     @cached_property
     def open_sky(self) -> np.ndarray | float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
+from ..blender.materials.surface_check import check_surface
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.optional import present
@@ -146,16 +147,18 @@ def subject_of(job: Job) -> Any:
         raise InputError(f"'{job.name}' has been deleted: undo that and keep again, or export the maps")
     if subject is not None:
         material.check_object(subject)
+        if job.mesh is not None:
+            check_surface(subject, job.mesh, job.name)
     return subject
 
 
 def make_material(
-    job: Job, subject: Any, found: ResultMaps, height: Height | None, folder: Path | None = None
+    job: Job, subject: Any, found: ResultMaps, height: Height | None, folder: str | Path | None = None
 ) -> tuple[Any, Any]:
     """Assign the maps to their object as a material; return both. A card's object is created.
 
-    subject: from ``subject_of``. height: the relief that displaces the surface. folder: of pictures, None to pack them.
-    Raises InputError.
+    subject: from ``subject_of``. height: the relief that displaces the surface. folder: of pictures, as for
+    ``build_material``. Raises InputError.
     """
     maps = found.written
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)

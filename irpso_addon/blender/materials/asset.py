@@ -30,8 +30,8 @@ class About:
 
 
 def recovered_slot(obj: Any) -> Any:
-    """Return the first recovered material of an object. Raises InputError where it has none."""
-    materials = (slot.material for slot in obj.material_slots)
+    """Return the recovered material of an object's active slot, else its first. Raises InputError where it has none."""
+    materials = (obj.active_material, *(slot.material for slot in obj.material_slots))
     recovered = next((material for material in materials if material is not None and TAG in material), None)
     if recovered is None:
         raise InputError(f"object '{obj.name}' has no recovered material")
@@ -41,13 +41,17 @@ def recovered_slot(obj: Any) -> Any:
 def write_asset(path: Path, obj: Any, name: str, about: About, catalog: str) -> None:
     """Write the recovered material of an object into a .blend, as an asset with its maps packed; whole or not at all.
 
-    The open file stays as it is. catalog: UUID, "" for none. Raises InputError where ``path`` cannot be written.
+    The open file stays as it is. catalog: UUID, "" for none. Raises InputError where ``path`` cannot be written, or an
+    image has unsaved changes or no file.
     """
     import bpy
 
     material = recovered_slot(obj)
+    images = sorted(_images(material.node_tree), key=lambda image: image.name)
+    if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
+        raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
     picture = icon(obj, _SIDE)
-    with _copy_named(material, name) as copy, _packed(_images(copy.node_tree)):
+    with _copy_named(material, name) as copy, _packed(images):
         copy.asset_mark()
         known = copy.asset_data
         known.author, known.license, known.description = about.author, about.license, about.description
@@ -85,11 +89,17 @@ def _copy_named(material: Any, name: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _packed(images: Iterable[Any]) -> Iterator[None]:
-    """Pack images that are files; unpack them again afterwards."""
+    """Pack images that are files; unpack them again afterwards. Raises InputError where a file is missing."""
     files = [image for image in images if image.packed_file is None and image.source in ("FILE", "TILED")]
     try:
         for image in files:
-            image.pack()
+            try:
+                image.pack()
+            except RuntimeError as error:
+                raise InputError(
+                    f"image '{image.name}': {image.filepath} cannot be packed; find it by File › External Data › Find"
+                    " Missing Files"
+                ) from error
         yield
     finally:
         for image in files:

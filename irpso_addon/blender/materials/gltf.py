@@ -19,6 +19,7 @@ from ...core.errors import InputError
 from ...core.files import replacing_file
 from ...core.png import encode_png
 from ...core.udim import tile_place
+from ...geometry.surface.mesh import MeshData
 from ..colour_spaces import Use, use_space
 from ..mesh import mesh_of_faces
 from ..operators import quiet_operator, removed_afterwards
@@ -51,11 +52,14 @@ class Surface:
     occluded: bool = False
 
 
-def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) -> list[str]:
+def write_glb(
+    path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface], mesh: MeshData | None = None
+) -> list[str]:
     """Write an object of the open file as .glb, and return warnings. surfaces: by UDIM tile.
 
-    Pictures have 8 bits. Slots with a recovered material get these surfaces, other slots keep their materials.
-    The open file stays unchanged. Raises InputError.
+    mesh: the one that the maps were recovered on; its solved slots get these surfaces, in its UV map. None: all slots
+    with a recovered material, in the active UV map. Other slots keep their materials. Pictures have 8 bits. The open
+    file stays unchanged. Raises InputError.
     """
     import bpy
 
@@ -67,7 +71,7 @@ def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) 
         extension = "EXTEND" if TAG in obj else "REPEAT"
         materials = {n: _material(made, one, Path(temporary), extension) for n, one in surfaces.items()}
         with _undivided(obj):
-            copy = _triangles(made, obj, name, materials)
+            copy = _triangles(made, obj, name, materials, mesh)
         for other in bpy.context.view_layer.objects:
             other.select_set(other == copy)
         bpy.context.view_layer.objects.active = copy
@@ -219,7 +223,7 @@ def _occlusion_group(made: list[Any]) -> Any:
     return group
 
 
-def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any]) -> Any:
+def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any], recovered_on: MeshData | None) -> Any:
     """Return a copy of an object, in triangles, with the materials of its UDIM tiles; other slots stay.
 
     The maps' tangents are those of Blender's triangles; for quads the exporter would compute others.
@@ -231,18 +235,21 @@ def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any]) 
         obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
     )
     made.append(source)
-    if source.uv_layers.active is None:
-        raise InputError(f"object '{obj.name}' has no UV map; the maps cannot be shown on it")
+    layer = source.uv_layers.active if recovered_on is None else source.uv_layers.get(recovered_on.uv_map)
+    if layer is None:
+        missing = "UV map" if recovered_on is None else f"UV map '{recovered_on.uv_map}'"
+        raise InputError(f"object '{obj.name}' has no {missing}; the maps cannot be shown on it")
     source.calc_loop_triangles()
     count = len(source.loop_triangles)
     loops, vertices = (_read(source.loop_triangles, name, 3 * count, np.int32) for name in ("loops", "vertices"))
     slots = _read(source.loop_triangles, "material_index", count, np.int32)
-    uvs = _read(source.uv_layers.active.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
+    uvs = _read(layer.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
     normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
     corners = np.reshape(vertices, (-1, 3))
     mesh = mesh_of_faces(name, _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3), corners)
     made.append(mesh)
-    is_recovered = [_recovered(slot) for slot in obj.material_slots]
+    chosen = recovered_slots(obj) if recovered_on is None else recovered_on.solved_slots
+    is_recovered = [index in chosen for index in range(len(obj.material_slots))]
     is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
     recovered = is_recovered[np.minimum(slots, len(is_recovered) - 1)]
     originals = [slot.material for slot in obj.material_slots]

@@ -39,7 +39,8 @@ def build_material(
 ):
     """Return the bpy material of a subject, created or updated, with its maps as images.
 
-    images_folder: of the image files; None packs them. uv_map: the mesh's UV map; "" is the active one.
+    images_folder: of the image files; one that begins with // lies beside the open file, and so do the images' paths.
+    None packs them. uv_map: the mesh's UV map; "" is the active one.
     The model's [material] chooses the ``shader``: "two_lobe", or "principled": image nodes drive the sockets of a
     Principled BSDF that the parameters name. Nodes of the user stay unchanged. height: displaces a fine enough mesh.
     Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
@@ -54,7 +55,7 @@ def build_material(
     try:
         with OwnNodes(material.node_tree) as nodes:
             surface, sockets = build(nodes, maps.model, uv_map)
-            folder = None if images_folder is None else Path(images_folder).resolve()
+            folder = None if images_folder is None else Path(bpy.path.abspath(str(images_folder))).absolute()
             images = material_images(maps, subject, folder)
             sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
             _connect(nodes, maps.model, sources, sockets)
@@ -63,6 +64,13 @@ def build_material(
             if height is not None:
                 nodes.link(displacement(nodes, maps, height, subject, folder, uv_map), output.inputs["Displacement"])
                 material.displacement_method = METHOD
+            if str(images_folder).startswith("//"):
+                for image in bpy.data.images:
+                    if (
+                        str(image.get(IMAGE_TAG, "")).startswith(f"{subject}/")
+                        and Path(image.filepath).parent == folder
+                    ):
+                        image.filepath = bpy.path.relpath(image.filepath)
     except InputError:
         if former is None:
             bpy.data.materials.remove(material)
@@ -70,16 +78,23 @@ def build_material(
     return material
 
 
-def subject_name(name: str, origin: str) -> str:
-    """Return a subject name for a recovery from ``origin``: ``name``, numbered where another origin uses it.
+def subject_name(name: str, origin: str, obj=None) -> str:
+    """Return a subject name for a recovery from ``origin``: ``name``, numbered where another recovery uses it.
 
-    Two captures may lie in folders of one name, and a mesh may have that name too: none may take another's maps.
+    Two captures may lie in folders of one name, and a mesh may have that name too: none may take another's maps. obj:
+    the mesh object. A name is also taken where only other objects show its material: one may have been renamed.
     """
     import bpy
 
-    taken = {made[TAG]: made.get(ORIGIN, origin) for made in bpy.data.materials if TAG in made}
+    def is_free(name: str) -> bool:
+        made = [material for material in bpy.data.materials if material.get(TAG) == name]
+        users = [one for one in bpy.data.objects if any(slot.material in made for slot in one.material_slots)]
+        return all(material.get(ORIGIN, origin) == origin for material in made) and (
+            obj is None or not users or obj in users
+        )
+
     numbered = (name if number == 0 else f"{name}.{number:03d}" for number in itertools.count())
-    return next(free for free in numbered if taken.get(free, origin) == origin)
+    return next(free for free in numbered if is_free(free))
 
 
 def slots_subject(obj, slots: Sequence[int]) -> str:
@@ -186,18 +201,19 @@ def subject_object(uid: int | None, subject: str):
     return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
 
 
-def card_object(subject: str, height: int, width: int, displaced: bool = False):
+def card_object(subject: str, height: int, width: int, displaced: bool | None = False):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
     A tag identifies it later. It takes the maps' proportions unless the user has edited its mesh; a new one is linked
-    into the scene's collection. displaced: subdivide it to show a relief.
+    into the scene's collection. displaced: subdivide it to show a relief; None keeps the former subdivision.
     """
     import bpy
 
     x, y = 0.5, 0.5 * height / width
     if (found := find_card(subject)) is not None:
         _give_height(found.data, x, y)
-        divide(found, max(height, width) if displaced else 0)
+        if displaced is not None:
+            divide(found, max(height, width) if displaced else 0)
         return found
     mesh = bpy.data.meshes.new(f"IRPSO {subject}")
     mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])

@@ -28,8 +28,12 @@ class OwnNodes:
 
     def __init__(self, tree):
         self._tree = tree
-        self._found = {node[TAG]: node for node in tree.nodes if TAG in node}
+        self._found: dict[str, Any] = {}
         self._used: set[str] = set()
+        tagged = [node for node in tree.nodes if TAG in node]
+        for node in sorted(tagged, key=lambda node: node.name != f"IRPSO {node[TAG]}"):
+            if self._found.setdefault(node[TAG], node) != node:  # the user's copy of a node copies its tag
+                del node[TAG]
 
     def __enter__(self) -> OwnNodes:
         return self

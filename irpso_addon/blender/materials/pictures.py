@@ -12,6 +12,7 @@ import numpy as np
 from ...capture.images.exr import read_exr
 from ...core.encode import srgb_from_linear
 from ..scenes import cycles, table_top
+from ..scenes.true_surface import node_of
 from .material import TAG
 
 _SAMPLES = 32  # of a pixel
@@ -65,7 +66,12 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], rotations: Sequen
     pictures = []
     temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)  # Blender also removes it when the process is ended
     with table_top.own_scene("IRPSO pictures") as scene, temporary as folder:
-        scene.collection.objects.link(obj)
+        # A copy: constraints, a parent or an animation would move the object away from the places given here.
+        placeable = obj.copy()
+        placeable.parent = None
+        placeable.constraints.clear()
+        placeable.animation_data_clear()
+        scene.collection.objects.link(placeable)
         corners = [_extent(obj, axes, place) for place in placed]
         low, high = (np.array(ends) for ends in zip(*corners, strict=True))
         _add_camera(scene, axes, low.min(axis=0), high.max(axis=0))
@@ -75,13 +81,10 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], rotations: Sequen
         cycles.place_lamp(lamp, np.array(axes) @ np.array(_LAMP) / np.linalg.norm(_LAMP))
         cycles.set_up(scene, cycles.View(side, side, samples=_SAMPLES))
         rendered = Path(folder) / "picture.exr"
-        try:
-            for place in placed:
-                obj.matrix_world = place
-                cycles.render_radiance(scene, rendered)
-                pictures.append(_displayed(rendered))
-        finally:
-            obj.matrix_world = before
+        for place in placed:
+            placeable.matrix_world = place
+            cycles.render_radiance(scene, rendered)
+            pictures.append(_displayed(rendered))
     return pictures
 
 
@@ -136,4 +139,5 @@ def _add_sky(scene: Any) -> None:
     ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = 0.0, _SKY
     tree.links.new(place.outputs["Generated"], parts.inputs["Vector"])
     tree.links.new(parts.outputs["Z"], ramp.inputs["Value"])
-    tree.links.new(ramp.outputs["Result"], tree.nodes["Background"].inputs["Strength"])
+    background = node_of(tree.nodes, "ShaderNodeBackground")
+    tree.links.new(ramp.outputs["Result"], background.inputs["Strength"])

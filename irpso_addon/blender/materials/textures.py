@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +35,7 @@ def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, 
         for table in tables:
             where = Path(temporary) if folder is None else folder
             name = bpy_name(subject, table.name)
-            paths = _write_pictures(maps, table, where, name)
+            paths = _write_pictures(maps, table, where, name, images[table.name])
             images[table.name] = _update_image(images[table.name], name, paths, table, packed=folder is None)
             images[table.name][TAG] = f"{subject}/{table.name}"
     return images
@@ -45,8 +46,8 @@ def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: 
     table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that exceeds PNG's
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
         where, title = Path(temporary) if folder is None else folder, bpy_name(subject, name)
-        paths = _write_pictures(replace(maps, values={name: values}), table, where, title)
         former = own_block("image", TAG, f"{subject}/{name}")
+        paths = _write_pictures(replace(maps, values={name: values}), table, where, title, former)
         image = _update_image(former, title, paths, table, packed=folder is None)
     image[TAG] = f"{subject}/{name}"
     return image
@@ -80,22 +81,39 @@ def own_block(kind: Literal["image", "material"], tag: str, value: str) -> Any:
     return local[0] if local else None
 
 
-def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str) -> dict[int, Path]:
-    """Write a map; return UDIM tile number → file."""
+def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str, former: Any) -> dict[int, Path]:
+    """Write a map; return UDIM tile number → file. former: the image that the map had, or None; its files are replaced.
+
+    Other files stay: another .blend, or another subject of a similar name, may show them.
+    """
     stem = "".join(c if c.isalnum() or c in "_- " else "_" for c in name).replace(" ", "_")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another folder") from error
-    paths = {}
+    suffix, own = ".png" if table.fits_unit else ".exr", _files(former)
+    stems = (stem if number == 0 else f"{stem}_{number}" for number in itertools.count())
+    sets = (
+        {number: folder / f"{tile_stem(one, number, maps.tiles)}{suffix}" for number in maps.tiles} for one in stems
+    )
+    paths = next(one for one in sets if all(path.resolve() in own or not path.exists() for path in one.values()))
     for number, part in split_maps(maps):
         values = map_values(table, part)
-        paths[number] = folder / f"{tile_stem(stem, number, maps.tiles)}{'.png' if table.fits_unit else '.exr'}"
         if table.fits_unit:
             encode_png(paths[number], encoded_values(table, values), bits=16)
         else:
             write_exr(paths[number], {"": exr_channels(values)})
     return paths
+
+
+def _files(image: Any) -> set[Path]:
+    """Return the files that an image shows; none where it is packed or None."""
+    import bpy
+
+    if image is None or image.packed_files or not image.filepath:
+        return set()
+    path = Path(bpy.path.abspath(image.filepath)).resolve()
+    return {path.with_name(path.name.replace(PATTERN, str(tile.number))) for tile in image.tiles}
 
 
 def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, packed: bool):

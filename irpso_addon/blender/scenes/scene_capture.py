@@ -39,7 +39,8 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
     if not lights:
         raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")
     store = ImageStore(decode)
-    seen_by: dict[str, list[tuple[Any, Photograph]]] = {}
+    # By session number: linked objects may have the names of local ones.
+    by_camera: dict[int, tuple[Any, list[tuple[Any, Photograph]]]] = {}
     vectors, why = {}, {}
     for obj in lights:
         yield
@@ -50,30 +51,35 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
         except CaptureError as error:
             if not skip_damaged or error.code not in DAMAGE:
                 raise
-            why[obj.name] = error.message
+            why[obj.session_uid] = error.message
             continue
-        vectors[obj.name] = light_of(obj)
-        seen_by.setdefault(_camera_object(obj, scene).name, []).append((obj, photograph))
+        vectors[obj.session_uid] = light_of(obj)
+        camera = _camera_object(obj, scene)
+        by_camera.setdefault(camera.session_uid, (camera, []))[1].append((obj, photograph))
+    seen_by = sorted(by_camera.values(), key=lambda one: natural(one[0].name))
     if skip_damaged:
-        odd = {obj.name: error.message for name, pairs in seen_by.items() for obj, error in _odd_sizes(pairs, name)}
-        seen_by = {name: [pair for pair in pairs if pair[0].name not in odd] for name, pairs in seen_by.items()}
-        vectors = {name: light for name, light in vectors.items() if name not in odd}
-        why |= odd
-    if not vectors:
+        for camera, pairs in seen_by:
+            odd = {obj.session_uid: error.message for obj, error in _odd_sizes(pairs, camera.name)}
+            pairs[:] = [pair for pair in pairs if pair[0].session_uid not in odd]
+            why |= odd
+    photographs = {
+        obj.session_uid: (index, photograph) for index, (_, pairs) in enumerate(seen_by) for obj, photograph in pairs
+    }
+    if not photographs:
         raise InputError(f"{next(iter(why.values()))} (the photographs of all lights are unusable)")
-    left_out = tuple(LeftOut(n, obj.name, why[obj.name]) for n, obj in enumerate(lights) if obj.name in why)
-    names = sorted(seen_by, key=natural)
+    left_out = tuple(
+        LeftOut(n, obj.name, why[obj.session_uid]) for n, obj in enumerate(lights) if obj.session_uid in why
+    )
     cameras, masks = [], []
-    for name in names:
+    for camera, pairs in seen_by:
         yield
-        camera = bpy.data.objects[name]
-        cameras.append(_camera(camera, *_common_size(seen_by[name], name), scene))
+        cameras.append(_camera(camera, *_common_size(pairs, camera.name), scene))
         masks.append(_mask(camera, cameras[-1], store))
-    photographs = {obj.name: (names.index(name), p) for name, pairs in seen_by.items() for obj, p in pairs}
     observations = tuple(
-        Observation(name, lambda p=photograph: p.read().bounds, light, camera, photograph.coarse)
-        for name, light in vectors.items()
-        for camera, photograph in (photographs[name],)
+        Observation(obj.name, lambda p=photograph: p.read().bounds, vectors[obj.session_uid], camera, photograph.coarse)
+        for obj in lights
+        if obj.session_uid in photographs
+        for camera, photograph in (photographs[obj.session_uid],)
     )
     return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks), left_out=left_out)
 

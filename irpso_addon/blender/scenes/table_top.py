@@ -10,9 +10,11 @@ import numpy as np
 
 from ...capture.camera import Camera
 from .true_surface import (
+    PRINCIPLED,
     TrueMaps,
     blank_material,
     grid_quads,
+    node_of,
     smooth_mesh,
     texture_node,
     true_material,
@@ -21,6 +23,7 @@ from .true_surface import (
 )  # fmt: skip
 
 SUBJECT = "subject"  # AOV: 1 on the relief
+_OUTPUT = "ShaderNodeOutputMaterial"
 _KINDS = ("objects", "meshes", "cameras", "lights", "materials", "images", "worlds", "scenes")
 _ROOM = 0.003  # radiance of the dark room
 _BLIND, _BLIND_RADIANCE = ((-900.0, 1300.0, 1500.0), 420.0, 620.0), 0.12  # a window behind a blind: place, size
@@ -91,7 +94,7 @@ def add_print(
     diffuse = nodes.new("ShaderNodeBsdfDiffuse")
     link = material.node_tree.links.new
     link(texture_node(nodes, "print", picture, "Closest").outputs["Color"], diffuse.inputs["Color"])
-    link(diffuse.outputs["BSDF"], nodes["Material Output"].inputs["Surface"])
+    link(diffuse.outputs["BSDF"], node_of(nodes, _OUTPUT).inputs["Surface"])
     made.data.materials.append(material)
 
 
@@ -103,7 +106,7 @@ def add_ball(scene: Any, middle: np.ndarray, radius: float) -> None:
     quads = grid_quads(193, 385)[:, ::-1]
     made = smooth_mesh(scene, "ball", places, quads, np.zeros((len(places), 2)))
     material, nodes = blank_material("steel")
-    shader = nodes["Principled BSDF"]
+    shader = node_of(nodes, PRINCIPLED)
     shader.inputs["Base Color"].default_value = (*_STEEL, 1)
     shader.inputs["Metallic"].default_value, shader.inputs["Roughness"].default_value = 1.0, 0.06
     made.data.materials.append(material)
@@ -125,17 +128,18 @@ def add_room(scene: Any, size: float) -> None:
     material, nodes = blank_material("blind")
     glow = nodes.new("ShaderNodeEmission")
     glow.inputs["Strength"].default_value = _BLIND_RADIANCE
-    material.node_tree.links.new(glow.outputs["Emission"], nodes["Material Output"].inputs["Surface"])
+    material.node_tree.links.new(glow.outputs["Emission"], node_of(nodes, _OUTPUT).inputs["Surface"])
     blind.data.materials.append(material)
     scene.world = bpy.data.worlds.new("room")
     scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (_ROOM, _ROOM, _ROOM, 1)
+    background = node_of(scene.world.node_tree.nodes, "ShaderNodeBackground")
+    background.inputs["Color"].default_value = (_ROOM, _ROOM, _ROOM, 1)
 
 
 def _cloth() -> Any:
     """Return the material of a dark felt: mottled, and rough with fibres."""
     material, nodes = blank_material("cloth")
-    link, shader = material.node_tree.links.new, nodes["Principled BSDF"]
+    link, shader = material.node_tree.links.new, node_of(nodes, PRINCIPLED)
     place = nodes.new("ShaderNodeTexCoord").outputs["Object"]
     mix = nodes.new("ShaderNodeMix")
     mix.data_type = "RGBA"

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..mesh import mesh_of_faces
 
+PRINCIPLED = "ShaderNodeBsdfPrincipled"
 TRUTHS = ("base_color", "roughness", "metallic")  # AOVs that every true material writes
 
 
@@ -34,7 +35,7 @@ def true_material(truth: TrueMaps, flat: bool = False) -> Any:
     Cycles, which darkens normals that face away from the plane and so departs from the maps' own model.
     """
     material, nodes = blank_material("truth")
-    link, shader = material.node_tree.links.new, nodes["Principled BSDF"]
+    link, shader = material.node_tree.links.new, node_of(nodes, PRINCIPLED)
     shader.distribution = "GGX"
     material.cycles.use_bump_map_correction = not flat
     named = {name: getattr(truth, name) for name in ("base_color", "roughness", "metallic", "specular")}
@@ -63,9 +64,14 @@ def blank_material(name: str) -> tuple[Any, Any]:
     return material, material.node_tree.nodes
 
 
+def node_of(nodes: Any, kind: str) -> Any:
+    """Return the first node of a kind (``bl_idname``). Blender may translate the names of new nodes."""
+    return next(node for node in nodes if node.bl_idname == kind)
+
+
 def wire_truths(material: Any, colour: Any, roughness: Any, metallic: Any = None) -> None:
     """Link sockets to the Principled node and to the AOVs that hold the truth."""
-    shader = material.node_tree.nodes["Principled BSDF"]
+    shader = node_of(material.node_tree.nodes, PRINCIPLED)
     sockets = zip(TRUTHS, ("Base Color", "Roughness", "Metallic"), (colour, roughness, metallic), strict=True)
     for truth, name, socket in sockets:
         if socket is None:

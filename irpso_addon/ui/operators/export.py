@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
+from ...blender.materials.surface_check import check_surface
 from ...blender.occlusion import mesh_open_sky
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
@@ -159,9 +160,10 @@ class IRPSO_OT_export(bpy.types.Operator):
         found = current_maps(
             running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded))
         )
-        result = Result(file_stem(running.job.name), found.written, found.height, card=card)
+        job = running.job
+        result = Result(file_stem(job.name), found.written, found.height, card=card, mesh=job.mesh)
         if occluded and not card:
-            result = replace(result, baked_sky=mesh_open_sky(alone(running.job.mesh), result.maps))
+            result = replace(result, baked_sky=mesh_open_sky(alone(job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
         text = rpt("{what} written to {name}", what=FORMATS[self.format][0], name=report["output"])
@@ -205,6 +207,8 @@ def _subject(running: session.Session) -> Any:
     subject = running.subject()
     if subject is None:
         raise InputError(f"'{running.job.name}' has no object to export yet: press Keep first")
+    if running.job.mesh is not None:
+        check_surface(subject, running.job.mesh, running.job.name)
     return subject
 
 

@@ -282,7 +282,8 @@ class CreateScene(bpy.types.Operator):
         if on_card:
             settings.card_distance = capture.card_distance or 0.0  # so that This Scene gives the same capture
             rows, columns = part.masks[0].shape
-            card = material.card_object(capture.name, rows, columns)
+            subject = material.subject_name(capture.name, str(capture.source))  # as a recovery of this capture
+            card = material.card_object(subject, rows, columns, displaced=None)
             if is_automatic(card):  # the user has not moved it
                 place_card(card, part.cameras[0], depth)
             if context.window is not None:

@@ -113,7 +113,7 @@ def make_job(context) -> SceneJob:
         mesh = mesh_of(settings, obj)
     origin = _MESH if obj is not None else str(capture.source or context.scene.name)
     name = capture.name if obj is None else obj.name if slots is None else material.slots_subject(obj, slots)
-    name = material.subject_name(name, origin)
+    name = material.subject_name(name, origin, obj)
     material.check_material(model, name)
     size = capture.masks[0].shape[::-1] if mesh is None else mesh.domain_size(*[settings.resolution] * 2)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles

@@ -108,8 +108,9 @@ def _keep(context, running: session.Session) -> str:
     job = running.job
     former = result.subject_of(job)
     found = current_maps(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
-    folder = preferences.current(context).folder()
-    made_material, subject = result.make_material(job, former, found, found.height, folder)
+    wanted = preferences.current(context)
+    folder = wanted.folder()
+    made_material, subject = result.make_material(job, former, found, found.height, wanted.output_folder or None)
     made_material[material.ORIGIN], made_material[material.STAMP] = job.origin, running.stamp
     if job.mesh is None:
         if former is None:

@@ -152,6 +152,22 @@ def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_
     assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
 
 
+def test_copies_of_nodes_are_the_users_own():
+    tree = build_material(random_maps(load_model("principled")), "icon").node_tree
+    copies = {}
+    for role in ("map roughness", "look"):
+        old = tree.nodes[f"IRPSO {role}"]
+        copies[role] = tree.nodes.new(old.bl_idname)
+        copies[role]["irpso_role"] = old["irpso_role"]
+    copies["look"].location = (11, 22)
+    before = links(tree)
+    build_material(random_maps(load_model("principled"), 1), "icon")
+    assert links(tree) == before
+    assert not any(output.is_linked for node in copies.values() for output in node.outputs)
+    build_material(random_maps(load_model("lambert"), 1), "icon")
+    assert set(copies.values()) <= set(tree.nodes) and tuple(copies["look"].location) == (11, 22)
+
+
 def test_gloss_and_relief_set_by_the_user_survive_a_second_run_and_a_change_of_model():
     material = build_material(random_maps(load_model("principled")), "icon")
     inputs = material.node_tree.nodes["IRPSO look"].inputs
@@ -298,3 +314,20 @@ def test_maps_from_another_capture_get_a_new_name():
     build_material(found, "icon.001")[ORIGIN] = "/b/icon"
     assert subject_name("icon", "/b/icon") == "icon.001"
     assert subject_name("icon", "mesh") == "icon.002"
+
+
+def test_a_mesh_does_not_take_the_material_of_a_renamed_mesh():
+    first = bpy.data.objects.new("Vase", bpy.data.meshes.new("clay"))
+    made = build_material(random_maps(load_model("lambert")), "Vase")
+    made[ORIGIN] = "mesh"
+    apply_material(first, made)
+    apply_material(bpy.data.objects.new("Copy", bpy.data.meshes.new("clay copy")), made.copy())
+    assert subject_name("Vase", "mesh", first) == "Vase"
+    first.name = "Pot"
+    second = bpy.data.objects.new("Vase", bpy.data.meshes.new("glass"))
+    assert subject_name("Vase", "mesh", second) == "Vase.001"
+    made = build_material(random_maps(load_model("lambert"), 1), "Vase.001")
+    made[ORIGIN] = "mesh"
+    apply_material(second, made)
+    assert subject_name("Vase", "mesh", second) == "Vase.001"
+    assert subject_name("Vase", "mesh", first) == "Vase"

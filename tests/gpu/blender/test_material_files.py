@@ -1,6 +1,7 @@
 """The material in .blend files: linked libraries, saving, packed pictures and pictures beside the file."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -90,6 +91,28 @@ def test_pictures_beside_the_file_have_relative_paths_and_move_with_it(tmp_path)
     np.testing.assert_allclose(pixels(image), maps.values["base_color"], atol=4e-5)
 
 
+@pytest.mark.parametrize("tiles", [(1001,), tuple(range(1001, 1008))])
+def test_a_folder_beside_the_file_moves_with_it(tiles, tmp_path):
+    maps, (rows, columns) = replace(random_maps(load_model("lambert")), tiles=tiles), SHAPE
+    project = tmp_path / "a"
+    project.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(project / "icon.blend"))
+    for _ in range(2):
+        material = build_material(maps, "icon", "//maps/")
+    material.use_fake_user = True
+    number = "" if len(tiles) == 1 else ".<UDIM>"
+    found = {image.filepath.replace("\\", "/") for image in bpy.data.images}
+    assert found == {f"//maps/IRPSO_icon_{name}{number}.png" for name in ("base_color", "normal")}
+    assert len(list((project / "maps").iterdir())) == 2 * len(tiles)
+    bpy.ops.wm.save_mainfile()
+    project.rename(tmp_path / "b")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "icon.blend"))
+    image = bpy.data.images["IRPSO icon base_color"]
+    width = columns // len(tiles)
+    assert tuple(image.size) == (width, rows) and len(image.tiles) == len(tiles)
+    np.testing.assert_allclose(pixels(image), maps.values["base_color"][:, :width], atol=4e-5)
+
+
 def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
     model = load_model("lambert")
     build_material(random_maps(model, 0), "icon")
@@ -105,6 +128,31 @@ def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
     np.testing.assert_allclose(pixels(image), second.values["base_color"], atol=4e-5)
     build_material(third, "icon")
     np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
+
+
+def test_maps_in_a_folder_replace_only_their_own_files(tmp_path):
+    first, second, third = (random_maps(load_model("lambert"), seed) for seed in range(3))
+    build_material(first, "Wall.001", tmp_path)
+    build_material(second, "Wall_001", tmp_path)
+    images = bpy.data.images
+    for _ in range(2):  # a file of its own is replaced
+        build_material(third, "Wall_001", tmp_path)
+    assert len(list(tmp_path.iterdir())) == len(images) == 4
+    np.testing.assert_allclose(pixels(images["IRPSO Wall.001 base_color"]), first.values["base_color"], atol=4e-5)
+    np.testing.assert_allclose(pixels(images["IRPSO Wall_001 base_color"]), third.values["base_color"], atol=4e-5)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # another .blend with the same Output Folder
+    build_material(second, "Wall.001", tmp_path)
+    assert Path(bpy.data.images["IRPSO Wall.001 base_color"].filepath).name == "IRPSO_Wall_001_base_color_2.png"
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_tiles_in_a_folder_replace_only_their_own_files(tmp_path):
+    maps = replace(random_maps(load_model("lambert")), tiles=(1001, 1002, 1011, 1012, 1021, 1022, 1031))
+    for subject in ("Wall.001", "Wall_001", "Wall.001"):
+        build_material(maps, subject, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2 * 2 * 7
+    assert (tmp_path / "IRPSO_Wall_001_normal_1.1031.png").exists()
 
 
 def test_a_file_that_cannot_be_saved_is_refused_and_nothing_is_left(tmp_path):

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.materials.asset import recovered_slot
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
@@ -79,6 +80,25 @@ def test_the_library_has_the_material_with_maps_preview_and_words_and_the_open_f
     assert linear[1] / linear[0] == pytest.approx(RED[1] / RED[0], abs=0.03)
 
 
+def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, tmp_path):
+    anchor = bpy.data.objects.new("anchor", None)
+    bpy.context.collection.objects.link(anchor)
+    anchor.location = (5, 6, 7)
+    follow = card.constraints.new("COPY_LOCATION")
+    follow.target, follow.use_offset = anchor, True
+    card.location, card.rotation_euler, card.scale = (0, 0, 3), (0, 0, 7), (-1, 1, 1)
+    bpy.context.view_layer.update()
+    before = tuple(np.array(values) for values in (card.location, card.rotation_euler, card.scale, card.matrix_world))
+    assert before[3][:3, 3].tolist() == [5, 6, 10]
+    path = write_to_shelf(Shelf(tmp_path), card, "leaf")
+    bpy.context.view_layer.update()
+    after = (card.location, card.rotation_euler, card.scale, card.matrix_world)
+    for old, new in zip(before, after, strict=True):
+        np.testing.assert_array_equal(new, old)
+    alpha = np.array(loaded(path).preview.image_pixels_float[:]).reshape(256, 256, 4)[..., 3]
+    assert alpha[128, 128] == 1 and np.ptp(np.nonzero(alpha > 0.5)[1]) > 225
+
+
 def test_pictures_in_files_stay_files(tmp_path):
     obj = red_card(tmp_path)
     pictures = {path: path.read_bytes() for path in tmp_path.glob("*.*")}
@@ -89,6 +109,25 @@ def test_pictures_in_files_stay_files(tmp_path):
         assert not bpy.data.images[name].packed_files and bpy.data.images[name].filepath == path
     nodes = loaded(tmp_path / "library" / "leaf.blend").node_tree.nodes
     assert all(node.image.packed_file for node in nodes if node.type == "TEX_IMAGE")
+
+
+def test_a_painted_image_that_is_not_saved_stays_painted_and_is_refused(tmp_path):
+    obj = red_card(tmp_path)
+    image = bpy.data.images["IRPSO leaf base_color"]
+    image.pixels[:4] = (0, 1, 0, 1)
+    with pytest.raises(InputError, match="image 'IRPSO leaf base_color' has unsaved changes; save it"):
+        write_to_shelf(Shelf(tmp_path / "library"), obj, "leaf")
+    assert image.is_dirty and tuple(image.pixels[:4]) == (0, 1, 0, 1)
+
+
+def test_an_image_whose_file_is_gone_is_named_and_the_others_stay_files(tmp_path):
+    obj = red_card(tmp_path)
+    (tmp_path / "IRPSO_leaf_normal.png").unlink()
+    before = counts()
+    with pytest.raises(InputError, match=r"image 'IRPSO leaf normal': .*IRPSO_leaf_normal\.png cannot be packed; find"):
+        write_to_shelf(Shelf(tmp_path / "library"), obj, "leaf")
+    assert counts() == before and not any(image.packed_files for image in bpy.data.images)
+    assert not list((tmp_path / "library").glob("*"))
 
 
 def test_a_catalog_is_made_once_and_others_stay(tmp_path):
@@ -108,6 +147,17 @@ def test_what_the_library_has_already_is_refused_and_kept(card, tmp_path):
     with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
         write_to_shelf(Shelf(tmp_path), card, "leaf")
     assert path.read_bytes() == kept
+
+
+def test_the_material_of_the_active_slot_is_saved_if_it_was_recovered(card):
+    first = card.material_slots[0].material
+    second, mine = first.copy(), bpy.data.materials.new("mine")
+    for material in (second, mine):
+        card.data.materials.append(material)
+    found = []
+    for card.active_material_index in range(3):
+        found.append(recovered_slot(card))
+    assert found == [first, second, first]
 
 
 def test_recover_and_export_write_assets(tmp_path):

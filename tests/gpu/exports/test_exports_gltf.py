@@ -1,6 +1,7 @@
 """glTF read back by its chunks, as its specification describes them, and shaded as viewers do."""
 
 import functools
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from mathutils import Matrix, Quaternion
 
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
+from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.core.errors import InputError
 from irpso_addon.exports import gltf
 from irpso_addon.exports.result import Result
 from irpso_addon.geometry.relief.height import Height
@@ -174,3 +177,32 @@ def test_textures_of_a_card_end_at_its_borders(card, mode, tmp_path):
     for texture in table["textures"]:
         sampler = table["samplers"][texture["sampler"]] if "sampler" in texture else {}
         assert {sampler.get(key, 10497) for key in ("wrapS", "wrapT")} == {mode}
+
+
+def test_the_maps_of_a_session_go_on_its_slots_in_its_uv_map(tmp_path):
+    result, obj = on_a_sheet("principled", texels=32)
+    other = build_material(result.maps, "recovered before")
+    obj.data.materials.append(other)
+    slots = np.arange(len(obj.data.polygons)) % 2
+    obj.data.polygons.foreach_set("material_index", slots.astype(np.int32))
+    bpy.context.view_layer.update()
+    mesh = extract_mesh(obj, [1])
+    wrong = obj.data.uv_layers.new(name="Another")
+    wrong.uv.foreach_set("vector", np.full(2 * len(obj.data.loops), 0.25, np.float32))
+    obj.data.uv_layers.active = wrong
+    bpy.context.view_layer.update()
+    gltf.write_gltf(replace(result, card=False, mesh=mesh), tmp_path / "leaf.glb", obj)
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    names = [table["materials"][part["material"]]["name"] for part in table["meshes"][0]["primitives"]]
+    assert sorted(names) == ["IRPSO leaf", "leaf"]
+    part = table["meshes"][0]["primitives"][names.index("leaf")]
+    corners = accessor(table, binary, part["indices"]).ravel()
+    uvs = accessor(table, binary, part["attributes"]["TEXCOORD_0"])[corners] * (1, -1) + (0, 1)
+    wanted = mesh.uvs[mesh.solved].reshape(-1, 2)
+    assert len(uvs) == len(wanted)
+    np.testing.assert_allclose(np.unique(uvs.round(4), axis=0), np.unique(wanted.round(4), axis=0), atol=2e-4)
+    obj.data.uv_layers.remove(obj.data.uv_layers["UVMap"])
+    obj.data.update_tag()
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="has no UV map 'UVMap'"):
+        gltf.write_gltf(replace(result, card=False, mesh=mesh), tmp_path / "again.glb", obj)

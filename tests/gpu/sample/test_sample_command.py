@@ -10,6 +10,7 @@ bpy = pytest.importorskip("bpy", reason="renders with Cycles")
 PIL = pytest.importorskip("PIL.Image")
 
 from irpso_addon.blender.images import decode  # noqa: E402
+from irpso_addon.blender.scenes import table_top, true_surface  # noqa: E402
 from irpso_addon.calibration.radiometry.colour_chart import patch_colours  # noqa: E402
 from irpso_addon.capture.images.exr import read_exr  # noqa: E402
 from irpso_addon.capture.read import read_capture  # noqa: E402
@@ -190,3 +191,31 @@ def test_a_bad_value_gets_one_line_and_writes_nothing(tmp_path, words, said):
     code, out, error = run_cli("sample", "-o", tmp_path / "out", *words)
     assert code == 2 and said in error and error.count("\n") == 1 and not out
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_table_can_be_set_in_a_blender_that_translates_names(monkeypatch):
+    make = true_surface.blank_material
+
+    def translated(name):
+        material, nodes = make(name)
+        for number, node in enumerate(nodes):
+            node.name = f"Knoten {number}"
+        return material, nodes
+
+    for module in (true_surface, table_top):
+        monkeypatch.setattr(module, "blank_material", translated)
+    flat = np.full((4, 4), 0.5)
+    maps = true_surface.TrueMaps(np.full((4, 4, 3), 0.5), None, flat)
+    with table_top.own_scene("table") as scene:
+        table_top.add_room(scene, 100.0)
+        table_top.add_ball(scene, np.zeros(3), 1.0)
+        table_top.add_print(scene, np.full((4, 4, 3), 0.5), (0.0, 0.0), (1.0, 1.0), 0.1)
+        table_top.add_relief(scene, flat, maps, (0.0, 0.0), 1.0)
+        surfaces = [
+            node.inputs["Surface"].links[0].from_node.bl_idname
+            for obj in scene.objects
+            for node in obj.data.materials[0].node_tree.nodes
+            if node.bl_idname == "ShaderNodeOutputMaterial"
+        ]
+    shaders = {"BsdfPrincipled": 3, "BsdfDiffuse": 1, "Emission": 1}
+    assert sorted(surfaces) == sorted(f"ShaderNode{kind}" for kind, count in shaders.items() for _ in range(count))

@@ -199,3 +199,14 @@ def test_the_standard_view_is_set_only_when_asked_for(recovered):
     bpy.ops.irpso.standard_view()
     assert view.view_transform == "Standard"
     assert "has the Standard view" in refusal(bpy.ops.irpso.standard_view)
+
+
+def test_a_folder_beside_the_saved_file_gives_the_images_relative_paths(recovered, tmp_path, monkeypatch):
+    from irpso_addon.ui.properties import preferences
+
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "leaf.blend"))
+    monkeypatch.setattr(preferences, "current", lambda context: preferences.PreferenceValues(output_folder="//maps/"))
+    bpy.ops.irpso.keep()
+    assert {image.filepath for image in bpy.data.images if "irpso_map" in image} == {
+        f"//maps/IRPSO_leaf_{name}.png" for name in MAPS
+    }

@@ -222,3 +222,33 @@ def test_an_incomplete_scene_is_reported_with_the_remedy(scene, tmp_path, spoil,
     assert "\n" not in str(caught.value) and ";" in str(caught.value)
     bpy.ops.irpso.check_capture()
     assert [item.severity for item in scene.irpso.findings] == ["error"]
+
+
+def test_linked_lights_and_cameras_may_have_the_names_of_local_ones(scene, tmp_path):
+    greys = (40, 90)
+    for name, grey, lens, size in (("library", greys[0], 85.0, 4), ("local", greys[1], 35.0, 6)):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene = bpy.context.scene
+        camera = add_camera(scene)
+        camera.data.lens = lens
+        light = add_light(scene, "Key", image_of(tmp_path / f"{name}.png", np.full((size, size, 3), grey)))
+        light.irpso.camera = camera
+        light.rotation_euler = (0.5, 0, 0) if name == "library" else (0, 0, 0)
+        if name == "library":
+            bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"), copy=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (there, here):
+        here.objects = there.objects
+    for obj in here.objects:
+        scene.collection.objects.link(obj)
+    scene.irpso.source = "SCENE"
+    capture = scene_capture.capture_of(scene)
+    assert [shot.name for shot in capture.observations] == ["Key", "Key"]
+    found = {camera.width: camera.scale[0] / camera.width * 36 for camera in capture.cameras}
+    assert found == pytest.approx({4: 85.0, 6: 35.0}, rel=1e-5)
+    for shot in capture.observations:
+        width = capture.cameras[shot.camera].width
+        grey, tilted = (greys[0], True) if width == 4 else (greys[1], False)
+        assert (abs(shot.light.vector[1]) > 0.1) == tilted
+        code = grey / 255
+        np.testing.assert_allclose(shot.read()[..., :3], ((code + 0.055) / 1.055) ** 2.4, rtol=1e-3)
+        assert shot.read().shape[:2] == (width, width)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender.images import decode
+from irpso_addon.blender.materials import material
 from irpso_addon.blender.scenes import scene_lights
 from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
@@ -245,3 +246,31 @@ def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
     for index, frame in enumerate(frames):
         bpy.ops.irpso.show_observation(number=index + 1)
         np.testing.assert_allclose(rendered(scene, tmp_path / f"{index}.exr"), frame, rtol=5e-3, atol=1e-5)
+
+
+def write_one(folder):
+    """Write a capture of three shots of a grey card."""
+    camera = Camera(8, 6, (9.0, 9.0), (4.0, 3.0), perspective=False)
+    vectors = [(0.6, 0, 0.8), (0, 0.6, 0.8), (-0.6, 0, 0.8)]
+    readers = readers_of([np.full((6, 8, 3), 0.4)] * 3)
+    shots = tuple(Observation(str(k), readers[k], Light(vector)) for k, vector in enumerate(vectors))
+    folder.parent.mkdir()
+    write_capture(Capture(folder.name, shots, (camera,), (np.ones((6, 8), bool),), card_distance=1.0), folder)
+    bpy.ops.irpso.import_capture(filepath=str(folder))
+    bpy.context.scene.irpso.subject = "CARD"
+    bpy.ops.irpso.create_scene()
+
+
+def test_a_card_keeps_its_relief_and_a_capture_of_the_same_name_gets_its_own(scene, tmp_path):
+    write_one(tmp_path / "first" / "photos")
+    (card,) = [obj for obj in scene.objects if obj.type == "MESH"]
+    made = bpy.data.materials.new("kept")
+    made[material.TAG], made[material.ORIGIN] = "photos", str(scene_capture.capture_of(scene).source)
+    material.card_object("photos", 6, 8, displaced=True)
+    assert [modifier.type for modifier in card.modifiers] == ["SUBSURF"]
+    bpy.ops.irpso.create_scene()
+    assert [modifier.type for modifier in card.modifiers] == ["SUBSURF"]
+    assert [obj for obj in scene.objects if obj.type == "MESH"] == [card]
+    write_one(tmp_path / "second" / "photos")
+    cards = [obj for obj in scene.objects if obj.type == "MESH"]
+    assert len(cards) == 2 and {obj[material.TAG] for obj in cards} == {"photos", "photos.001"}

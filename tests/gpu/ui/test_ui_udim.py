@@ -107,7 +107,44 @@ def test_only_the_active_slot_is_recovered_and_replaced(settings):
         assert [slot.material.name for slot in thing.material_slots] == ["Skin", "IRPSO Two Cloth"]
         assert tuple(tile.number for tile in bpy.data.images["IRPSO Two Cloth base_color"].tiles) == (1012,)
         thing.data.materials.pop()
-        with pytest.raises(RuntimeError, match="has no material slot 1 any more"):
+        with pytest.raises(RuntimeError, match="were 0 'Skin', 1 'Cloth' when .* began, and are 0 'Skin' now"):
+            bpy.ops.irpso.keep()
+    finally:
+        session.end()
+
+
+def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_path):
+    from irpso_addon.ui.session import session
+
+    thing, others = settings.object, settings.object.data
+    skin, cloth = others.materials
+    settings.slots, thing.active_material_index = "ACTIVE", 1
+    session.begin(make_job()).run()
+    try:
+        for slots in ((cloth, skin), (skin,), ()):
+            others.materials.clear()
+            for material in slots:
+                others.materials.append(material)
+            with pytest.raises(RuntimeError, match="slots of 'Two' were 0 'Skin', 1 'Cloth' when its recovery began"):
+                bpy.ops.irpso.keep()
+            with pytest.raises(RuntimeError, match="restore their order, or recover again"):
+                bpy.ops.irpso.export(filepath=str(tmp_path / "two.glb"), format="gltf")
+            assert others.materials[:] == list(slots) and not (tmp_path / "two.glb").exists()
+        others.materials.clear()
+        for material in (skin, skin, bpy.data.materials.new("more")):
+            others.materials.append(material)  # another material in the slot, and one more slot, move nothing
+        layer = others.uv_layers.active
+        layer.name = "Other"
+        others.update_tag()
+        with pytest.raises(RuntimeError, match="'Two' has no UV map 'UVMap' any more"):
+            bpy.ops.irpso.keep()
+        layer.name = "UVMap"
+        others.update_tag()
+        for _ in range(2):
+            assert bpy.ops.irpso.keep() == {"FINISHED"}
+            assert [slot.name for slot in thing.material_slots] == ["Skin", "IRPSO Two Cloth", "more"]
+        others.materials[0], others.materials[1] = others.materials[1], skin
+        with pytest.raises(RuntimeError, match="and are 0 'IRPSO Two Cloth', 1 'Skin', 2 'more' now"):
             bpy.ops.irpso.keep()
     finally:
         session.end()
