@@ -93,7 +93,8 @@ class Capture:
 
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
     None if unknown. Raises InputError if it is not above 0. left_out: listed observations that were excluded.
-    encoding: of files that were read with colour_space "auto". warnings: of reading the headers.
+    encoding: of files that were read with colour_space "auto". warnings: of reading the headers. card_warnings: of the
+    card's place.
     """
 
     name: str
@@ -105,6 +106,7 @@ class Capture:
     left_out: tuple[LeftOut, ...] = ()
     encoding: Encoding | None = None
     warnings: tuple[str, ...] = ()
+    card_warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.card_distance is not None and not 0 < self.card_distance < math.inf:

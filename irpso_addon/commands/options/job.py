@@ -173,8 +173,9 @@ def file_capture(options: Namespace, apart: Path | None = None) -> Capture:
         raise InputError(f"{apart}: holds the photographs, and would mix them with the maps; choose another with -o")
     framing = replace(spec.framing, **framing_from_options(options))
     capture = whole_capture(spec, decode, options.skip_damaged)
-    capture = _framed(replace(capture, card_distance=distance or capture.card_distance), framing, options)
-    return replace(capture, card_distance=distance or capture.card_distance)
+    if distance:
+        capture, framing = replace(capture, card_distance=distance), replace(framing, card_width=None)
+    return _framed(capture, framing, options)
 
 
 def _framed(capture: Capture, framing: Framing, options: Namespace) -> Capture:

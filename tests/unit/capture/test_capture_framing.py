@@ -164,6 +164,27 @@ def test_corners_show_a_tilted_card_from_the_front(distortion, scale):
     assert max(seen.width, seen.height) == pytest.approx(longest * scale, rel=0.15)
 
 
+@pytest.mark.parametrize("tilt", [3.0, 30.0])
+def test_a_distance_along_the_lens_is_that_of_the_tilted_cards_plane(tmp_path, tilt):
+    camera = Camera.from_fov(320, 240, 45.0)
+    image, corners, axes, distance = tilted_card(camera, tilt)
+    along = distance / axes[2, 2]  # where the lens's axis meets the plane
+    near = Light((0.0, 0.0, 2.0), (80.0,) * 3, False)
+    shots = tuple(Observation(f"{n}", lambda: image.astype(np.float32), near) for n in range(3))
+    capture = replace(capture_of(image, camera), observations=shots, card_distance=along)
+    found = framed(capture, Framing(corners=corners))
+    assert found.card_distance == pytest.approx(distance, rel=1e-5)
+    assert found.card_distance == pytest.approx(
+        framed(capture, Framing(corners=corners, card_width=CARD[0])).card_distance, rel=0.01
+    )
+    write_capture(capture, tmp_path / "capture")
+    table = tmp_path / "capture" / "capture.toml"
+    table.write_text(f"corners = {[list(corner) for corner in corners]}\n" + table.read_text())
+    said = [finding.message for finding in inspect_capture(table).findings if finding.code == "card_tilted"]
+    assert len(said) == (tilt > 5) and all("tilted by 30°" in text and "--card-width" in text for text in said)
+    assert not framed(capture, Framing(corners=corners, card_width=CARD[0])).card_warnings
+
+
 def test_the_first_corner_becomes_the_upper_left():
     camera = Camera.from_fov(320, 240, 45.0)
     image, corners, _, _ = tilted_card(camera)
