@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...capture.images.exif import exposure_of
+from ...capture.images.exr_header import is_exr
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.raw import is_raw
 from ...core.errors import InputError
 from ..charts.grey_card import find_grey_card
 from ..charts.search import find_chart
@@ -143,7 +145,7 @@ def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) ->
         corrections = replace(corrections, matrix=matrix)
     elif options.colour_chart is not None:
         corrections = replace(corrections, matrix=work.matrix(corrections, options.colour_chart))
-    return Measured(corrections, work.figures, tuple(work.warnings), options.exposing, options.colour_space)
+    return Measured(corrections, work.figures, tuple(work.warnings), options.exposing, work.colour_space)
 
 
 class _Work:
@@ -151,6 +153,7 @@ class _Work:
 
     def __init__(self, store: ImageStore, source: Source, options: MeasureOptions):
         self.store, self.source, self.options = store, source, options
+        self.colour_space = _common_space(source) if options.colour_space == "auto" else options.colour_space
         self.figures: dict = {}
         self.warnings: list[str] = []
 
@@ -289,7 +292,7 @@ class _Work:
         return shot.images[len(shot.images) // 2]
 
     def _ref(self, path: Path) -> ImageRef:
-        return ImageRef(path, colour_space=self.options.colour_space)
+        return ImageRef(path, colour_space=self.colour_space)
 
     def _amount(self, path: Path) -> float | None:
         """Return the exposure of a file that is not a shot; None if it has none or exposures are not used."""
@@ -310,6 +313,18 @@ class _Work:
             raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
         return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)
+
+
+def _common_space(source: Source) -> str:
+    """Return the colour space that a capture states for its images. Raises InputError if it states several."""
+    images = [image for shot in source.shots for image in shot.images]
+    first, *others = [image for image in images if not (is_exr(image.path) or is_raw(image.path))] or images
+    if other := next((image for image in others if image.colour_space != first.colour_space), None):
+        raise InputError(
+            f'{other}: has colour_space "{other.colour_space}" where {first} has "{first.colour_space}"; develop'
+            " photographs of one encoding, or set --colour-space (Color Space)"
+        )
+    return first.colour_space
 
 
 def _many(shots: list[Shot]) -> str:

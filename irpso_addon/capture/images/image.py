@@ -138,13 +138,17 @@ class ImageStore:
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""
         if not is_exr(image.path):
-            picture, space = self.picture(image), image.colour_space
-            if space == "auto" and picture.profile is None:
-                space = self.encoding(image)[0]
-            return samples_of_picture(picture, space)
+            return self.samples_of(image, self.picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         return samples_of_exr(self._pixels(image.path, part), rgb, alpha, _matrix_of(image, part, rgb))
+
+    def samples_of(self, image: ImageRef, picture: Picture) -> Samples:
+        """Return ``samples`` of an image that is no EXR. picture: its code values."""
+        space = image.colour_space
+        if space == "auto" and picture.profile is None:
+            space = self.encoding(image)[0]
+        return samples_of_picture(picture, space)
 
     def codes_at(self, image: ImageRef, places: np.ndarray, size: tuple[int, ...]) -> np.ndarray | None:
         """Return (n, 4) the code values and weights of an image's pixels (n,), numbered row by row.
