@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from ...capture.images.raw import is_raw
 from ...core.errors import InputError
 from ..charts.grey_card import find_grey_card
 from ..charts.search import find_chart
-from ..radiometry.brackets import exif_amount, name_amount
+from ..radiometry.brackets import exif_amount, index_amount, name_amount
 from ..radiometry.colour_fit import chart_report, chart_warnings, orient_chart
 from ..radiometry.curve_file import read_response
 from ..radiometry.develop import Corrections, Shot, developed
@@ -189,7 +189,10 @@ class _Work:
 
     def dark(self, response: Response | None) -> Dark:
         files, size = self.options.darks, self.source.shots[0].size
-        frames = ((self._amount(p), read_frame(self.store, self._ref(p), response, size).rgb) for p in files)
+        amounts = [self._amount(p) for p in files]
+        self._check_known(files, amounts)
+        frames = ((amount, read_frame(self.store, self._ref(p), response, size).rgb)
+                  for p, amount in zip(files, amounts, strict=True))  # fmt: skip
         dark = mean_dark(frames, self.options.scale_dark)
         self.figures["dark"] = {"files": [str(p) for p in files],
                                 "mean": [round(float(level.mean()), 7) for _, level in dark.levels]}  # fmt: skip
@@ -301,8 +304,21 @@ class _Work:
             return None
         if exposing.by == "exif":
             return exif_amount(path) if exposure_of(read_bytes(path)) else None
-        parsed = None if exposing.exposures else name_amount(path.stem)
+        if exposing.exposures:
+            shown = [image.path for shot in self.source.shots for image in shot.images]
+            return index_amount(path, shown, exposing.exposures)
+        parsed = name_amount(path.stem)
         return parsed[1] if parsed else None
+
+    def _check_known(self, darks: Sequence[Path], amounts: Sequence[float | None]) -> None:
+        """Raise InputError for a dark frame whose name does not tell which of several --exposures it has."""
+        exposing = self.options.exposing
+        if exposing is None or len(set(exposing.exposures)) < 2 or None not in amounts:
+            return
+        raise InputError(
+            f"{darks[amounts.index(None)]}: its name does not tell which of the --exposures it has; end it with that"
+            " one's number, as the photographs' names"
+        )
 
     def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
         first, chart = self.source.shots[0], self.options.chart

@@ -350,3 +350,20 @@ def test_8_bit_png_files_that_state_to_be_linear_are(tmp_path):
     write_png(tmp_path / "in" / "a.png", np.full((4, 6, 3), 102), 8, chunk(b"gAMA", (100_000).to_bytes(4, "big")))
     assert run_cli("develop", tmp_path / "in", "-o", tmp_path / "out", "--quiet")[0] == 0
     np.testing.assert_allclose(read_exr(tmp_path / "out" / "a.exr")[""]["G"], 102 / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_dark_frames_of_numbered_exposures_go_with_their_own(tmp_path, first):
+    folder, offsets = tmp_path / "in", (0.01, 0.03, 0.12)
+    (folder / "dark").mkdir(parents=True)
+    for i, offset in enumerate(offsets):
+        for name, light in (("a", SCENE[0]), ("b", SCENE[1])):
+            write(folder / f"{name}_{i + first}.png", light[..., None] * np.ones(3) * 4**i / 20 + offset, None)
+        write(folder / "dark" / f"dark_{i + first}.png", np.full((SIZE, SIZE, 3), offset), None)
+    options = "--brackets", "names", "--exposures", "1,4,16", "--quiet", "--dark"
+    assert run_cli("develop", folder, "-o", tmp_path / "out", *options, folder / "dark")[0] == 0
+    found = read_exr(tmp_path / "out" / "b.exr")[""]["G"]
+    np.testing.assert_allclose(found, SCENE[1] / 20, atol=2e-5)
+    write(folder / "dark" / "dark.png", np.full((SIZE, SIZE, 3), 0.01), None)
+    code, _, err = run_cli("develop", folder, "-o", tmp_path / "none", *options, folder / "dark")
+    assert code == 2 and err.count("\n") == 1 and "dark.png: its name does not tell which of the --exposures" in err
