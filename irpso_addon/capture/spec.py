@@ -206,7 +206,7 @@ def _camera_size(
 
 def _check_orientations(images: list[ImageRef], store: ImageStore, faults: list[CaptureError]) -> None:
     """Add an error for each image with another EXIF orientation than most: a phone that looks down guesses it."""
-    orientations = [store.orientation(image) for image in images]
+    orientations = [store.tag(image) for image in images]
     usual = max(orientations, key=orientations.count, default=1)
     faults += [
         CaptureError(

@@ -81,9 +81,14 @@ def orientation_of(tags: dict[int, Any]) -> int:
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
+def tags_of(data: bytes) -> dict[int, Any]:
+    """Return the EXIF tags of a JPEG, PNG, HEIC or TIFF file (DNG and many raw files are TIFF)."""
+    return tiff_tags(_exif_block(data))
+
+
 def exposure_of(data: bytes) -> Exposure | None:
     """Return the exposure of a JPEG, PNG, HEIC or TIFF file (DNG and many raw files are TIFF); None without one."""
-    return exposure_in(tiff_tags(_exif_block(data)))
+    return exposure_in(tags_of(data))
 
 
 def exposure_in(tags: dict[int, Any]) -> Exposure | None:
@@ -94,7 +99,7 @@ def exposure_in(tags: dict[int, Any]) -> Exposure | None:
 
 def time_of(data: bytes) -> float | None:
     """Return the time of a photograph in seconds by the camera's clock, from 1970 on; None without the tag."""
-    tags = tiff_tags(_exif_block(data))
+    tags = tags_of(data)
     text = str(tags.get(_TIME) or "").strip("\0 ")
     part = str(tags.get(_SUBSECOND) or "").strip("\0 ")
     with suppress(ValueError):
@@ -105,7 +110,7 @@ def time_of(data: bytes) -> float | None:
 
 def lens_of(data: bytes) -> dict[str, str | float]:
     """Return a file's make, model, lens, focal_length and focal_length_35mm (millimetres), without missing ones."""
-    tags = tiff_tags(_exif_block(data))
+    tags = tags_of(data)
     named = {"make": _MAKE, "model": _MODEL, "lens": _LENS}
     texts = {key: str(tags.get(tag) or "").strip("\0 ") for key, tag in named.items()}
     lengths = {"focal_length": _FOCAL_LENGTH, "focal_length_35mm": _FOCAL_LENGTH_35MM}
@@ -119,7 +124,7 @@ def field_of_view(data: bytes, width: int, height: int) -> float | None:
     From FocalLengthIn35mmFilm, which compares diagonals (CIPA DCG-001). None also if the picture's proportions differ
     from those in the tags: it was cropped.
     """
-    tags = tiff_tags(_exif_block(data))
+    tags = tags_of(data)
     focal, across, down = (_positive(tags.get(tag)) for tag in (_FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN))
     if focal is None:
         return None

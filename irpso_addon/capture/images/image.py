@@ -19,7 +19,7 @@ from .headers import ImageHeader, missing, read_bytes, read_header
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
-from .raw import decode_raw, is_raw, raw_size
+from .raw import RawHeader, decode_raw, is_raw, raw_header
 
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
 KnownBy = Literal["file", "format", "depth", "guess"]
@@ -54,6 +54,7 @@ class ImageStore:
     _headers: dict[Path, tuple[ExrPart, ...]] = field(default_factory=dict)
     _parts: dict[Path, dict[str, ExrImage]] = field(default_factory=dict)
     _pictures: dict[Path, ImageHeader] = field(default_factory=dict)
+    _raws: dict[Path, RawHeader] = field(default_factory=dict)
 
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
         """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
@@ -106,6 +107,11 @@ class ImageStore:
             self._pictures[path] = read_header(path)
         return self._pictures[path]
 
+    def _raw_header(self, path: Path) -> RawHeader:
+        if path not in self._raws:
+            self._raws[path] = raw_header(path)
+        return self._raws[path]
+
     def size(self, image: ImageRef) -> tuple[int, int]:
         """Return (width, height) from the file's header. Raises CaptureError if it cannot be read."""
         with suppress(OSError):  # a folder without permission: reading reports it
@@ -119,7 +125,8 @@ class ImageStore:
             read_header(image.path)  # raises if the file is no image
             raise CaptureError(f"{image.path}: only EXR files have parts and layers; remove part and layer", "layer")
         if is_raw(image.path):
-            return raw_size(image.path)
+            raw = self._raw_header(image.path)
+            return raw.width, raw.height
         header = self._header(image.path)
         if self.decoder is None and header.kind != "HEIF":
             raise self._no_decoder(image)
@@ -128,6 +135,12 @@ class ImageStore:
     def orientation(self, image: ImageRef) -> int:
         """Return the EXIF orientation that reading a file applies, 1 for none."""
         return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
+
+    def tag(self, image: ImageRef) -> int:
+        """Return the EXIF orientation as a file has it, also where its decoder applies it; 1 for none."""
+        if is_exr(image.path):
+            return 1
+        return (self._raw_header(image.path) if is_raw(image.path) else self._header(image.path)).tag
 
     def exposure(self, image: ImageRef) -> Exposure | None:
         """Return the exposure by EXIF, None without one. Raises CaptureError if the file cannot be read."""
