@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -97,7 +97,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         yield
         of_view = [(shot, size) for shot, _, size in shots if shot.camera == index]
         width, height = _camera_size(view, of_view, faults)
-        _check_orientations([shot.image for shot, _ in of_view], store, faults)
+        faults += orientation_faults([shot.image for shot, _ in of_view], store)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
         warnings += yield from _exposure_warnings([shot for shot, _ in of_view], store)
@@ -204,17 +204,18 @@ def _camera_size(
     return expected
 
 
-def _check_orientations(images: list[ImageRef], store: ImageStore, faults: list[CaptureError]) -> None:
-    """Add an error for each image with another EXIF orientation than most: a phone that looks down guesses it."""
-    orientations = [store.tag(image) for image in images]
+def orientation_faults(images: Sequence[ImageRef], store: ImageStore) -> list[CaptureError]:
+    """Return an error for each image with another EXIF orientation than most: a phone that looks down guesses it."""
+    tags = [(image, tag) for image in images if (tag := store.tag(image))]
+    orientations = [tag for _, tag in tags]
     usual = max(orientations, key=orientations.count, default=1)
-    faults += [
+    return [
         CaptureError(
             f"{image}: its EXIF orientation is {tag} where the camera's other images have {usual}; the camera stands"
             " still, so give all of them the same orientation",
             "orientation",
         )
-        for image, tag in zip(images, orientations, strict=True)
+        for image, tag in tags
         if tag != usual
     ]
 

@@ -9,11 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...capture.errors import CaptureError, raise_all
 from ...capture.images.exif import exposure_of
 from ...capture.images.exr_header import is_exr
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.raw import is_raw
+from ...capture.spec import orientation_faults
 from ...core.errors import InputError
 from ..charts.grey_card import find_grey_card
 from ..charts.search import find_chart
@@ -119,6 +121,7 @@ class Measured:
 def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) -> Generator[Progress, None, Measured]:
     """Yield before each measurement; return the corrections. Raises InputError if one cannot be measured."""
     work = _Work(store, source, options)
+    work.check_orientations()
     shots = source.shots
     cameras = 1 + max(shot.camera for shot in shots)
     amounts = [a for shot in shots for a in shot.amounts or ()]
@@ -156,6 +159,17 @@ class _Work:
         self.colour_space = _common_space(source) if options.colour_space == "auto" else options.colour_space
         self.figures: dict = {}
         self.warnings: list[str] = []
+
+    def check_orientations(self) -> None:
+        """Raise CaptureError for a file with another EXIF orientation than most of its camera's."""
+        shots = self.source.shots
+        faults: list[CaptureError] = []
+        for camera in sorted({shot.camera for shot in shots}):
+            images = [image for shot in shots if shot.camera == camera for image in shot.images]
+            if camera == shots[0].camera:
+                images += map(self._ref, self.options.left_out)
+            faults += orientation_faults(images, self.store)
+        raise_all(faults)
 
     def response(self) -> Generator[Progress, None, Response | None]:
         if self.options.response is not None:

@@ -136,10 +136,10 @@ class ImageStore:
         """Return the EXIF orientation that reading a file applies, 1 for none."""
         return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
 
-    def tag(self, image: ImageRef) -> int:
-        """Return the EXIF orientation as a file has it, also where its decoder applies it; 1 for none."""
+    def tag(self, image: ImageRef) -> int | None:
+        """Return the EXIF orientation as a file has it, also where its decoder applies it; None for an EXR."""
         if is_exr(image.path):
-            return 1
+            return None
         return (self._raw_header(image.path) if is_raw(image.path) else self._header(image.path)).tag
 
     def exposure(self, image: ImageRef) -> Exposure | None:

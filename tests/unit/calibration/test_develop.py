@@ -367,3 +367,14 @@ def test_dark_frames_of_numbered_exposures_go_with_their_own(tmp_path, first):
     write(folder / "dark" / "dark.png", np.full((SIZE, SIZE, 3), 0.01), None)
     code, _, err = run_cli("develop", folder, "-o", tmp_path / "none", *options, folder / "dark")
     assert code == 2 and err.count("\n") == 1 and "dark.png: its name does not tell which of the --exposures" in err
+
+
+@pytest.mark.parametrize("name", ["00.png", "dark/1.png", "flat/a.png"])
+def test_a_file_that_the_camera_turned_by_chance_is_refused(photographs, tmp_path, name):
+    for listed in ("filenames.txt", "light_directions.txt"):
+        (photographs / listed).unlink()
+    codes = np.rint(decode_png(photographs / name).values[::-1] * 65535).astype(int)
+    write_png(photographs / name, codes, 16, chunk(b"eXIf", exif(TIMES[0], orientation=3)))
+    frames = "--dark", photographs / "dark", "--flat", photographs / "flat", "--quiet"
+    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", *frames)
+    assert code == 2 and err.count("\n") == 1 and f"{name}: its EXIF orientation is 3 where" in err
