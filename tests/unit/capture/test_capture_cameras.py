@@ -84,6 +84,14 @@ def test_a_photograph_on_its_side_and_at_half_the_size_has_its_camera_turned_and
     np.testing.assert_allclose(turned.project(points)[0], np.c_[y, 64 - x] / 2, atol=1e-9)
 
 
+def test_a_raw_file_that_is_no_tiff_has_the_camera_of_its_pose(scan):
+    (scan / "IMG_1.CR3").write_bytes(b"\0\0\0\x18ftypcrx ")  # LibRaw turns its picture upright
+    text = 'image = "IMG_1.CR3"\ncamera = "IMG_1.png"'
+    (scan / "capture.toml").write_text(f'cameras = "colmap"\n[[observation]]\n{text}\n{LIT}')
+    (view,) = read_spec(scan / "capture.toml").views
+    np.testing.assert_allclose(view.make(64, 48).position, CENTRE, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("observations", "top", "words"),
     [
