@@ -128,6 +128,12 @@ def axis_cosine(whole: Camera, used: Camera) -> float:
     return 1.0 if np.array_equal(whole.matrix, used.matrix) else float(whole.backward @ used.backward)
 
 
+def distance_of_width(camera: Camera, framing: Framing) -> float:
+    """Return the ``card_distance`` that the card_width of a framing, whose corners are known, stands for."""
+    used = _view(camera, framing).camera
+    return _distance(used, present(framing.card_width)) / axis_cosine(camera, used)
+
+
 def _tilt_warnings(capture: Capture, cosine: float) -> list[str]:
     tilt = math.degrees(math.acos(min(cosine, 1.0)))
     if tilt <= _TILTED or not near_lights(capture):

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.steps import blocking
 from .camera import Camera
 from .errors import CaptureError, raise_all
-from .framing import Framing
+from .framing import AUTO, Framing, distance_of_width
 from .images.encoding import Encoding, LitImage, encoding_of
 from .images.exif import SAME_STOPS, Exposure
 from .images.image import ImageRef, ImageStore
@@ -75,6 +75,27 @@ class CaptureSpec:
     def states_distance(self) -> bool:
         """Whether the files state the distance or the width of a flat card."""
         return self.card_distance is not None or self.framing.card_width is not None
+
+
+def reframed(spec: CaptureSpec, framing: Framing, store: ImageStore) -> CaptureSpec:
+    """Return the spec with another framing, which keeps the spec's card_width.
+
+    That width is of the spec's own part of the images: for another part it becomes ``card_distance``. Reads one header.
+    Raises CaptureError where the own part is not known.
+    """
+    own, new = spec.framing, replace(spec, framing=framing)
+    same = (framing.crop, framing.corners) == (own.crop, own.corners) or (own.corners == AUTO and framing.corners)
+    if own.card_width is None or same or len(spec.views) != 1:
+        return new
+    if own.corners == AUTO:
+        raise CaptureError(
+            f'{spec.source}: its card_width is of the part by corners = "auto", not of this one; give --card-width'
+            " (Card Width)",
+            "value",
+        )
+    camera = spec.views[0].make(*(spec.views[0].size or store.size(spec.observations[0].image)))
+    distance = distance_of_width(camera, own)
+    return replace(new, card_distance=distance, framing=replace(framing, card_width=None))
 
 
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
