@@ -43,7 +43,8 @@ class ViewSpec:
     """One camera of a file. make: (width, height) → Camera. size: in the file; None for that of its images.
 
     placed: whether its pose is not the identity (at the origin, looking along −z). where: file and place, for errors.
-    lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide.
+    lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide. foreign:
+    whether another program's file (``cameras``) gives it.
     """
 
     name: str
@@ -53,6 +54,7 @@ class ViewSpec:
     mask: ImageRef | None = None
     placed: bool = False
     lens: bool = True
+    foreign: bool = False
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class Views:
         def make(width: int, height: int) -> Camera:
             return moved(upright_camera(camera, width, height, ImageStore().orientation(image), where), self._world)
 
-        return ViewSpec(name, make, where, None, self._masks.get(name), True)
+        return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True)
 
 
 def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:
