@@ -200,6 +200,16 @@ def test_photographs_that_the_camera_turned_against_the_rigs_are_refused(kind, l
     assert run_cli("rig", "apply", folder, later, "-o", tmp_path / "out", "--quiet")[0] == 0
 
 
+def test_the_width_of_a_part_is_a_distance_for_whole_photographs(capture, later, tmp_path):
+    rows = "".join(f'[[observation]]\nimage = "lamp_{k + 1}.png"\nlight_position = [{k}, 0, 40]\n' for k in range(5))
+    keys = "crop = [4, 6, 20, 16]\nscale = 0.5\ncard_width = 10.0\n[[camera]]\nfov_degrees = 40\n"
+    (capture / "capture.toml").write_text(f"format = 1\n{keys}{rows}")
+    assert run_cli("rig", "save", capture, "-o", tmp_path / "rig", "--quiet")[0] == 0
+    assert run_cli("rig", "apply", tmp_path / "rig", later, "-o", tmp_path / "out", "--quiet")[::2] == (0, "")
+    # 20 of 40 pixels are 10 wide, so all are 20 wide.
+    assert read_capture(tmp_path / "out", decode_png).card_distance == pytest.approx(10 / np.tan(np.radians(20)))
+
+
 def test_fewer_photographs_are_matched_by_names_or_numbers(plain_rig, later, tmp_path):
     (later / "lamp_2.png").unlink()
     for match in ("names", "numbers"):
