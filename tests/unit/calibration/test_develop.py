@@ -378,3 +378,13 @@ def test_a_file_that_the_camera_turned_by_chance_is_refused(photographs, tmp_pat
     frames = "--dark", photographs / "dark", "--flat", photographs / "flat", "--quiet"
     code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", *frames)
     assert code == 2 and err.count("\n") == 1 and f"{name}: its EXIF orientation is 3 where" in err
+
+
+def test_the_current_folder_is_an_output(photographs, tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    place = here.stat().st_ino
+    assert run_cli("develop", photographs, "-o", ".", "--quiet", *everything(photographs))[::2] == (0, "")
+    assert here.stat().st_ino == place and len(read_capture(here).observations) == 5
+    assert not list(tmp_path.glob(".*"))
