@@ -80,11 +80,15 @@ class Observation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An observation excluded for its damaged image. index: in the list of the capture's files, from 0."""
+    """An observation excluded for its damaged image. index: in the list of the capture's files, from 0.
+
+    name: in that list, "" for that of the image.
+    """
 
     index: int
     image: str
     why: str
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -119,10 +123,10 @@ class Capture:
 
     @property
     def listed_names(self) -> list[str]:
-        """Names of the observations that the capture's files list; of an excluded one that of its image."""
+        """Names of the observations that the capture's files list, excluded ones included."""
         names = [shot.name for shot in self.observations]
         for one in sorted(self.left_out, key=lambda one: one.index):
-            names.insert(one.index, Path(one.image).name)
+            names.insert(one.index, one.name or Path(one.image).name)
         return names
 
     @property
