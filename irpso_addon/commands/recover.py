@@ -21,7 +21,7 @@ from ..core.progress_bar import StepBars
 from ..core.steps import run_steps
 from ..exports.asset import write_to_shelf
 from ..gpu import context, probe
-from ..pipeline.drive import CHECKPOINT, Saving, drive
+from ..pipeline.drive import CHECKPOINT, Saving, drive, was_previewed
 from ..pipeline.job import Job
 from ..pipeline.live import LIVE, LivePicture
 from ..pipeline.preview import PART, can_be_smaller, smaller
@@ -76,8 +76,9 @@ def _recover(options: Namespace, job: Job) -> dict:
             "--preview: a map of --fixed has the full size and cannot be made smaller; leave one of the two out"
         )
     wanted = options.preview or (options.preview is None and seconds[0] >= _LONG_SECONDS and can_be_smaller(job))
-    # A resumed run wrote its preview before.
-    return _recovered(options, run, bool(options.resume) or wanted and _preview(options, smaller(job), plan.work))
+    if options.resume:  # it wrote its preview before
+        return _recovered(options, run, was_previewed(Path(options.output) / CHECKPOINT))
+    return _recovered(options, run, wanted and _preview(options, smaller(job), plan.work))
 
 
 def _preview(options: Namespace, job: Job, work: float) -> bool:
@@ -159,7 +160,7 @@ def _each_slot(options: Namespace) -> dict:
 def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
     """Run to the end, write everything, and return the report. previewed: whether OUT/preview is of this run."""
     folder = Path(options.output)
-    saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every)
+    saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every, previewed)
     with ExitStack() as writing:
         report, found, started, interrupted = _solved(options, run, folder, saving, writing)
         height = found.height if options.displacement else None

@@ -1,6 +1,7 @@
 """``recover`` of parts of pictures: cropped, smaller, and a card that is seen at an angle."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -84,6 +85,9 @@ def test_a_crop_lies_where_the_width_of_the_whole_puts_it(tmp_path):
     options = build_parser().parse_args(["recover", str(folder), "-o", str(tmp_path / "out"), "--crop", "4,2,12,10"])
     assert file_capture(options).card_distance == pytest.approx(DISTANCE, rel=1e-6)
     options.card_width = 50.0
+    code, said, _ = run_cli("inspect", folder, "--card-width", "50")
+    assert code == 0 and re.search(r"card +93\.3013 from its camera, 50 × 33\.33", said), said
+    assert run_cli("inspect", folder, "--card-width", "50", "--distance", "9")[0] == 2
     assert file_capture(options).card_distance == pytest.approx(50 / np.tan(np.radians(15)))
 
 
