@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.png import SIGNATURE, png_chunks
 from ..errors import CaptureError
-from .exif import JPEG_START, Exposure, exposure_in, open_jpeg, orientation_of, tags_of, tiff_tags
+from .exif import JPEG_START, Exposure, exposure_in, is_adobe_rgb, open_jpeg, orientation_of, tags_of, tiff_tags
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
@@ -32,7 +32,7 @@ class ImageHeader:
     bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
     (of HEIF 1: libheif applies ``applied``). states: the encoding that the file states, "srgb" or "linear", "" for
     none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of
-    ITU-T H.273. exposure: by EXIF, None without.
+    ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise.
     """
 
     kind: str
@@ -45,6 +45,7 @@ class ImageHeader:
     cicp: tuple[int, int] | None = None
     exposure: Exposure | None = None
     applied: int = 1
+    adobe_rgb: bool = False
 
     @property
     def tag(self) -> int:
@@ -129,8 +130,10 @@ def _jpeg(path: Path, data: bytes) -> ImageHeader:
         raise truncated(path)
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
-    states = "srgb" if icc or tags.get(_COLOUR_SPACE) == _SRGB else ""
-    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags))
+    adobe = not icc and is_adobe_rgb(tags)
+    states = "srgb" if icc or adobe or tags.get(_COLOUR_SPACE) == _SRGB else ""
+    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags),
+                       adobe_rgb=adobe)  # fmt: skip
 
 
 def _jpeg_scan(data: bytes) -> int:
