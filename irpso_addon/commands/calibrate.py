@@ -129,6 +129,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     distance = present(result.capture.card_distance) / axis_cosine(whole.cameras[0], used.cameras[0])
+    result = replace(result, capture=replace(result.capture, card_distance=distance))
     card = {} if spec.states_distance else {CARD_DISTANCE: distance}
     line = (
         f"{len(result.capture.lights)} near lights, with their positions, by their fall-off over a flat card;"

@@ -109,7 +109,8 @@ def _of_card(
         keys = width_keys(whole.cameras[0])
     distance = present(fitted.capture.card_distance) / axis_cosine(whole.cameras[0], used.cameras[0])
     card = {**_framing_keys(framing), CARD_DISTANCE: distance}
-    return _Estimate(fitted.capture.lights, fitted.report(), fitted.warnings, keys, card)
+    report = {**fitted.report(), CARD_DISTANCE: distance}
+    return _Estimate(fitted.capture.lights, report, fitted.warnings, keys, card)
 
 
 def _framing_keys(framing: Framing) -> dict[str, Any]:

@@ -94,6 +94,7 @@ def test_the_distance_of_a_tilted_card_is_written_along_the_lens(tmp_path):
     found = read_capture(out)
     unit = DISTANCE * axes[2, 2] / found.card_distance
     assert unit * read_spec(out).card_distance == pytest.approx(DISTANCE, rel=1e-4)
+    assert json.loads((out / "report.json").read_text())["card_distance"] == read_spec(out).card_distance
     errors = unit * np.array([light.vector for light in found.lights]) - lamps
     assert np.linalg.norm(errors, axis=-1).max() < 0.03 * 260
 
