@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -52,15 +53,14 @@ def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Genera
                     f"{movies[0].size[1]}; give videos of one camera and one size"
                 )
         chosen = yield from _chosen_steps(movies, profiles, count, where)
-        files, greys = [], []
+        files, greys, names = [], [], _names(videos)
         with new_folder(out) as folder:
             for done, (number, index) in enumerate(chosen):
                 yield _SEARCH_SHARE + (1 - _SEARCH_SHARE) * done / len(chosen), "writing"
                 movie = movies[number]
                 picture = movie.frame(index)
                 greys.append(profiles[number].linearised(picture.values).mean(axis=-1))
-                name = "frame" if len(movies) == 1 else movie.path.stem
-                files.append(f"{name}_{index + 1:05d}.png")
+                files.append(f"{names[number]}_{index + 1:05d}.png")
                 encode_png(folder / files[-1], picture.values, picture.bits, movie.cicp)
             moved = check_camera(greys, where)
     warnings = []
@@ -86,6 +86,19 @@ def _chosen_steps(
         yield _SEARCH_SHARE * len(looks) / len(places), "looking for lights"
         looks.append(describe_frame(movies[number].frame(index).values, profiles[number].linearised))
     return [places[k] for k in chosen_frames(looks, count, where)]
+
+
+def _names(videos: Sequence[Path]) -> list[str]:
+    """Return the first part of the frames' names: of one video "frame", of several their stems, numbered if equal."""
+    if len(videos) == 1:
+        return ["frame"]
+    stems, names = {path.stem.lower() for path in videos}, dict[str, str]()
+    for path in videos:
+        numbered = (f"{path.stem}_{number}" for number in itertools.count(2))
+        free = (name for name in numbered if name.lower() not in stems | names.keys())
+        name = next(free) if path.stem.lower() in names else path.stem
+        names[name.lower()] = name
+    return list(names.values())
 
 
 def _profile(movie: Movie) -> ColourProfile:

@@ -114,9 +114,18 @@ def camera_keys(path: Path) -> dict[str, Any]:
 
 
 def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> CaptureSpec:
-    """Return a spec whose cameras have the intrinsics of ``keys`` and keep their poses."""
+    """Return a spec whose cameras have the intrinsics of ``keys`` and keep their poses. where: names the option.
+
+    Raises CaptureError for a camera of another program's file.
+    """
     views = []
     for view in spec.views:
+        if view.foreign:
+            raise CaptureError(
+                f"{view.where}: its lens is that of this file, which cameras in {spec.source.name} names; leave {where}"
+                " out, or correct the lens there",
+                "camera",
+            )
         matrix = view.make(*(view.size or (1, 1))).matrix
         views.append(replace(view, make=camera_maker(dict(keys), where, matrix), lens=has_lens(keys)))
     return replace(spec, views=tuple(views))

@@ -80,7 +80,8 @@ def _former(out: Path) -> set[Path]:
 
 def frames_folder(out: Path) -> Path:
     """Return the folder beside an output for the frames of videos."""
-    return out.with_name(f"{out.stem if _is_table(out) else out.name}_photographs")
+    whole = out.absolute()  # "." has no name
+    return whole.with_name(f"{out.stem if _is_table(out) else whole.name}_photographs")
 
 
 def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any], replace: bool = False) -> None:

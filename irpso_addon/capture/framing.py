@@ -19,6 +19,7 @@ from ..core.optional import present
 from ..core.steps import blocking
 from .bounds import bounded, weight_and_clipped
 from .camera import Camera
+from .card import near_lights
 from .distortion import undistorted
 from .errors import CaptureError
 from .frame.find import DetectedCorners, corner_steps
@@ -31,6 +32,7 @@ _ANGLE_TOLERANCE = 10.0  # degrees: of a right angle between two sides, for the 
 _LEAST_SIDE = 4  # pixels of a framed picture
 _BLOCK = 1 << 19  # samples resampled at a time
 _CLIPPED_SHARE = 1e-3  # a pixel with a larger clipped share is a lower bound
+_TILTED = 5.0  # degrees: of a card, from which on its distance is doubtful
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
     A framed pixel is the weighted mean of the pixels that it covers, and a lower bound where a part of it is clipped.
     A scale applies to all cameras, crop, corners and card_width only to a capture of one. Raises CaptureError where the
     part is not inside the image, the corners are not those of a rectangle under the camera's lens, or are not found.
+    card_distance counts along the camera's axis: where corners turn the camera, the result's is shorter.
     """
     if framing == Framing():
         return capture
@@ -89,12 +92,16 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
             f"{part or 'scale'}: the mask of '{capture.name}' leaves no pixel of this part; choose another part",
             "mask_empty",
         )
-    distance = capture.card_distance
+    distance, warnings = capture.card_distance, capture.card_warnings
     if framing.card_width is not None:
         distance = _distance(views[0].camera, framing.card_width)
+    elif distance is not None:
+        cosine = axis_cosine(capture.cameras[0], views[0].camera)
+        distance, warnings = distance * cosine, (*warnings, *_tilt_warnings(capture, cosine))
     return replace(
-        capture, observations=observations, masks=masks, cameras=tuple(v.camera for v in views), card_distance=distance
-    )
+        capture, observations=observations, masks=masks, cameras=tuple(v.camera for v in views),
+        card_distance=distance, card_warnings=warnings,
+    )  # fmt: skip
 
 
 framed = blocking("framed", framed_steps)
@@ -111,6 +118,30 @@ def found_corner_steps(capture: Capture, framing: Framing) -> Generator[float, N
     if width is None and capture.card_distance is None and capture.cameras[0].perspective:
         width = result.width
     return replace(framing, corners=(first, second, third, fourth), card_width=width), result
+
+
+def axis_cosine(whole: Camera, used: Camera) -> float:
+    """Return the cosine between the axes of a camera and its framed one, which corners turn to face the card.
+
+    A framed capture's ``card_distance`` is that of the whole one times it.
+    """
+    return 1.0 if np.array_equal(whole.matrix, used.matrix) else float(whole.backward @ used.backward)
+
+
+def distance_of_width(camera: Camera, framing: Framing) -> float:
+    """Return the ``card_distance`` that the card_width of a framing, whose corners are known, stands for."""
+    used = _view(camera, framing).camera
+    return _distance(used, present(framing.card_width)) / axis_cosine(camera, used)
+
+
+def _tilt_warnings(capture: Capture, cosine: float) -> list[str]:
+    tilt = math.degrees(math.acos(min(cosine, 1.0)))
+    if tilt <= _TILTED or not near_lights(capture):
+        return []
+    return [
+        f"corners: the card is tilted by {tilt:.0f}°, and its distance counts along the lens's axis; its width is the"
+        " more reliable number: give --card-width, or card_width in capture.toml"
+    ]
 
 
 with_found_corners = blocking("with_found_corners", found_corner_steps)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from ..core.steps import blocking
 from .camera import Camera
 from .errors import CaptureError, raise_all
-from .framing import Framing
+from .framing import AUTO, Framing, distance_of_width
 from .images.encoding import Encoding, LitImage, encoding_of
 from .images.exif import SAME_STOPS, Exposure
 from .images.image import ImageRef, ImageStore
@@ -43,7 +43,8 @@ class ViewSpec:
     """One camera of a file. make: (width, height) → Camera. size: in the file; None for that of its images.
 
     placed: whether its pose is not the identity (at the origin, looking along −z). where: file and place, for errors.
-    lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide.
+    lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide. foreign:
+    whether another program's file (``cameras``) gives it.
     """
 
     name: str
@@ -53,6 +54,7 @@ class ViewSpec:
     mask: ImageRef | None = None
     placed: bool = False
     lens: bool = True
+    foreign: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,27 @@ class CaptureSpec:
         return self.card_distance is not None or self.framing.card_width is not None
 
 
+def reframed(spec: CaptureSpec, framing: Framing, store: ImageStore) -> CaptureSpec:
+    """Return the spec with another framing, which keeps the spec's card_width.
+
+    That width is of the spec's own part of the images: for another part it becomes ``card_distance``. Reads one header.
+    Raises CaptureError where the own part is not known.
+    """
+    own, new = spec.framing, replace(spec, framing=framing)
+    same = (framing.crop, framing.corners) == (own.crop, own.corners) or (own.corners == AUTO and framing.corners)
+    if own.card_width is None or same or len(spec.views) != 1:
+        return new
+    if own.corners == AUTO:
+        raise CaptureError(
+            f'{spec.source}: its card_width is of the part by corners = "auto", not of this one; give --card-width'
+            " (Card Width)",
+            "value",
+        )
+    camera = spec.views[0].make(*(spec.views[0].size or store.size(spec.observations[0].image)))
+    distance = distance_of_width(camera, own)
+    return replace(new, card_distance=distance, framing=replace(framing, card_width=None))
+
+
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
     """Return the Capture of a spec. Reads masks and all headers now, images at first use.
 
@@ -97,7 +120,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         yield
         of_view = [(shot, size) for shot, _, size in shots if shot.camera == index]
         width, height = _camera_size(view, of_view, faults)
-        _check_orientations([shot.image for shot, _ in of_view], store, faults)
+        faults += orientation_faults([shot.image for shot, _ in of_view], store)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
         warnings += yield from _exposure_warnings([shot for shot, _ in of_view], store)
@@ -204,17 +227,18 @@ def _camera_size(
     return expected
 
 
-def _check_orientations(images: list[ImageRef], store: ImageStore, faults: list[CaptureError]) -> None:
-    """Add an error for each image with another EXIF orientation than most: a phone that looks down guesses it."""
-    orientations = [store.orientation(image) for image in images]
+def orientation_faults(images: Sequence[ImageRef], store: ImageStore) -> list[CaptureError]:
+    """Return an error for each image with another EXIF orientation than most: a phone that looks down guesses it."""
+    tags = [(image, tag) for image in images if (tag := store.tag(image))]
+    orientations = [tag for _, tag in tags]
     usual = max(orientations, key=orientations.count, default=1)
-    faults += [
+    return [
         CaptureError(
             f"{image}: its EXIF orientation is {tag} where the camera's other images have {usual}; the camera stands"
             " still, so give all of them the same orientation",
             "orientation",
         )
-        for image, tag in zip(images, orientations, strict=True)
+        for image, tag in tags
         if tag != usual
     ]
 

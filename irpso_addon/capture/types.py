@@ -80,11 +80,15 @@ class Observation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An observation excluded for its damaged image. index: in the list of the capture's files, from 0."""
+    """An observation excluded for its damaged image. index: in the list of the capture's files, from 0.
+
+    name: in that list, "" for that of the image.
+    """
 
     index: int
     image: str
     why: str
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,8 @@ class Capture:
 
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
     None if unknown. Raises InputError if it is not above 0. left_out: listed observations that were excluded.
-    encoding: of files that were read with colour_space "auto". warnings: of reading the headers.
+    encoding: of files that were read with colour_space "auto". warnings: of reading the headers. card_warnings: of the
+    card's place.
     """
 
     name: str
@@ -105,6 +110,7 @@ class Capture:
     left_out: tuple[LeftOut, ...] = ()
     encoding: Encoding | None = None
     warnings: tuple[str, ...] = ()
+    card_warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.card_distance is not None and not 0 < self.card_distance < math.inf:
@@ -117,10 +123,10 @@ class Capture:
 
     @property
     def listed_names(self) -> list[str]:
-        """Names of the observations that the capture's files list; of an excluded one that of its image."""
+        """Names of the observations that the capture's files list, excluded ones included."""
         names = [shot.name for shot in self.observations]
         for one in sorted(self.left_out, key=lambda one: one.index):
-            names.insert(one.index, Path(one.image).name)
+            names.insert(one.index, one.name or Path(one.image).name)
         return names
 
     @property

@@ -83,8 +83,6 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--scale", type=float, metavar="S", help="size of the pictures, 0.25 for a quick preview (default 1)"
     )
-    add.add_argument("--card-width", type=float, metavar="W",
-                     help="width of the card as shown, in the unit of light positions; gives its distance")  # fmt: skip
     add.add_argument("--skip-damaged", action="store_true", help=SKIP_DAMAGED)
     add.add_argument(
         "--intensities",
@@ -112,7 +110,8 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--preview",
         action=argparse.BooleanOptionalAction,
-        help="first write maps of a quarter of each side into OUT/preview (default: from two million texels on)",
+        help="first write maps of a quarter of each side into OUT/preview (default: if the whole is expected to take"
+        " more than 20 minutes)",
     )
     add.add_argument("--live", action="store_true", help="keep updating OUT/live.png, a picture of the maps so far")
     add.add_argument("--memory", metavar="SIZE", help="largest memory to use, as 4G or device=4G,host=8G")

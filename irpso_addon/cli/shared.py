@@ -18,9 +18,11 @@ def add_common(add: argparse.ArgumentParser) -> None:
 
 
 def add_distance(add: argparse.ArgumentParser) -> None:
-    """Add the distance of a card."""
+    """Add the distance of a card, or its width."""
     add.add_argument("--distance", type=float, metavar="D",
                      help="distance of a card from its camera; overrides card_distance of the capture")  # fmt: skip
+    add.add_argument("--card-width", type=float, metavar="W",
+                     help="width of the card as shown, in the unit of light positions; gives its distance")  # fmt: skip
 
 
 def add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:

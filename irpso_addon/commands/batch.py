@@ -36,6 +36,7 @@ _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadows")
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
 _OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
+_SUMMARY = "batch.json"  # of all jobs, in the output folder
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
@@ -66,6 +67,17 @@ class Row:
         """Return the file of the job's state."""
         return output / f"{self.name}.json"
 
+    def capture(self, output: Path) -> Path:
+        """Return the folder of the job's capture under its rig."""
+        return output / f"{self.name}_capture"
+
+    @property
+    def places(self) -> list[str]:
+        """Names of what the job writes into the batch's folder, in lower case: not all systems tell cases apart."""
+        here = Path()
+        written = [self.folder(here), self.state_file(here), *[self.capture(here)] * (self.rig is not None)]
+        return [path.name.lower() for path in written]
+
 
 def run(options: Namespace) -> dict:
     """Run the unfinished jobs of a list and write one report. A failed job does not stop the others."""
@@ -82,7 +94,7 @@ def run(options: Namespace) -> dict:
             raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
         return _outcome([_run_job(chosen[0], output, options)], None, options)
     states = [_run_job(job, output, options) for job in jobs]
-    return _outcome(states, output / "batch.json", options)
+    return _outcome(states, output / _SUMMARY, options)
 
 
 def read_list(path: Path, parse: Parse) -> list[Row]:
@@ -101,6 +113,13 @@ def read_list(path: Path, parse: Parse) -> list[Row]:
     names = [job.name.lower() for job in jobs]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{path}: two jobs are called '{twice}'; give them names that differ")
+    owners = {_SUMMARY: "batch itself"}
+    for job in jobs:
+        if taken := next((place for place in job.places if place in owners), None):
+            raise InputError(
+                f"{path}: job {job.name}: would write {taken}, as {owners[taken]} does; give it another name"
+            )
+        owners |= dict.fromkeys(job.places, f"job {job.name}")
     return jobs
 
 
@@ -119,8 +138,8 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     if not isinstance(row.get("capture"), str):
         raise InputError(f'{where}: has no capture; add capture = "folder"')
     name = row.get("name", Path(row["capture"]).stem)
-    if not isinstance(name, str) or not name or Path(name).name != name or name.startswith(".") or name == "batch":
-        raise InputError(f"{where}: name must be one that a folder can have, other than batch")
+    if not isinstance(name, str) or not name or Path(name).name != name or name.startswith("."):
+        raise InputError(f"{where}: name must be one that a folder can have")
     if reserved := [key for key in _BATCH_OPTIONS if key in row]:
         raise InputError(f"{where}: {reserved[0]} is not an option of jobs; give it to batch itself")
     rig = row.pop("rig", None)
@@ -192,7 +211,7 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     if same and former.get("state") == "done" and (folder / REPORT).is_file():
         _say(options, f"{job.name}: done before")
         return former
-    capture = output / f"{job.name}_capture"
+    capture = job.capture(output)
     made_of = _photographs(former.get("words", job.listed))
     if job.rig is not None and capture.is_dir() and made_of != _photographs(job.listed):
         # The former state stays, to tell this again.

@@ -18,7 +18,7 @@ from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, r
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
 from ..calibration.write import checked_output, places, table_path, write_calibration, write_lights
 from ..capture.formats.table import CARD_DISTANCE
-from ..capture.framing import framed
+from ..capture.framing import axis_cosine, framed
 from ..capture.spec import CaptureSpec, build_capture
 from ..capture.types import Capture
 from ..core.errors import InputError
@@ -122,12 +122,15 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     checked_output(Path(options.output), options.replace)
     spec, keys = _photographs(options, keys, [])
     whole = _whole(spec)
-    result = _without_ball(options, flat_card_steps(framed(whole, spec.framing)))
+    used = framed(whole, spec.framing)
+    result = _without_ball(options, flat_card_steps(used))
     if spec.framing.crop is None and not spec.framing.corners and whole.masks[0].all():
         result = replace(result, warnings=(*result.warnings, _WHOLE_IS_CARD))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
-    card = {} if spec.states_distance else {CARD_DISTANCE: result.capture.card_distance}
+    distance = present(result.capture.card_distance) / axis_cosine(whole.cameras[0], used.cameras[0])
+    result = replace(result, capture=replace(result.capture, card_distance=distance))
+    card = {} if spec.states_distance else {CARD_DISTANCE: distance}
     line = (
         f"{len(result.capture.lights)} near lights, with their positions, by their fall-off over a flat card;"
         f" {_errors(result.fit.degrees)}, and {result.distance_error:.0%} of their distance"

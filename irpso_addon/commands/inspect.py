@@ -17,12 +17,17 @@ _GOALS = ("normals", "roughness")  # of recover's default model; a fact says whe
 def run(options: Namespace) -> dict:
     """Print facts and findings; the exit code is 2 if a finding is an error."""
     distance = positive("--distance", options.distance)
-    report = inspect_capture(options.capture, decode, options.colour_space, _GOALS, distance, options.skip_damaged)
+    width = positive("--card-width", options.card_width)
+    if distance and width:
+        raise InputError("--distance and --card-width: give one of them")
+    report = inspect_capture(
+        options.capture, decode, options.colour_space, _GOALS, distance, options.skip_damaged, width
+    )  # fmt: skip
     if not report.facts:  # the capture could not be opened
         raise InputError("; ".join(finding.message for finding in report.findings))
     if not options.json:
-        width = max(len(name) for name, _ in report.facts)
-        lines = [f"{name:{width}}  {value}" for name, value in report.facts]
+        column = max(len(name) for name, _ in report.facts)
+        lines = [f"{name:{column}}  {value}" for name, value in report.facts]
         lines += [f"{finding.severity}: {finding.message}" for finding in report.findings] or ["nothing suspicious"]
         if report.codes & DAMAGE:
             lines.append("hint: --skip-damaged, here and of recover, leaves damaged images out")

@@ -21,11 +21,11 @@ from ..core.progress_bar import StepBars
 from ..core.steps import run_steps
 from ..exports.asset import write_to_shelf
 from ..gpu import context, probe
-from ..pipeline.drive import CHECKPOINT, Saving, drive
+from ..pipeline.drive import CHECKPOINT, Saving, drive, was_previewed
 from ..pipeline.job import Job
 from ..pipeline.live import LIVE, LivePicture
 from ..pipeline.preview import PART, can_be_smaller, smaller
-from ..pipeline.ranks import run_on_ranks
+from ..pipeline.ranks import leave_with_error, run_on_ranks
 from ..pipeline.result import ResultMaps, make_material, pictures_of, report_of, result_maps, subject_of
 from ..pipeline.run import Run
 from ..results.report import plain
@@ -49,9 +49,10 @@ def run(options: Namespace) -> dict:
     ranks = joined()
     if ranks is not None:
         if options.preview:
-            raise InputError("--preview: a run over ranks writes no preview; leave it out")
+            error = InputError("--preview: a run over ranks writes no preview; leave it out")
+            return leave_with_error(ranks, options, error)
         return _planned(options, run_on_ranks(
-            ranks, options, lambda: _job_of_ranks(options), StepBars(silent(options)),
+            ranks, options, lambda: _job_of_ranks(options, ranks.leads), StepBars(silent(options)),
             lambda run: _recovered(options, run, previewed=False),
         ))  # fmt: skip
     if options.slots == EACH:
@@ -60,8 +61,7 @@ def run(options: Namespace) -> dict:
 
 
 def _recover(options: Namespace, job: Job) -> dict:
-    if options.asset is not None:
-        shelf_of(options, options.asset).path(options.asset_name or job.name)  # before anything slow
+    _check_asset(options, job)
     probed = probe.probe()
     context.ensure()
     run = Run(job, StepBars(silent(options)))
@@ -76,8 +76,15 @@ def _recover(options: Namespace, job: Job) -> dict:
             "--preview: a map of --fixed has the full size and cannot be made smaller; leave one of the two out"
         )
     wanted = options.preview or (options.preview is None and seconds[0] >= _LONG_SECONDS and can_be_smaller(job))
-    # A resumed run wrote its preview before.
-    return _recovered(options, run, bool(options.resume) or wanted and _preview(options, smaller(job), plan.work))
+    if options.resume:  # it wrote its preview before
+        return _recovered(options, run, was_previewed(Path(options.output) / CHECKPOINT))
+    return _recovered(options, run, wanted and _preview(options, smaller(job), plan.work))
+
+
+def _check_asset(options: Namespace, job: Job) -> None:
+    """Raise InputError, before anything slow, where the asset has no place in its library."""
+    if options.asset is not None:
+        shelf_of(options, options.asset).path(options.asset_name or job.name)
 
 
 def _preview(options: Namespace, job: Job, work: float) -> bool:
@@ -125,10 +132,17 @@ def _planned(options: Namespace, result: dict) -> dict:
     return {"plan": plan.as_dict(), **({"seconds": seconds} if seconds else {})}
 
 
-def _job_of_ranks(options: Namespace) -> Job:
+def _job_of_ranks(options: Namespace, leads: bool) -> Job:
     if options.slots == EACH:
         raise InputError(f"--slots {EACH}: ranks recover one slot at a time; name the slot")
-    return job_of(options)
+    quiet = options.quiet
+    options.quiet = quiet or not leads  # restored: all ranks compare their options
+    try:
+        job = job_of(options)
+    finally:
+        options.quiet = quiet
+    _check_asset(options, job)
+    return job
 
 
 def _each_slot(options: Namespace) -> dict:
@@ -159,7 +173,7 @@ def _each_slot(options: Namespace) -> dict:
 def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
     """Run to the end, write everything, and return the report. previewed: whether OUT/preview is of this run."""
     folder = Path(options.output)
-    saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every)
+    saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every, previewed)
     with ExitStack() as writing:
         report, found, started, interrupted = _solved(options, run, folder, saving, writing)
         height = found.height if options.displacement else None

@@ -93,17 +93,23 @@ def write_json(path: Path, table: dict[str, Any]) -> None:
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``path``, renamed to it at the end, or deleted after an exception.
 
-    Raises InputError if ``path`` exists and is not an empty folder, or cannot be made.
+    The current folder is filled instead: a shell would stay in the deleted one. Raises InputError if ``path`` exists
+    and is not an empty folder, or cannot be made.
     """
     check_unused(path)
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    whole = path.absolute()  # "." has no name
+    partial = whole.with_name(f".{whole.name}.partial-{os.getpid()}")
     _unfinished.add(partial)
     try:
         partial.mkdir(parents=True)
         yield partial
-        if path.exists():
-            path.rmdir()  # Windows does not rename onto a folder, even an empty one
-        os.replace(partial, path)
+        if path.exists() and path.samefile(os.curdir):
+            for made in list(partial.iterdir()):
+                os.replace(made, path / made.name)
+        else:
+            if path.exists():
+                path.rmdir()  # Windows does not rename onto a folder, even an empty one
+            os.replace(partial, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:

@@ -5,33 +5,46 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import CheckpointError, InputError
 from ..core.files import remove_partials
 from ..core.interrupt import delayed_signals
 from ..core.progress_bar import ProgressBar
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.progress import TimeLeft
+from ..solver.state.checkpoint import read_note
 from ..solver.views.history import History
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between updates of the progress bar and checks for Ctrl-C
 _SLOW_SAVE, _MOST_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
-_ELAPSED = "seconds"  # key of the run's seconds among a checkpoint's notes
+_ELAPSED, _PREVIEWED = "seconds", "previewed"  # keys among a checkpoint's notes: the run's seconds, its preview
 _MOST_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
 
 
 @dataclass(frozen=True)
 class Saving:
-    """When to save checkpoints. path: None for never. resume: from it. every: seconds; None: only on an interrupt."""
+    """When to save checkpoints. path: None for never. resume: from it. every: seconds; None: only on an interrupt.
+
+    previewed: whether this run, or the one that it resumes, wrote a preview; its checkpoints say so.
+    """
 
     path: Path | None
     resume: bool = False
     every: float | None = None
+    previewed: bool = False
+
+
+def was_previewed(path: Path) -> bool:
+    """Return whether the run of a checkpoint wrote a preview; True if it does not say."""
+    with suppress(CheckpointError):
+        return bool(read_note(path, _PREVIEWED))
+    return True
 
 
 def check_every(seconds: float | None) -> None:
@@ -51,6 +64,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
     if saving.resume and saving.path:
         notes = recovery.load(saving.path)
         saver.before = float(notes.pop(_ELAPSED, 0.0))
+        notes.pop(_PREVIEWED, None)
         history.take(notes)
     bar, time_left = ProgressBar("recover", quiet), TimeLeft()
     iterations = 1
@@ -109,7 +123,8 @@ class _Saver:
         if self.turns:  # late tiles catch up; else the history misses a measurement after a resume
             self._recovery.step(0)
             self._history.record_due()
-        more = self._recovery.save(path, {**self._history.notes, _ELAPSED: np.array(self.seconds)}, running)
+        own = {_ELAPSED: np.array(self.seconds), _PREVIEWED: np.array(self._saving.previewed)}
+        more = self._recovery.save(path, {**self._history.notes, **own}, running)
         self._saved_stage = None if more else self._recovery.progress.stage
 
     def save_when_due(self) -> None:

@@ -105,12 +105,13 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
 
 
 def capture_warnings(capture: Capture, reads: bool = True, exposures: bool = True) -> list[str]:
-    """Return warnings of reading a capture: images left out, other exposures, an encoding that radiance contradicts.
+    """Return warnings of a capture: images left out, other exposures, a tilted card, an encoding against its radiance.
 
     reads: whether images are read to test the encoding, unless it is tested already. Panels must not read. exposures:
     whether other exposures matter; estimated intensities account for them.
     """
     lines = [*(f"left out: {image.why}" for image in capture.left_out), *(capture.warnings if exposures else ())]
+    lines += capture.card_warnings
     encoding = capture.encoding
     if encoding is None or encoding.known_by == "format" or not (reads or encoding.is_tested):
         return lines

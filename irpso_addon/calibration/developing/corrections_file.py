@@ -11,10 +11,11 @@ import numpy as np
 
 from ...capture.errors import CaptureError
 from ...capture.formats.toml_file import known_keys, load_toml, number, rows, text, vector
-from ...capture.images.exif import Exposure, exposure_of, lens_of
+from ...capture.images.exif import Exposure, exposure_of, lens_of, orientation_of, tags_of
 from ...capture.images.exr import read_exr, write_exr
 from ...capture.images.exr_header import is_exr
 from ...capture.images.headers import read_bytes
+from ...capture.images.raw import is_raw, raw_header
 from ...core.errors import InputError
 from ...core.files import new_folder
 from ...core.toml_text import toml_value
@@ -36,13 +37,14 @@ _KEYS = {"format", "colour_space", "saturated", "reference", "gains", "matrix", 
 class Photograph:
     """Source of an image. image: its file in the capture. file: name of the camera's file, or of the bracket.
 
-    lens: camera, lens and focal length, as far as EXIF states them. exposure: by EXIF, or None.
+    lens: camera, lens and focal length, as far as EXIF states them. exposure, orientation: by EXIF, or None.
     """
 
     image: str
     file: str
     lens: dict[str, str | float] = field(default_factory=dict)
     exposure: Exposure | None = None
+    orientation: int | None = None
 
     def keys(self) -> dict[str, Any]:
         """Return its keys in corrections.toml, without those that are None."""
@@ -50,6 +52,7 @@ class Photograph:
         table: dict[str, Any] = {"image": self.image, "file": self.file, **self.lens}
         if exposure is not None:
             table |= {"seconds": exposure.seconds, "f_number": exposure.f_number, "iso": exposure.iso}
+        table["orientation"] = self.orientation
         return {key: value for key, value in table.items() if value is not None}
 
 
@@ -64,16 +67,19 @@ def photograph_at(image: str, path: Path) -> Photograph:
     if is_exr(path):
         return Photograph(image, path.name)
     data = read_bytes(path)
-    return Photograph(image, path.name, lens_of(data), exposure_of(data))
+    orientation = raw_header(path).tag if is_raw(path) else orientation_of(tags_of(data))
+    return Photograph(image, path.name, lens_of(data), exposure_of(data), orientation)
 
 
 def photograph_of_keys(row: dict[str, Any], where: str) -> Photograph:
     """Return a Photograph from its table. Raises CaptureError at unknown keys."""
-    known_keys(row, {"image", "file", *LENS_KEYS, "seconds", "f_number", "iso"}, where)
+    known_keys(row, {"image", "file", *LENS_KEYS, "seconds", "f_number", "iso", "orientation"}, where)
     seconds, f_number, iso = (number(row, key, where) if key in row else None for key in ("seconds", "f_number", "iso"))
     lens = {key: row[key] for key in LENS_KEYS if key in row}
     exposure = None if seconds is None else Exposure(seconds, f_number, iso)
-    return Photograph(text(row, "image", where), text(row, "file", where), lens, exposure)
+    return Photograph(
+        text(row, "image", where), text(row, "file", where), lens, exposure, row.get("orientation")
+    )  # fmt: skip
 
 
 def write_corrections(folder: Path, measured: Measured, photographs: Sequence[Photograph]) -> None:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from ...capture.errors import CaptureError, raise_all
 from ...capture.images.exif import exposure_of
+from ...capture.images.exr_header import is_exr
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.raw import is_raw
+from ...capture.spec import orientation_faults
 from ...core.errors import InputError
 from ..charts.grey_card import find_grey_card
 from ..charts.search import find_chart
-from ..radiometry.brackets import exif_amount, name_amount
+from ..radiometry.brackets import exif_amount, index_amount, name_amount
 from ..radiometry.colour_fit import chart_report, chart_warnings, orient_chart
 from ..radiometry.curve_file import read_response
 from ..radiometry.develop import Corrections, Shot, developed
@@ -117,6 +121,7 @@ class Measured:
 def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) -> Generator[Progress, None, Measured]:
     """Yield before each measurement; return the corrections. Raises InputError if one cannot be measured."""
     work = _Work(store, source, options)
+    work.check_orientations()
     shots = source.shots
     cameras = 1 + max(shot.camera for shot in shots)
     amounts = [a for shot in shots for a in shot.amounts or ()]
@@ -143,7 +148,7 @@ def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) ->
         corrections = replace(corrections, matrix=matrix)
     elif options.colour_chart is not None:
         corrections = replace(corrections, matrix=work.matrix(corrections, options.colour_chart))
-    return Measured(corrections, work.figures, tuple(work.warnings), options.exposing, options.colour_space)
+    return Measured(corrections, work.figures, tuple(work.warnings), options.exposing, work.colour_space)
 
 
 class _Work:
@@ -151,8 +156,20 @@ class _Work:
 
     def __init__(self, store: ImageStore, source: Source, options: MeasureOptions):
         self.store, self.source, self.options = store, source, options
+        self.colour_space = _common_space(source) if options.colour_space == "auto" else options.colour_space
         self.figures: dict = {}
         self.warnings: list[str] = []
+
+    def check_orientations(self) -> None:
+        """Raise CaptureError for a file with another EXIF orientation than most of its camera's."""
+        shots = self.source.shots
+        faults: list[CaptureError] = []
+        for camera in sorted({shot.camera for shot in shots}):
+            images = [image for shot in shots if shot.camera == camera for image in shot.images]
+            if camera == shots[0].camera:
+                images += map(self._ref, self.options.left_out)
+            faults += orientation_faults(images, self.store)
+        raise_all(faults)
 
     def response(self) -> Generator[Progress, None, Response | None]:
         if self.options.response is not None:
@@ -186,7 +203,10 @@ class _Work:
 
     def dark(self, response: Response | None) -> Dark:
         files, size = self.options.darks, self.source.shots[0].size
-        frames = ((self._amount(p), read_frame(self.store, self._ref(p), response, size).rgb) for p in files)
+        amounts = [self._amount(p) for p in files]
+        self._check_known(files, amounts)
+        frames = ((amount, read_frame(self.store, self._ref(p), response, size).rgb)
+                  for p, amount in zip(files, amounts, strict=True))  # fmt: skip
         dark = mean_dark(frames, self.options.scale_dark)
         self.figures["dark"] = {"files": [str(p) for p in files],
                                 "mean": [round(float(level.mean()), 7) for _, level in dark.levels]}  # fmt: skip
@@ -289,7 +309,7 @@ class _Work:
         return shot.images[len(shot.images) // 2]
 
     def _ref(self, path: Path) -> ImageRef:
-        return ImageRef(path, colour_space=self.options.colour_space)
+        return ImageRef(path, colour_space=self.colour_space)
 
     def _amount(self, path: Path) -> float | None:
         """Return the exposure of a file that is not a shot; None if it has none or exposures are not used."""
@@ -298,8 +318,21 @@ class _Work:
             return None
         if exposing.by == "exif":
             return exif_amount(path) if exposure_of(read_bytes(path)) else None
-        parsed = None if exposing.exposures else name_amount(path.stem)
+        if exposing.exposures:
+            shown = [image.path for shot in self.source.shots for image in shot.images]
+            return index_amount(path, shown, exposing.exposures)
+        parsed = name_amount(path.stem)
         return parsed[1] if parsed else None
+
+    def _check_known(self, darks: Sequence[Path], amounts: Sequence[float | None]) -> None:
+        """Raise InputError for a dark frame whose name does not tell which of several --exposures it has."""
+        exposing = self.options.exposing
+        if exposing is None or len(set(exposing.exposures)) < 2 or None not in amounts:
+            return
+        raise InputError(
+            f"{darks[amounts.index(None)]}: its name does not tell which of the --exposures it has; end it with that"
+            " one's number, as the photographs' names"
+        )
 
     def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
         first, chart = self.source.shots[0], self.options.chart
@@ -310,6 +343,18 @@ class _Work:
             raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
         return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)
+
+
+def _common_space(source: Source) -> str:
+    """Return the colour space that a capture states for its images. Raises InputError if it states several."""
+    images = [image for shot in source.shots for image in shot.images]
+    first, *others = [image for image in images if not (is_exr(image.path) or is_raw(image.path))] or images
+    if other := next((image for image in others if image.colour_space != first.colour_space), None):
+        raise InputError(
+            f'{other}: has colour_space "{other.colour_space}" where {first} has "{first.colour_space}"; develop'
+            " photographs of one encoding, or set --colour-space (Color Space)"
+        )
+    return first.colour_space
 
 
 def _many(shots: list[Shot]) -> str:

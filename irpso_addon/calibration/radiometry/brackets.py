@@ -88,11 +88,28 @@ def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) 
 def _indexed(
     paths: Sequence[Path], indices: list[tuple[str, int]], exposures: Sequence[float]
 ) -> list[tuple[str, float]]:
-    first = 0 if any(index == 0 for _, index in indices) else 1
+    first = _first([index for _, index in indices])
     for path, (_, index) in zip(paths, indices, strict=True):
         if index - first >= len(exposures):
             raise InputError(f"{path}: is exposure {index} from {first}, and --exposures has only {len(exposures)}")
     return [(stem, float(exposures[index - first])) for stem, index in indices]
+
+
+def _first(indices: Sequence[int]) -> int:
+    """Return the number of the first exposure, 0 or 1."""
+    return 0 if 0 in indices else 1
+
+
+def index_amount(path: Path, paths: Sequence[Path], exposures: Sequence[float]) -> float | None:
+    """Return the exposure of a file by the number at the end of its name, counted as in the names of ``paths``.
+
+    None if the name has no number, or that of no exposure.
+    """
+    own = name_amount(path.stem, exposures)
+    if own is None:
+        return None
+    place = int(own[1]) - _first([int(parts[1]) for one in paths if (parts := name_amount(one.stem, exposures))])
+    return float(exposures[place]) if 0 <= place < len(exposures) else None
 
 
 def brackets_of(

@@ -11,7 +11,6 @@ import numpy as np
 from ...capture.images.exif import SAME_STOPS
 from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
-from ...capture.images.linearise import samples_of_picture
 from ...core.errors import InputError
 from .response import Response
 
@@ -52,7 +51,7 @@ def read_frame(
         codes = samples.rgba[..., :3]
     else:
         picture = store.picture(image)
-        samples, bits, profile = samples_of_picture(picture, image.colour_space), picture.bits, picture.profile
+        samples, bits, profile = store.samples_of(image, picture), picture.bits, picture.profile
         codes = picture.values[..., :3] if picture.values.shape[-1] >= 3 else picture.values[..., :1]
     if response is not None and bits == 32:
         raise InputError(f"{image}: holds linear floats, which have no response curve; omit --response")

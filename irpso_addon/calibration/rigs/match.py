@@ -60,7 +60,7 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
 def check_photographs(
     rig: Rig, shots: Sequence[Shot], sources: Sequence[Photograph], lamps: Sequence[int], store: ImageStore
 ) -> None:
-    """Raise InputError for the first photograph of another size, camera, lens or kind of file than the rig's.
+    """Raise InputError for the first photograph of another size, orientation, camera, lens or kind than the rig's.
 
     sources: the photograph of each shot, with its EXIF.
     """
@@ -71,6 +71,11 @@ def check_photographs(
             raise InputError(
                 f"{path}: is {size[0]}×{size[1]} pixels, the rig's photographs {view.size[0]}×{view.size[1]}; set the"
                 " camera as for the rig, and do not crop"
+            )
+        if None not in (expected.orientation, source.orientation) and source.orientation != expected.orientation:
+            raise InputError(
+                f"{path}: its EXIF orientation is {source.orientation}, that of the rig's photographs"
+                f" {expected.orientation}: it would be turned against the lamps; give all of them the same orientation"
             )
         if rig.measured is not None and _kind(path.name) != _kind(expected.file):
             raise InputError(

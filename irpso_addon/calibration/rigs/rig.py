@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Ri
         )
     capture = build_capture(spec, decoder)
     if spec.framing.card_width is not None:
-        capture = framed(capture, spec.framing)
+        capture = replace(capture, card_distance=framed(capture, spec.framing).card_distance)
     corrections = _corrections_of(spec)
     images = [shot.image.path for shot in spec.observations]
     if corrections is None:

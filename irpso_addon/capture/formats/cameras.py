@@ -9,9 +9,7 @@ import numpy as np
 
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
-from ..images.exr_header import is_exr
-from ..images.headers import read_header
-from ..images.image import ImageRef
+from ..images.image import ImageRef, ImageStore
 from ..poses import PoseFile, moved, read_poses, similarity, upright_camera
 from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
@@ -67,10 +65,9 @@ class Views:
         camera, where = poses.cameras[name], f"{poses.path}: camera '{name}'"
 
         def make(width: int, height: int) -> Camera:
-            orientation = 1 if is_exr(image.path) else read_header(image.path).orientation
-            return moved(upright_camera(camera, width, height, orientation, where), self._world)
+            return moved(upright_camera(camera, width, height, ImageStore().orientation(image), where), self._world)
 
-        return ViewSpec(name, make, where, None, self._masks.get(name), True)
+        return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True)
 
 
 def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:

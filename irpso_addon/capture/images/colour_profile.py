@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...core.encode import linear_from_srgb
-from .primaries import P3_D65, REC_709, REC_2020, to_rec_709
+from .primaries import ADOBE_RGB, P3_D65, REC_709, REC_2020, to_rec_709
 
 Curve = Callable[[np.ndarray], np.ndarray]
 # Linear Rec. 709 to XYZ relative to D50, white to white: the colorants of sRGB profiles (ICC, sRGB.icc; Bradford).
@@ -103,6 +103,13 @@ def profile_of_h273(primaries: int, transfer: int) -> ColourProfile:
         raise ProfileError(f"its colour primaries (H.273 code {primaries}) are not known")
     matrix = to_rec_709(_PRIMARIES[primaries])
     return ColourProfile(_PRIMARY_NAMES[primaries], (curve, curve, curve), np.eye(3) if matrix is None else matrix)
+
+
+@lru_cache(maxsize=1)
+def adobe_rgb() -> ColourProfile:
+    """Return the profile Adobe RGB (1998), whose exponent is 2 + 51/256."""
+    curve = _parametric(0, [2.19921875])
+    return ColourProfile("Adobe RGB", (curve, curve, curve), np.asarray(to_rec_709(ADOBE_RGB)))
 
 
 def linear_from_rec709(values: np.ndarray) -> np.ndarray:

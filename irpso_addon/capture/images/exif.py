@@ -28,6 +28,8 @@ _SAME_SHAPE = 0.01  # relative tolerance of proportions: beyond it a picture cou
 _TIME, _SUBSECOND = 36867, 37521  # when the photograph was taken
 _MAKE, _MODEL, _LENS, _FOCAL_LENGTH = 271, 272, 42036, 37386
 SAME_STOPS = 1 / 6  # stops: exposures that differ by less than half of a third-stop are the same setting
+_INTEROPERABILITY, _INDEX = 40965, 1
+_COLOUR_SPACE, _UNCALIBRATED = 40961, 65535
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
 
 
@@ -46,7 +48,10 @@ class Exposure:
 
 
 def tiff_tags(block: bytes) -> dict[int, Any]:
-    """Return the tags of a TIFF file or EXIF block and of its EXIF directory; damaged tags are left out."""
+    """Return the tags of a TIFF file or EXIF block, of its EXIF directory and its interoperability (1 and 2).
+
+    Damaged tags are left out.
+    """
     from PIL import Image
 
     exif = Image.Exif()
@@ -55,6 +60,7 @@ def tiff_tags(block: bytes) -> dict[int, Any]:
         exif.load(block)
         tags |= dict(exif)
         tags |= exif.get_ifd(_EXIF_DIRECTORY)
+        tags |= exif.get_ifd(_INTEROPERABILITY)
     return tags
 
 
@@ -81,9 +87,21 @@ def orientation_of(tags: dict[int, Any]) -> int:
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
+def tags_of(data: bytes) -> dict[int, Any]:
+    """Return the EXIF tags of a JPEG, PNG, HEIC or TIFF file (DNG and many raw files are TIFF)."""
+    return tiff_tags(_exif_block(data))
+
+
+def is_adobe_rgb(tags: dict[int, Any]) -> bool:
+    """Return whether a camera marked a file as Adobe RGB in DCF's way (DCF 2.0, JEITA CP-3461B): index R03."""
+    index = tags.get(_INDEX, "")
+    index = index.decode("ascii", "ignore") if isinstance(index, bytes) else str(index)
+    return tags.get(_COLOUR_SPACE) == _UNCALIBRATED and index.startswith("R03")
+
+
 def exposure_of(data: bytes) -> Exposure | None:
     """Return the exposure of a JPEG, PNG, HEIC or TIFF file (DNG and many raw files are TIFF); None without one."""
-    return exposure_in(tiff_tags(_exif_block(data)))
+    return exposure_in(tags_of(data))
 
 
 def exposure_in(tags: dict[int, Any]) -> Exposure | None:
@@ -94,7 +112,7 @@ def exposure_in(tags: dict[int, Any]) -> Exposure | None:
 
 def time_of(data: bytes) -> float | None:
     """Return the time of a photograph in seconds by the camera's clock, from 1970 on; None without the tag."""
-    tags = tiff_tags(_exif_block(data))
+    tags = tags_of(data)
     text = str(tags.get(_TIME) or "").strip("\0 ")
     part = str(tags.get(_SUBSECOND) or "").strip("\0 ")
     with suppress(ValueError):
@@ -105,7 +123,7 @@ def time_of(data: bytes) -> float | None:
 
 def lens_of(data: bytes) -> dict[str, str | float]:
     """Return a file's make, model, lens, focal_length and focal_length_35mm (millimetres), without missing ones."""
-    tags = tiff_tags(_exif_block(data))
+    tags = tags_of(data)
     named = {"make": _MAKE, "model": _MODEL, "lens": _LENS}
     texts = {key: str(tags.get(tag) or "").strip("\0 ") for key, tag in named.items()}
     lengths = {"focal_length": _FOCAL_LENGTH, "focal_length_35mm": _FOCAL_LENGTH_35MM}
@@ -119,7 +137,7 @@ def field_of_view(data: bytes, width: int, height: int) -> float | None:
     From FocalLengthIn35mmFilm, which compares diagonals (CIPA DCG-001). None also if the picture's proportions differ
     from those in the tags: it was cropped.
     """
-    tags = tiff_tags(_exif_block(data))
+    tags = tags_of(data)
     focal, across, down = (_positive(tags.get(tag)) for tag in (_FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN))
     if focal is None:
         return None

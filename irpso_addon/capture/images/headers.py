@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.png import SIGNATURE, png_chunks
 from ..errors import CaptureError
-from .exif import JPEG_START, Exposure, exposure_in, exposure_of, open_jpeg, orientation_of, tiff_tags
+from .exif import JPEG_START, Exposure, exposure_in, is_adobe_rgb, open_jpeg, orientation_of, tags_of, tiff_tags
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
@@ -30,9 +30,9 @@ class ImageHeader:
     """Header of one image. kind: "EXR", "PNG", "JPEG", "TIFF", "HDR" or "HEIF". width, height: pixels, upright.
 
     bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
-    (of HEIF 1: libheif applies it). states: the encoding that the file states, "srgb" or "linear", "" for none; a
-    colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of ITU-T H.273.
-    exposure: by EXIF, None without.
+    (of HEIF 1: libheif applies ``applied``). states: the encoding that the file states, "srgb" or "linear", "" for
+    none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of
+    ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise.
     """
 
     kind: str
@@ -44,6 +44,13 @@ class ImageHeader:
     icc: bytes = b""
     cicp: tuple[int, int] | None = None
     exposure: Exposure | None = None
+    applied: int = 1
+    adobe_rgb: bool = False
+
+    @property
+    def tag(self) -> int:
+        """EXIF orientation as stored, 1 to 8."""
+        return self.applied if self.kind == "HEIF" else self.orientation
 
 
 def read_header(path: Path) -> ImageHeader:
@@ -59,8 +66,9 @@ def read_header(path: Path) -> ImageHeader:
         header = _hdr(path, data)
     elif is_heif(data):
         heif = heif_header(data, str(path))
-        exposure = exposure_of(data)
-        header = ImageHeader("HEIF", heif.width, heif.height, heif.bits, 1, "srgb", heif.icc, heif.cicp, exposure)
+        tags = tags_of(data)
+        header = ImageHeader("HEIF", heif.width, heif.height, heif.bits, 1, "srgb", heif.icc, heif.cicp,
+                             exposure_in(tags), orientation_of(tags))  # fmt: skip
     else:
         what = "is no PNG, JPEG, TIFF, HDR, HEIC or EXR image; replace it by one" if data else "is empty; copy it again"
         raise CaptureError(f"{path}: {what}", "image_unknown")
@@ -122,8 +130,10 @@ def _jpeg(path: Path, data: bytes) -> ImageHeader:
         raise truncated(path)
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
-    states = "srgb" if icc or tags.get(_COLOUR_SPACE) == _SRGB else ""
-    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags))
+    adobe = not icc and is_adobe_rgb(tags)
+    states = "srgb" if icc or adobe or tags.get(_COLOUR_SPACE) == _SRGB else ""
+    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags),
+                       adobe_rgb=adobe)  # fmt: skip
 
 
 def _jpeg_scan(data: bytes) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ..errors import CaptureError
-from .colour_profile import ColourProfile, ProfileError, profile_of_h273, profile_of_icc
+from .colour_profile import ColourProfile, ProfileError, adobe_rgb, profile_of_h273, profile_of_icc
 from .exif import Exposure, exposure_of
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
@@ -19,7 +19,7 @@ from .headers import ImageHeader, missing, read_bytes, read_header
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
-from .raw import decode_raw, is_raw, raw_size
+from .raw import RawHeader, decode_raw, is_raw, raw_header
 
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
 KnownBy = Literal["file", "format", "depth", "guess"]
@@ -54,6 +54,7 @@ class ImageStore:
     _headers: dict[Path, tuple[ExrPart, ...]] = field(default_factory=dict)
     _parts: dict[Path, dict[str, ExrImage]] = field(default_factory=dict)
     _pictures: dict[Path, ImageHeader] = field(default_factory=dict)
+    _raws: dict[Path, RawHeader] = field(default_factory=dict)
 
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
         """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
@@ -90,6 +91,8 @@ class ImageStore:
                 profile = profile_of_icc(header.icc)
             elif header.cicp:
                 profile = profile_of_h273(*header.cicp)
+            elif header.adobe_rgb:
+                profile = adobe_rgb()
             else:
                 return None
         except ProfileError as error:
@@ -106,6 +109,11 @@ class ImageStore:
             self._pictures[path] = read_header(path)
         return self._pictures[path]
 
+    def _raw_header(self, path: Path) -> RawHeader:
+        if path not in self._raws:
+            self._raws[path] = raw_header(path)
+        return self._raws[path]
+
     def size(self, image: ImageRef) -> tuple[int, int]:
         """Return (width, height) from the file's header. Raises CaptureError if it cannot be read."""
         with suppress(OSError):  # a folder without permission: reading reports it
@@ -119,7 +127,8 @@ class ImageStore:
             read_header(image.path)  # raises if the file is no image
             raise CaptureError(f"{image.path}: only EXR files have parts and layers; remove part and layer", "layer")
         if is_raw(image.path):
-            return raw_size(image.path)
+            raw = self._raw_header(image.path)
+            return raw.width, raw.height
         header = self._header(image.path)
         if self.decoder is None and header.kind != "HEIF":
             raise self._no_decoder(image)
@@ -128,6 +137,12 @@ class ImageStore:
     def orientation(self, image: ImageRef) -> int:
         """Return the EXIF orientation that reading a file applies, 1 for none."""
         return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
+
+    def tag(self, image: ImageRef) -> int | None:
+        """Return the EXIF orientation as a file has it, also where its decoder applies it; None for an EXR."""
+        if is_exr(image.path):
+            return None
+        return (self._raw_header(image.path) if is_raw(image.path) else self._header(image.path)).tag
 
     def exposure(self, image: ImageRef) -> Exposure | None:
         """Return the exposure by EXIF, None without one. Raises CaptureError if the file cannot be read."""
@@ -138,13 +153,17 @@ class ImageStore:
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""
         if not is_exr(image.path):
-            picture, space = self.picture(image), image.colour_space
-            if space == "auto" and picture.profile is None:
-                space = self.encoding(image)[0]
-            return samples_of_picture(picture, space)
+            return self.samples_of(image, self.picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         return samples_of_exr(self._pixels(image.path, part), rgb, alpha, _matrix_of(image, part, rgb))
+
+    def samples_of(self, image: ImageRef, picture: Picture) -> Samples:
+        """Return ``samples`` of an image that is no EXR. picture: its code values."""
+        space = image.colour_space
+        if space == "auto" and picture.profile is None:
+            space = self.encoding(image)[0]
+        return samples_of_picture(picture, space)
 
     def codes_at(self, image: ImageRef, places: np.ndarray, size: tuple[int, ...]) -> np.ndarray | None:
         """Return (n, 4) the code values and weights of an image's pixels (n,), numbered row by row.

@@ -10,6 +10,7 @@ import numpy as np
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 _D65, _ACES_WHITE = REC_709[6:], (0.32168, 0.33767)
 REC_2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *_D65)  # ITU-R BT.2020
+ADOBE_RGB = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65)  # Adobe RGB (1998) Color Image Encoding
 P3_D65 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65)  # SMPTE EG 432-1
 # colorInteropID → chromaticities of linear spaces: Blender 5 and OpenColorIO 2.5 write only this name (Color
 # Interop Forum 2024); those of ACES: SMPTE ST 2065-1 and Academy S-2014-004.

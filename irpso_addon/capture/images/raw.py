@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ _SUFFIXES = (
     " .srw .x3f"
 )
 _SATURATION = 0.99  # of the range from black to white level: from here a photosite is saturated
+_FLIPS = 5, 0, 1, 3, 2, 4, 6, 7  # LibRaw's flip of each EXIF orientation, the first of 8
 _FOOTPRINT = 2  # radius in pixels to which demosaicing spreads a saturated photosite
 
 
@@ -28,11 +29,20 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in _SUFFIXES.split()
 
 
-def raw_size(path: Path) -> tuple[int, int]:
-    """Return (width, height), upright, of a raw file. Raises CaptureError as ``decode_raw`` does."""
+class RawHeader(NamedTuple):
+    """Size of a raw file, upright, in pixels. tag: its EXIF orientation, 1 to 8, which LibRaw applies."""
+
+    width: int
+    height: int
+    tag: int
+
+
+def raw_header(path: Path) -> RawHeader:
+    """Return the header of a raw file. Raises CaptureError as ``decode_raw`` does."""
     with _opened(path) as raw:
         sizes = raw.sizes
-        return (sizes.iheight, sizes.iwidth) if sizes.flip & 4 else (sizes.iwidth, sizes.iheight)
+        width, height = (sizes.iheight, sizes.iwidth) if sizes.flip & 4 else (sizes.iwidth, sizes.iheight)
+        return RawHeader(width, height, _FLIPS.index(sizes.flip) or 8)
 
 
 def decode_raw(path: Path | str, camera_white: bool = True) -> Picture:

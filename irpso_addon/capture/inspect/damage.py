@@ -56,7 +56,8 @@ def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[Non
                 for k, size in intact.items() if size != expected}  # fmt: skip
     if len(why) == len(spec.observations):
         raise CaptureError(f"{why[0]} (like all other images of {spec.source})", "list_empty")
-    left_out = tuple(LeftOut(k, str(spec.observations[k].image), why[k]) for k in sorted(why))
+    damaged = [(k, spec.observations[k]) for k in sorted(why)]
+    left_out = tuple(LeftOut(k, str(shot.image), why[k], shot.name) for k, shot in damaged)
     remaining = [shot for k, shot in enumerate(spec.observations) if k not in why]
     unused = {shot.camera for shot in spec.observations} - {shot.camera for shot in remaining}
     views = [index for index in range(len(spec.views)) if index not in unused]

@@ -15,7 +15,7 @@ from ...core.steps import blocking, map_steps
 from ..card import card_size, lights_at_card, near_lights
 from ..errors import CaptureError
 from ..frame.find import DetectedCorners
-from ..framing import AUTO, found_corner_steps, framed
+from ..framing import AUTO, axis_cosine, found_corner_steps, framed
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder
@@ -115,7 +115,10 @@ def inspect_steps(
             framing, corners = yield from map_steps(search, lambda done: f"Looking for corners: {done:.0%}")
         part = framed(capture, framing)
         texels = int(np.count_nonzero(part.masks[0]))
-        capture = replace(capture, card_distance=part.card_distance)
+        if part.card_distance is not None:
+            cosine = axis_cosine(capture.cameras[0], part.cameras[0])
+            capture = replace(capture, card_distance=part.card_distance / cosine)
+        findings += [Finding("card_tilted", f"{spec.source}: {text}") for text in part.card_warnings]
         facts += _facts(spec, capture, part)
     except CaptureError as error:
         findings += _errors(error)

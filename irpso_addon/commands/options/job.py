@@ -15,9 +15,11 @@ from ...blender.occluders import named_occluders, with_occluders
 from ...blender.scenes.scene import empty_blend, mesh_object, open_blend
 from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
 from ...capture.framing import AUTO, Framing, framed, with_found_corners
+from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import with_skip_remedy
 from ...capture.inspect.sufficiency import check_normal
 from ...capture.read import read_spec, whole_capture
+from ...capture.spec import reframed
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
@@ -172,9 +174,13 @@ def file_capture(options: Namespace, apart: Path | None = None) -> Capture:
     if apart and apart.resolve() in {shot.image.path.parent.resolve() for shot in spec.observations}:
         raise InputError(f"{apart}: holds the photographs, and would mix them with the maps; choose another with -o")
     framing = replace(spec.framing, **framing_from_options(options))
-    capture = whole_capture(spec, decode, options.skip_damaged)
-    capture = _framed(replace(capture, card_distance=distance or capture.card_distance), framing, options)
-    return replace(capture, card_distance=distance or capture.card_distance)
+    if distance:
+        spec = replace(spec, card_distance=distance, framing=replace(framing, card_width=None))
+    elif options.card_width:
+        spec = replace(spec, framing=framing)
+    else:
+        spec = reframed(spec, framing, ImageStore(decode))
+    return _framed(whole_capture(spec, decode, options.skip_damaged), spec.framing, options)
 
 
 def _framed(capture: Capture, framing: Framing, options: Namespace) -> Capture:

@@ -16,7 +16,7 @@ from ...capture.framing import Framing, framed_steps
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import with_skip_remedy, without_damaged_steps
 from ...capture.read import read_spec
-from ...capture.spec import CaptureSpec, build_steps
+from ...capture.spec import CaptureSpec, build_steps, reframed
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps, run_steps
@@ -57,7 +57,9 @@ def spec_of(settings) -> CaptureSpec:
     """
     spec = read_spec(capture_path(settings), settings.colour_space)
     store_light_facts(settings, spec)
-    spec = replace(spec, framing=_framing_of(settings, spec.framing))
+    framing = _framing_of(settings, spec.framing)
+    given = settings.card_width or settings.card_distance
+    spec = replace(spec, framing=framing) if given else reframed(spec, framing, ImageStore(decode))
     # Blender stores 420.1 as 420.1000061: an unchanged field keeps the file's own digits.
     if settings.card_distance in (0.0, np.float32(spec.card_distance or 0.0)):
         return spec

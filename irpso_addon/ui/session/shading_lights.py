@@ -12,10 +12,11 @@ import bpy
 from ...blender.images import decode
 from ...calibration.write import write_lights
 from ...capture.formats.table import CARD_DISTANCE
-from ...capture.framing import AUTO, Framing, found_corner_steps, framed
+from ...capture.framing import AUTO, Framing, axis_cosine, found_corner_steps, framed
 from ...capture.spec import CaptureSpec, build_steps
 from ...capture.types import Capture, Light
 from ...core.errors import InputError
+from ...core.optional import present
 from ...core.paths import DEFAULT_MODEL
 from ...core.steps import map_steps
 from ...geometry.surface.mesh import MeshData
@@ -102,12 +103,14 @@ def _of_card(
         detection = found_corner_steps(whole, replace(framing, crop=None))
         framing, _ = yield from map_steps(detection, lambda part: _DETECTION * part)
         start = _DETECTION
-    fit = flat_card_steps(framed(whole, framing))
-    fitted = yield from map_steps(fit, lambda part: start + (1 - start) * part)
+    used = framed(whole, framing)
+    fitted = yield from map_steps(flat_card_steps(used), lambda part: start + (1 - start) * part)
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
-    card = {**_framing_keys(framing), CARD_DISTANCE: fitted.capture.card_distance}
-    return _Estimate(fitted.capture.lights, fitted.report(), fitted.warnings, keys, card)
+    distance = present(fitted.capture.card_distance) / axis_cosine(whole.cameras[0], used.cameras[0])
+    card = {**_framing_keys(framing), CARD_DISTANCE: distance}
+    report = {**fitted.report(), CARD_DISTANCE: distance}
+    return _Estimate(fitted.capture.lights, report, fitted.warnings, keys, card)
 
 
 def _framing_keys(framing: Framing) -> dict[str, Any]:

@@ -81,6 +81,19 @@ def test_a_video_that_shows_no_lights_is_refused_and_writes_nothing(moved, tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["a.avi"]
 
 
+def test_videos_of_one_name_keep_all_their_frames(tmp_path):
+    frames = [rec709(frame) for frame in LINEAR]
+    videos = [tmp_path / name for name in ("1/lamp.mkv", "2/lamp.mkv", "lamp_2.mkv", "LAMP.mkv")]
+    for path, part in zip(videos, (frames[::4], frames[1::4], frames[2::4], frames[3::4]), strict=True):
+        path.parent.mkdir(exist_ok=True)
+        write_video(path, part, "FFV1")
+    code, out, err = run_cli("frames", *videos, "-o", tmp_path / "out", "--count", "24", "--json")
+    assert (code, err) == (0, "")
+    written = [path.name for path in (tmp_path / "out").iterdir()]
+    assert len(written) == len(json.loads(out)["frames"]) == 24
+    assert {name[:-10].lower() for name in written} == {"lamp", "lamp_2", "lamp_3", "lamp_4"}
+
+
 def test_another_file_than_a_video_is_refused(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"no video at all")
     with (

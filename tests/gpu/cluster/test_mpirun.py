@@ -203,6 +203,17 @@ def test_a_rank_without_a_gpu_is_named(card, tmp_path):
 def test_unsupported_options_of_ranks_are_refused_once(card, tmp_path):
     code, reply, err = mpi_maker.run(2, *options_of([card], [*WIDE, "--set", "levels=2"], tmp_path / "out"))
     assert code == 2 and "levels" in reply["error"] and err.count("irpso: ") == 1
+    code, reply, err = mpi_maker.run(2, *options_of([card, "--preview"], WIDE, tmp_path / "out"))
+    assert code == 2 and "--preview" in reply["error"] and err.count("irpso: ") == 1
+
+
+def test_an_asset_that_is_there_already_is_refused_before_the_search(card, tmp_path):
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "card.blend").touch()
+    options = options_of([card, "--asset", tmp_path / "library"], WIDE, tmp_path / "out")
+    code, reply, err = mpi_maker.run(2, *options)
+    assert code == 2 and "the library has this file already" in reply["error"] and err.count("irpso: ") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_ranks_refuse_separate_slots_and_batches(ball, card, tmp_path):

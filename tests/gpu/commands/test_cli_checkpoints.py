@@ -46,6 +46,21 @@ def start(capture, out, *more):
     return subprocess.Popen([str(word) for word in command], cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.parametrize("option", ["--preview", "--no-preview"])
+def test_a_resumed_run_keeps_its_own_preview_and_no_older_one(capture, tmp_path, option):
+    out, checkpoint = tmp_path / "out", tmp_path / "out" / "checkpoint.npz"
+    assert run_cli("recover", capture, *OPTIONS, "--preview", "--quiet", "-o", out)[0] == 0
+    run = start(capture, out, option)
+    deadline = time.monotonic() + 100
+    while not checkpoint.exists():
+        assert run.poll() is None and time.monotonic() < deadline, run.stderr.read()
+        time.sleep(0.002)
+    run.kill()
+    run.wait()
+    assert run_cli("recover", capture, *OPTIONS, "--resume", "--quiet", "-o", out)[0] == 0
+    assert (out / "preview").exists() == (option == "--preview")
+
+
 def test_a_run_killed_repeatedly_gives_the_same_maps_bit_for_bit(capture, tmp_path):
     assert run_cli("recover", capture, *OPTIONS, "--quiet", "-o", tmp_path / "whole")[0] == 0
     out, checkpoint = tmp_path / "out", tmp_path / "out" / "checkpoint.npz"

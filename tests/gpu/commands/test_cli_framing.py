@@ -1,6 +1,7 @@
 """``recover`` of parts of pictures: cropped, smaller, and a card that is seen at an angle."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
+from irpso_addon.cli.parser import build_parser
+from irpso_addon.commands.options.job import file_capture
 from tests.builders.command_line import angle, dome_lights, read_map, run_cli
-from tests.builders.near_card import write_near_card
+from tests.builders.near_card import DISTANCE, write_near_card
 from tests.oracles import reflectance as oracles
 
 SIZE = 60, 44  # pixels
@@ -73,6 +76,19 @@ def test_a_card_that_is_seen_at_an_angle(tilted, tmp_path):
     x, y = ((np.arange(count) + 0.5) / count - 0.5 for count in (width, height))
     places = np.stack(np.meshgrid(x * CARD[0], y * CARD[1]), axis=-1)
     assert angle(found, normals_at(places)).mean() < 0.5
+
+
+def test_a_crop_lies_where_the_width_of_the_whole_puts_it(tmp_path):
+    folder = write_near_card(tmp_path / "card", card_distance=None)
+    table = folder / "capture.toml"
+    table.write_text(f"card_width = {2 * DISTANCE * np.tan(np.radians(15))}\n" + table.read_text())
+    options = build_parser().parse_args(["recover", str(folder), "-o", str(tmp_path / "out"), "--crop", "4,2,12,10"])
+    assert file_capture(options).card_distance == pytest.approx(DISTANCE, rel=1e-6)
+    options.card_width = 50.0
+    code, said, _ = run_cli("inspect", folder, "--card-width", "50")
+    assert code == 0 and re.search(r"card +93\.3013 from its camera, 50 × 33\.33", said), said
+    assert run_cli("inspect", folder, "--card-width", "50", "--distance", "9")[0] == 2
+    assert file_capture(options).card_distance == pytest.approx(50 / np.tan(np.radians(15)))
 
 
 def test_a_crop_is_recovered_as_pictures_that_were_cropped(tmp_path):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender import images as blender_images
+from irpso_addon.cluster.transport import Ranks
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import angle, read_map, run_cli
 from tests.builders.recovered import FILES, OTHERS, SHAPE, recovered_models
@@ -123,7 +124,7 @@ def test_a_preview_that_cannot_be_is_refused(recovered, tmp_path, monkeypatch):
     options = ["recover", out.parent / "lambert", "--model", "lambert", "--preview", "-o", tmp_path / "out"]
     code, _, err = run_cli(*options, "--fixed", f"base_color={out / 'base_color.exr'}")
     assert code == 2 and "--preview: a map of --fixed has the full size" in err
-    monkeypatch.setattr("irpso_addon.commands.recover.joined", object)  # as under mpirun
+    monkeypatch.setattr("irpso_addon.commands.recover.joined", Ranks)  # as under mpirun
     code, _, err = run_cli(*options)
     assert code == 2 and "--preview: a run over ranks writes no preview" in err
     assert not (tmp_path / "out").exists()

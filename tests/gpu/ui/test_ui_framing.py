@@ -73,6 +73,16 @@ def test_the_width_of_a_card_gives_its_distance(settings, tmp_path):
     assert scene_capture.capture_of(settings.id_data).card_distance == 3.0
 
 
+def test_a_crop_does_not_get_the_width_that_the_file_states_of_the_whole(settings, tmp_path):
+    table = write_near_card(tmp_path / "stated", card_distance=None) / "capture.toml"
+    table.write_text(f"card_width = {2 * DISTANCE * np.tan(np.radians(15))}\n" + table.read_text())
+    settings.capture_path = str(table)
+    settings.framing, settings.crop = "CROP", (4, 2, 12, 10)
+    assert scene_capture.capture_of(settings.id_data).card_distance == pytest.approx(DISTANCE, rel=1e-6)
+    settings.card_width = 50.0
+    assert scene_capture.capture_of(settings.id_data).card_distance == pytest.approx(50 / np.tan(np.radians(15)))
+
+
 def test_another_capture_is_whole_again(settings, tmp_path):
     settings.framing, settings.picture_scale, settings.card_width = "CROP", 0.5, 2.0
     settings.capture_path = str(write_near_card(tmp_path / "other"))

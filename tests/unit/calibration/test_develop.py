@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.developing.corrections_file import read_corrections
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.read import read_spec
 from irpso_addon.commands import develop, response
@@ -322,3 +323,68 @@ def test_wide_steps_give_a_warning(tmp_path):
         write(tmp_path / "brackets" / f"{i}.png", wedge * 8.0 ** (i - 2), (1, 8 ** (2 - i)))
     code, _, err = run_cli("response", tmp_path / "brackets", "-o", tmp_path / "a.toml", "--quiet")
     assert code == 0 and "exposures are 3.0 stops apart" in err
+
+
+def test_dark_flat_and_chart_have_the_encoding_that_the_capture_states(photographs, tmp_path):
+    for path in photographs.rglob("*.png"):  # 8-bit files of linear values, as no file states
+        codes = np.rint(decode_png(path).values[::-1] * 255).astype(int)
+        write_png(path, codes, 8)
+    row = '[[observation]]\nimage = "{:02d}.png"\nlight_direction = [0, 0, 1]\n'
+    rows = "[[camera]]\nfov_degrees = 40\n" + "".join(row.format(3 * k + 1) for k in range(len(LIGHTS)))
+    table = photographs / "capture.toml"
+    table.write_text(f'format = 1\ncolour_space = "linear"\n{rows}')
+    frames = "--dark", photographs / "dark" / "1.png", "--flat", photographs / "flat", "--quiet"
+    assert run_cli("develop", table, "-o", tmp_path / "out", *frames)[::2] == (0, "")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["dark"]["mean"] == [pytest.approx(round(OFFSET * 255) / 255, abs=1e-6)]
+    assert read_corrections(tmp_path / "out" / "corrections")[0].colour_space == "linear"
+    found = [observation.read() for observation in read_capture(tmp_path / "out").observations]
+    np.testing.assert_allclose(found[0][..., 1] / TINT[1] / VIGNETTE.mean(), SCENE[0], atol=0.02)
+    table.write_text(f'format = 1\n{rows}colour_space = "linear"\n')
+    code, _, err = run_cli("develop", table, "-o", tmp_path / "mixed", *frames)
+    assert code == 2 and err.count("\n") == 1 and 'has colour_space "linear" where' in err
+
+
+def test_8_bit_png_files_that_state_to_be_linear_are(tmp_path):
+    (tmp_path / "in").mkdir()
+    write_png(tmp_path / "in" / "a.png", np.full((4, 6, 3), 102), 8, chunk(b"gAMA", (100_000).to_bytes(4, "big")))
+    assert run_cli("develop", tmp_path / "in", "-o", tmp_path / "out", "--quiet")[0] == 0
+    np.testing.assert_allclose(read_exr(tmp_path / "out" / "a.exr")[""]["G"], 102 / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_dark_frames_of_numbered_exposures_go_with_their_own(tmp_path, first):
+    folder, offsets = tmp_path / "in", (0.01, 0.03, 0.12)
+    (folder / "dark").mkdir(parents=True)
+    for i, offset in enumerate(offsets):
+        for name, light in (("a", SCENE[0]), ("b", SCENE[1])):
+            write(folder / f"{name}_{i + first}.png", light[..., None] * np.ones(3) * 4**i / 20 + offset, None)
+        write(folder / "dark" / f"dark_{i + first}.png", np.full((SIZE, SIZE, 3), offset), None)
+    options = "--brackets", "names", "--exposures", "1,4,16", "--quiet", "--dark"
+    assert run_cli("develop", folder, "-o", tmp_path / "out", *options, folder / "dark")[0] == 0
+    found = read_exr(tmp_path / "out" / "b.exr")[""]["G"]
+    np.testing.assert_allclose(found, SCENE[1] / 20, atol=2e-5)
+    write(folder / "dark" / "dark.png", np.full((SIZE, SIZE, 3), 0.01), None)
+    code, _, err = run_cli("develop", folder, "-o", tmp_path / "none", *options, folder / "dark")
+    assert code == 2 and err.count("\n") == 1 and "dark.png: its name does not tell which of the --exposures" in err
+
+
+@pytest.mark.parametrize("name", ["00.png", "dark/1.png", "flat/a.png"])
+def test_a_file_that_the_camera_turned_by_chance_is_refused(photographs, tmp_path, name):
+    for listed in ("filenames.txt", "light_directions.txt"):
+        (photographs / listed).unlink()
+    codes = np.rint(decode_png(photographs / name).values[::-1] * 65535).astype(int)
+    write_png(photographs / name, codes, 16, chunk(b"eXIf", exif(TIMES[0], orientation=3)))
+    frames = "--dark", photographs / "dark", "--flat", photographs / "flat", "--quiet"
+    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", *frames)
+    assert code == 2 and err.count("\n") == 1 and f"{name}: its EXIF orientation is 3 where" in err
+
+
+def test_the_current_folder_is_an_output(photographs, tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    place = here.stat().st_ino
+    assert run_cli("develop", photographs, "-o", ".", "--quiet", *everything(photographs))[::2] == (0, "")
+    assert here.stat().st_ino == place and len(read_capture(here).observations) == 5
+    assert not list(tmp_path.glob(".*"))

@@ -33,11 +33,11 @@ def png_without_blender(monkeypatch):
         monkeypatch.setattr(module, "decode", decode_png)
 
 
-def photograph(path, light, seconds=TIME, focal=FOCAL):
+def photograph(path, light, seconds=TIME, focal=FOCAL, orientation=1):
     """Write what the camera makes of light (H, W), row 0 at the bottom: tinted, vignetted, with an offset."""
     seen = light[..., None] * TINT * VIGNETTE[..., None] * (seconds[0] / seconds[1] * 60) / 2 + OFFSET
     codes = np.rint(np.clip(seen, 0, 1) * 65535).astype(int)
-    write_png(path, codes[::-1], 16, chunk(b"eXIf", exif(seconds, focal_35mm=focal)))
+    write_png(path, codes[::-1], 16, chunk(b"eXIf", exif(seconds, focal_35mm=focal, orientation=orientation)))
 
 
 @pytest.fixture
@@ -186,6 +186,28 @@ def test_what_does_not_fit_the_rig_is_one_line_and_leaves_nothing(
     code, out, err = run_cli("rig", "apply", developed_rig, later, "-o", tmp_path / "out", "--quiet", *options)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
     assert listing(tmp_path) == before
+
+
+@pytest.mark.parametrize("kind", ["developed_rig", "plain_rig"])
+def test_photographs_that_the_camera_turned_against_the_rigs_are_refused(kind, later, tmp_path, request):
+    folder = request.getfixturevalue(kind)
+    for k, frame in enumerate(OTHER):
+        photograph(later / f"lamp_{k + 1}.png", frame, orientation=3)
+    code, _, err = run_cli("rig", "apply", folder, later, "-o", tmp_path / "out", "--quiet")
+    assert code == 2 and "lamp_1.png: its EXIF orientation is 3, that of the rig's photographs 1" in err
+    for table in folder.rglob("*.toml"):  # a rig of an older version does not tell
+        table.write_text("\n".join(line for line in table.read_text().splitlines() if "orientation" not in line))
+    assert run_cli("rig", "apply", folder, later, "-o", tmp_path / "out", "--quiet")[0] == 0
+
+
+def test_the_width_of_a_part_is_a_distance_for_whole_photographs(capture, later, tmp_path):
+    rows = "".join(f'[[observation]]\nimage = "lamp_{k + 1}.png"\nlight_position = [{k}, 0, 40]\n' for k in range(5))
+    keys = "crop = [4, 6, 20, 16]\nscale = 0.5\ncard_width = 10.0\n[[camera]]\nfov_degrees = 40\n"
+    (capture / "capture.toml").write_text(f"format = 1\n{keys}{rows}")
+    assert run_cli("rig", "save", capture, "-o", tmp_path / "rig", "--quiet")[0] == 0
+    assert run_cli("rig", "apply", tmp_path / "rig", later, "-o", tmp_path / "out", "--quiet")[::2] == (0, "")
+    # 20 of 40 pixels are 10 wide, so all are 20 wide.
+    assert read_capture(tmp_path / "out", decode_png).card_distance == pytest.approx(10 / np.tan(np.radians(20)))
 
 
 def test_fewer_photographs_are_matched_by_names_or_numbers(plain_rig, later, tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.photographs import with_camera
 from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.read import read_spec
@@ -82,6 +83,20 @@ def test_a_photograph_on_its_side_and_at_half_the_size_has_its_camera_turned_and
     points = SEEN @ ROTATION + CENTRE
     x, y = stored.project(points)[0].T
     np.testing.assert_allclose(turned.project(points)[0], np.c_[y, 64 - x] / 2, atol=1e-9)
+
+
+def test_a_lens_is_not_set_for_a_camera_of_the_cameras_file(scan):
+    read(scan, ['image = "IMG_1.png"'], cameras='[[camera]]\nname = "IMG_1.png"\nmask = "lit.png"')
+    with pytest.raises(CaptureError, match="colmap: camera 'IMG_1.png': its lens is that of .*; leave --fov out"):
+        with_camera(read_spec(scan / "capture.toml"), {"fov_degrees": 40.0}, "--fov")
+
+
+def test_a_raw_file_that_is_no_tiff_has_the_camera_of_its_pose(scan):
+    (scan / "IMG_1.CR3").write_bytes(b"\0\0\0\x18ftypcrx ")  # LibRaw turns its picture upright
+    text = 'image = "IMG_1.CR3"\ncamera = "IMG_1.png"'
+    (scan / "capture.toml").write_text(f'cameras = "colmap"\n[[observation]]\n{text}\n{LIT}')
+    (view,) = read_spec(scan / "capture.toml").views
+    np.testing.assert_allclose(view.make(64, 48).position, CENTRE, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 from irpso_addon.capture import CaptureError, read_capture, write_exr
 from irpso_addon.capture.inspect import damage
 from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.commands.options.hold_out import held_out_list
 from tests.builders.captures import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
 NORMALS, MASK = sphere(24)
@@ -161,6 +162,18 @@ def test_indices_follow_the_list_despite_left_out_images(tmp_path):
     capture = read_capture(tmp_path, decode, skip_damaged=True)
     assert capture.listed == 9 and capture.numbers([0, 2, 3, 5, 8]) == [0, 2, 6]
     assert capture.observations[capture.numbers([8])[0]].name == "008.png"
+
+
+def test_a_left_out_image_has_its_name_in_the_table(tmp_path):
+    path = table(tmp_path)
+    text = path.read_text()
+    for k in (2, 5):
+        text = text.replace(f'image = "{k:03d}.png"', f'name = "lamp {k}"\nimage = "{k:03d}.png"')
+    path.write_text(text)
+    (tmp_path / "002.png").unlink()
+    names = read_capture(path, decode, skip_damaged=True).listed_names
+    assert names[2] == "lamp 2" and names[5] == "lamp 5"
+    assert held_out_list("lamp 2,lamp 5", names) == [2, 5]
 
 
 def test_an_image_that_changes_is_decoded_again(tmp_path, monkeypatch):

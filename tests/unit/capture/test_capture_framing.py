@@ -12,8 +12,10 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.errors import CaptureError
 from irpso_addon.capture.formats.table import spec_of_table
 from irpso_addon.capture.framing import Framing, framed
+from irpso_addon.capture.images.image import ImageStore
 from irpso_addon.capture.inspect.report import inspect_capture
-from irpso_addon.capture.read import read_capture
+from irpso_addon.capture.read import read_capture, read_spec
+from irpso_addon.capture.spec import build_capture, reframed
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 
@@ -162,6 +164,50 @@ def test_corners_show_a_tilted_card_from_the_front(distortion, scale):
     # Nothing is shown more coarsely than in the picture, where the scale is 1.
     longest = max(np.hypot(*np.subtract(corners[k], corners[k - 1])) for k in range(4))
     assert max(seen.width, seen.height) == pytest.approx(longest * scale, rel=0.15)
+
+
+@pytest.mark.parametrize("tilt", [3.0, 30.0])
+def test_a_distance_along_the_lens_is_that_of_the_tilted_cards_plane(tmp_path, tilt):
+    camera = Camera.from_fov(320, 240, 45.0)
+    image, corners, axes, distance = tilted_card(camera, tilt)
+    along = distance / axes[2, 2]  # where the lens's axis meets the plane
+    near = Light((0.0, 0.0, 2.0), (80.0,) * 3, False)
+    shots = tuple(Observation(f"{n}", lambda: image.astype(np.float32), near) for n in range(3))
+    capture = replace(capture_of(image, camera), observations=shots, card_distance=along)
+    found = framed(capture, Framing(corners=corners))
+    assert found.card_distance == pytest.approx(distance, rel=1e-5)
+    assert found.card_distance == pytest.approx(
+        framed(capture, Framing(corners=corners, card_width=CARD[0])).card_distance, rel=0.01
+    )
+    write_capture(capture, tmp_path / "capture")
+    table = tmp_path / "capture" / "capture.toml"
+    table.write_text(f"corners = {[list(corner) for corner in corners]}\n" + table.read_text())
+    said = [finding.message for finding in inspect_capture(table).findings if finding.code == "card_tilted"]
+    assert len(said) == (tilt > 5) and all("tilted by 30°" in text and "--card-width" in text for text in said)
+    assert not framed(capture, Framing(corners=corners, card_width=CARD[0])).card_warnings
+
+
+def test_a_width_is_that_of_its_own_part_where_another_is_chosen(tmp_path):
+    camera = Camera.from_fov(320, 240, 45.0)
+    image, corners, axes, distance = tilted_card(camera)
+    write_capture(capture_of(image, camera), tmp_path / "capture")
+    table, store = tmp_path / "capture" / "capture.toml", ImageStore()
+    plain = table.read_text()
+    table.write_text(f"corners = {[list(one) for one in corners]}\ncard_width = {CARD[0]}\n" + plain)
+    crop = Framing(crop=(100, 80, 60, 40), card_width=CARD[0])
+    spec = reframed(read_spec(table), crop, store)
+    found = framed(build_capture(spec), spec.framing)
+    assert found.card_distance == pytest.approx(distance / axes[2, 2], rel=0.01)  # along the axis that the crop keeps
+    # The whole picture's width, where the file names no part.
+    table.write_text(f"card_width = {2 * 9.0 * np.tan(np.radians(22.5))}\n" + plain)
+    spec = reframed(read_spec(table), replace(read_spec(table).framing, crop=crop.crop), store)
+    assert spec.card_distance == pytest.approx(9.0) and spec.framing == Framing(crop=crop.crop)
+    smaller = replace(read_spec(table).framing, scale=0.5)
+    assert reframed(read_spec(table), smaller, store).framing == smaller
+    table.write_text('corners = "auto"\ncard_width = 4.0\n' + plain)
+    assert reframed(read_spec(table), Framing(corners=corners, card_width=4.0), store).framing.card_width == 4.0
+    with pytest.raises(CaptureError, match=r"capture\.toml: its card_width is of the part by .*--card-width"):
+        reframed(read_spec(table), crop, store)
 
 
 def test_the_first_corner_becomes_the_upper_left():

@@ -8,7 +8,7 @@ import pytest
 
 from irpso_addon.capture import CaptureError, read_capture
 from irpso_addon.capture.images.exif import Exposure, exposure_of
-from irpso_addon.capture.images.raw import decode_raw, is_raw, raw_size
+from irpso_addon.capture.images.raw import decode_raw, is_raw, raw_header
 from tests.builders.captures import LIGHTS, chunk, write_png
 from tests.builders.exif import bayer, dng, exif, jpeg
 
@@ -42,7 +42,7 @@ def test_without_rawpy_a_raw_file_is_refused_with_the_remedy(tmp_path, monkeypat
     path = tmp_path / "a.NEF"
     path.write_bytes(dng(np.zeros((4, 4), int)))
     assert is_raw(path)
-    for read in (raw_size, decode_raw):
+    for read in (raw_header, decode_raw):
         with pytest.raises(
             CaptureError, match=r"a\.NEF: .*raw file, which needs rawpy: .*-m pip install rawpy"
         ) as error:
@@ -85,7 +85,7 @@ def test_a_raw_file_is_developed_without_curve_or_brightening(tmp_path, rawpy_st
     picture = decode_raw(tmp_path / "a.dng")
     assert (picture.values.shape, picture.bits) == ((12, 8, 4), 16)
     np.testing.assert_allclose(picture.values[..., :3], 0.2)
-    assert raw_size(tmp_path / "a.dng") == (8, 12)
+    assert raw_header(tmp_path / "a.dng") == (8, 12, 6)
     how = _File.how
     assert how["gamma"] == (1, 1) and how["no_auto_bright"] and how["adjust_maximum_thr"] == 0
     assert (how["output_bps"], how["output_color"], how["use_camera_wb"]) == (16, "Rec. 709", True)
@@ -137,7 +137,8 @@ def test_libraw_turns_pictures_and_clipped_places_alike(tmp_path, orientation):
     path = tmp_path / "a.dng"
     path.write_bytes(dng(np.rint(np.minimum(bayer(scene), 1) * 60000).astype(int), 0, 60000, orientation=orientation))
     found = decode_raw(path).values
-    assert raw_size(path) == (found.shape[1], found.shape[0]) == ((60, 40) if orientation < 5 else (40, 60))
+    size = (60, 40) if orientation < 5 else (40, 60)
+    assert raw_header(path) == (found.shape[1], found.shape[0], orientation) == (*size, orientation)
     bright, bad = (found[..., :3] > 0.99).all(axis=-1), found[..., 3] == 0
     assert bright.any() and not (bright & ~bad).any() and bad.sum() == (3 + 4) * (4 + 4)
 
@@ -147,3 +148,14 @@ def test_libraw_refuses_a_cut_file_by_name(tmp_path):
     (tmp_path / "a.dng").write_bytes(dng(np.zeros((40, 60), int))[:300])
     with pytest.raises(CaptureError, match=r"a\.dng: LibRaw cannot read it"):
         decode_raw(tmp_path / "a.dng")
+
+
+def test_libraw_turns_all_raw_files_of_a_camera_that_stands_still_alike(tmp_path):
+    pytest.importorskip("rawpy", reason="rawpy is not installed")
+    mosaic = np.rint(bayer(SCENE) * 60000).astype(int)
+    for name, orientation in {"a.dng": 1, "b.dng": 3, "c.dng": 1}.items():
+        (tmp_path / name).write_bytes(dng(mosaic, 0, 60000, orientation=orientation))
+    (tmp_path / "filenames.txt").write_text("a.dng\nb.dng\nc.dng\n")
+    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 1 1\n1 0 1\n")
+    with pytest.raises(CaptureError, match=r"b\.dng: its EXIF orientation is 3 where .* have 1"):
+        read_capture(tmp_path)

@@ -178,3 +178,17 @@ def test_inspect_names_the_profiles(tmp_path):
     (tmp_path / "filenames.txt").write_text("".join(f"{k}.png\n" for k in range(len(LIGHTS))))
     np.savetxt(tmp_path / "light_directions.txt", LIGHTS)
     assert ("colours", "4 Test P3, converted to Rec. 709") in inspect_capture(tmp_path, decode_png).facts
+
+
+@pytest.mark.parametrize("index", ["R03", "R98"])
+def test_a_jpeg_that_a_camera_marks_as_adobe_rgb_is_read_as_such(tmp_path, index):
+    block = Image.Exif()
+    block[0x8769] = {0xA001: 0xFFFF, 0xA005: {1: index}}
+    patches = np.array([[200, 60, 60], [60, 200, 60], [60, 60, 200], [128, 128, 128]], np.uint8)
+    shown = Image.fromarray(np.kron(patches.reshape(2, 2, 3), np.ones((16, 16, 1), np.uint8)))
+    shown.save(tmp_path / "a.jpg", exif=block, quality=100, subsampling=0)
+    codes = np.asarray(Image.open(tmp_path / "a.jpg"))
+    store = ImageStore(lambda path: Picture(codes[::-1] / np.float32(255), 8))
+    found = 255 * srgb_from_linear(np.minimum(store.samples(ImageRef(tmp_path / "a.jpg")).rgba[::-1, :, :3], 1))
+    expected = by_littlecms(codes, icc(ADOBE_RGB, GAMMA_22)) if index == "R03" else codes
+    np.testing.assert_allclose(found, expected, atol=1.5)

@@ -58,6 +58,15 @@ def test_a_turned_photograph_is_turned_once(orientation, tmp_path):
     np.testing.assert_allclose(found, expected / 255, atol=ERROR)
 
 
+def test_libheif_turns_all_photographs_of_a_camera_that_stands_still_alike(tmp_path):
+    for name, orientation in {"a.heic": 1, "b.heic": 3, "c.heic": 1}.items():
+        (tmp_path / name).write_bytes(heic(SMOOTH, exif=exif(orientation=orientation)))
+    (tmp_path / "filenames.txt").write_text("a.heic\nb.heic\nc.heic\n")
+    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 1 1\n1 0 1\n")
+    with pytest.raises(CaptureError, match=r"b\.heic: its EXIF orientation is 3 where .* have 1"):
+        read_capture(tmp_path)
+
+
 def test_10_bits_are_kept(tmp_path):
     codes = np.rint(np.stack([200 + 600 * X, 200 + 600 * Y, 500 + 0 * X], axis=-1)).astype(int)
     codes[:16, :16] = 1023
