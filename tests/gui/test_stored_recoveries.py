@@ -99,6 +99,27 @@ def test_another_recovery_stores_the_former_which_stays_when_it_is_further_done(
     window.run("[recoveries.delete(one.path) for one in recoveries.listed()]")
 
 
+LEAVE_IN_ANOTHER_WINDOW = """
+def leave():
+    new = bpy.context.window_manager.windows[-1]
+    for _ in range(5):  # the window drawn last has the current graphics context
+        for area in new.screen.areas:
+            area.tag_redraw()
+        yield
+    with bpy.context.temp_override(window=new):
+        bpy.ops.wm.read_homefile()
+leave()
+"""
+
+
+def test_a_file_closed_in_another_window_stores_the_recovery(window, capture, tmp_path):
+    begin(window, capture, tmp_path / "mine.blend")
+    window.run("bpy.ops.wm.window_new()")
+    window.run(LEAVE_IN_ANOTHER_WINDOW, area="")
+    assert window.run("state(), [one.name for one in recoveries.listed()]") == ["none", ["leaf"]]
+    window.run("[recoveries.delete(one.path) for one in recoveries.listed()]")
+
+
 def test_quitting_stores_the_recovery(blender, installed, pictures, backend, capture, tmp_path):
     stored = tmp_path / "stored"
     with open_window(blender, installed, pictures, backend, log_name="stored recoveries, quitting") as window:

@@ -15,6 +15,7 @@ import numpy as np
 from ...core.errors import CheckpointError, GpuUnavailableError
 from ...core.paths import BASE_PACKAGE
 from ...exports.place import file_stem
+from ...gpu import context_guard
 from ...solver.state.checkpoint import read_note
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
@@ -55,8 +56,8 @@ def store(running: Any) -> bool:
     about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
     digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
     try:
-        if not running.in_own_context:
-            raise GpuUnavailableError("the graphics context in which it was made is not current")
+        if context_guard.active() is None:
+            raise GpuUnavailableError("no graphics context is current")
         notes = {
             _ABOUT: np.frombuffer(json.dumps(about).encode(), np.uint8),
             HISTORY: np.array(running.history).reshape(-1, 2),

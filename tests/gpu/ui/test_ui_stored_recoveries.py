@@ -175,14 +175,16 @@ def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
 
 
 def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, folder, caplog):
+    from irpso_addon.ui.common import failures
     from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
 
     folder.write_text("in the way")
     session.begin(make_job(bpy.context)).run()
-    session.reset()
+    bpy.ops.wm.read_homefile(use_empty=True)
     assert session.current() is None and stored_recoveries.listed() == []
     assert folder.read_text() == "in the way" and "Plane skin could not be stored" in caplog.text
+    assert failures.messages()[0].startswith("the recovery of 'Plane skin' could not be stored and is lost")
 
 
 def test_another_recovery_replaces_one_that_is_less_far_and_none_that_cannot_be_stored(plane, folder):
