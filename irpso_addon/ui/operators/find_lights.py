@@ -121,7 +121,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
 
     photographs: StringProperty(
         name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
-        subtype="FILE_PATH", **RELATIVE_PATH,
+        subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATH.get("options", ())},
     )  # fmt: skip
     found_by: EnumProperty(name="Lights From", description="What shows the lights", items=_FOUND_BY, default="AUTO")
     kind: EnumProperty(name="Surface", description="Surface of the ball", items=_KINDS, default="auto")

@@ -190,6 +190,10 @@ def test_a_capture_of_several_cameras_asks_for_that_of_the_balls(tmp_path):
         bpy.ops.irpso.find_lights(photographs=str(tmp_path / "capture"))
 
 
+def test_the_dialog_opens_with_the_scenes_photographs_and_not_with_those_of_last_time():
+    assert bpy.ops.irpso.find_lights.get_rna_type().properties["photographs"].is_skip_save
+
+
 def test_a_mask_needs_a_kind(photographs):
     with pytest.raises(RuntimeError, match="choose Mirror or Matte"):
         press(photographs, "auto", found_by="MASK", mask=str(photographs.parent / "ball.exr"))
