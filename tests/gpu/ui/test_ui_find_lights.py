@@ -194,6 +194,29 @@ def test_the_dialog_opens_with_the_scenes_photographs_and_not_with_those_of_last
     assert bpy.ops.irpso.find_lights.get_rna_type().properties["photographs"].is_skip_save
 
 
+def choose_another_capture():
+    bpy.context.scene.irpso.capture_path = "/another"
+
+
+def open_another_scene():
+    bpy.context.window.scene = bpy.data.scenes.new("Other")
+
+
+@pytest.mark.parametrize("meanwhile", [choose_another_capture, open_another_scene])
+def test_lights_found_for_another_capture_are_not_imported(monkeypatch, photographs, meanwhile):
+    usual = FindLights._find_steps
+
+    def steps(self, settings):
+        found = yield from usual(self, settings)
+        meanwhile()
+        return found
+
+    monkeypatch.setattr(FindLights, "_find_steps", steps)
+    assert press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr")) == {"FINISHED"}
+    assert (photographs / "capture.toml").is_file()
+    assert bpy.context.scene.irpso.capture_path in ("/another", "")
+
+
 def test_a_mask_needs_a_kind(photographs):
     with pytest.raises(RuntimeError, match="choose Mirror or Matte"):
         press(photographs, "auto", found_by="MASK", mask=str(photographs.parent / "ball.exr"))
