@@ -15,7 +15,6 @@ from ...blender.materials.material import STAMP, subject_object
 from ...core.udim import ONE_SQUARE
 from ...geometry.domain import Domain
 from ...gpu import context
-from ...gpu.context_guard import ContextGuard
 from ...pipeline.result import maps_warnings
 from ...pipeline.run import LIGHTS, PREPARE, READ, Run, RunCache
 from ...results.maps import Maps
@@ -63,7 +62,6 @@ class Session:
         self.longest_stall_s = 0.0
         self.closed = False
         self.runs = 0  # starts of the modal operator: each resume starts another
-        self._guard: ContextGuard | None = None
         self._uuid = uuid4().hex
         self._state_before_pause = self.state
         self._fraction = 0.0  # fraction done of reading, lights or preparation
@@ -156,11 +154,6 @@ class Session:
     def observation(self, view: Any) -> int:
         """Return the index, in the job's capture, of the fitted observation that ViewSettings ``view`` choose."""
         return self.job.fitted_at(view.index(len(self.job.capture.observations)))
-
-    @property
-    def in_own_context(self) -> bool:
-        """Whether the graphics context of the recovery's display is current; true in background."""
-        return self._guard is None or self._guard.holds()
 
     @property
     def active(self) -> bool:
@@ -309,18 +302,13 @@ class Session:
             notes = self.recovery.load(self.job.resumed)
             self.history = [(int(iteration), float(error)) for iteration, error in notes[stored_recoveries.HISTORY]]
             self.seconds = float(notes[stored_recoveries.SECONDS])
-        self._create_display()
+        self.display = display_of(self.recovery)
         self.state = "running"
         if self.job.resumed is not None:  # a stored recovery opens paused
             self.title = self.recovery.progress.title
             self.pause()
             if self.recovery.progress.done:
                 self.finish()
-
-    def _create_display(self) -> None:
-        """Create the recovery's display in the current graphics context."""
-        self._guard = None if bpy.app.background else ContextGuard()
-        self.display = display_of(self.recovery)
 
     def _on_step(self, step: str, fraction: float) -> None:
         """Set title, state and fraction (0…1) of a step. The worker thread calls this too, even during a pause."""
@@ -339,7 +327,7 @@ class Session:
         self._state_before_pause = "running"
         self.display.close()
         self._time_left = TimeLeft()
-        self._create_display()
+        self.display = display_of(self.recovery)
 
     def _measure_error(self) -> None:
         """Measure the mean error, at most every _ERROR_SECONDS seconds, and once at the end."""

@@ -48,10 +48,10 @@ def test_a_failed_check_ends_and_is_reported_in_the_panel(scene, tmp_path, monke
 @pytest.mark.parametrize("name", ["_idle", "draw", "_follow"])
 def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
-    due = dict.fromkeys(("in_own_context", "is_due"), lambda: True)
     fails = dict.fromkeys(("update", "wants_redraw", "close", "draw_view"), broken)
-    overlay = SimpleNamespace(running=running, own_window=0, **due, **fails)
+    overlay = SimpleNamespace(running=running, is_due=lambda: True, **fails)
     monkeypatch.setattr(handlers, "_overlay", overlay)
+    monkeypatch.setattr(handlers.context_guard, "active", object)
     monkeypatch.setattr(handlers, "_failed", None)
     monkeypatch.setattr(session, "_current", running)
     monkeypatch.setattr(handlers.bpy, "app", SimpleNamespace(background=False, timers=bpy.app.timers))
