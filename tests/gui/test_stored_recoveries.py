@@ -78,8 +78,10 @@ def test_a_new_file_offers_the_recovery_which_goes_on_where_it_was(window):
     assert window.run("session.current().failure") == "" and window.run("len(recoveries.listed())") == 1
 
 
-def test_keeping_or_discarding_it_by_hand_removes_what_was_stored(window):
+def test_saving_the_kept_material_removes_what_was_stored(window, tmp_path):
     window.run("bpy.ops.irpso.keep()")
+    assert window.run("len(recoveries.listed())") == 1
+    window.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / 'kept.blend')!r})", area="")
     assert window.run("recoveries.listed()") == [] and window.run("list(recoveries.folder().iterdir())") == []
     window.run("bpy.ops.wm.read_homefile()", area="")
     assert window.run("state(), recoveries.listed()") == ["none", []]

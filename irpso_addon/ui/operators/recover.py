@@ -226,8 +226,10 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         return usable(cls, session.current() is not None, "There is no recovery")
 
     def execute(self, context):
-        """End the session and delete its stored checkpoint."""
-        stored_recoveries.delete(session.current().job.resumed)
+        """End the session and delete its stored checkpoint; that of a kept one goes when the file is saved."""
+        running = session.current()
+        if not running.kept:
+            stored_recoveries.delete(running.job.resumed)
         session.end()
         handlers.redraw()
         return {"FINISHED"}

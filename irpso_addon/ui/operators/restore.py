@@ -120,12 +120,13 @@ CLASSES = (IRPSO_OT_restore, IRPSO_OT_forget)
 
 @persistent
 def _on_save(*_: object) -> None:
+    stored_recoveries.delete_saved()
     if not bpy.app.timers.is_registered(mark_changed):
         bpy.app.timers.register(mark_changed, first_interval=_AFTER_SAVING)
 
 
 def register() -> None:
-    """Mark the file as changed after each save, because the recovery is not saved with it."""
+    """After each save, delete what is stored of kept recoveries, and mark the file as changed for one that is not."""
     bpy.app.handlers.save_post.append(_on_save)
 
 

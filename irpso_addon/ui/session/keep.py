@@ -95,7 +95,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running.pause()
         try:
             text = _keep(context, running)
-            stored_recoveries.delete(running.job.resumed)
+            stored_recoveries.delete_when_saved(running.job.resumed, running.stamp)
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}

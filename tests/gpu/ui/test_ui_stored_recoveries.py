@@ -70,7 +70,7 @@ def forget_settings(settings):
     settings.schedule.preset, settings.parameters["roughness"].recover = "standard", True
 
 
-def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, plane):
+def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, plane, tmp_path):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.job import make_job
 
@@ -87,7 +87,11 @@ def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, pl
     running.run()
     values = running.maps().values
     assert stored.path.exists()
-    assert bpy.ops.irpso.keep() == {"FINISHED"} and not stored.path.exists()
+    assert bpy.ops.irpso.keep() == {"FINISHED"} and stored.path.exists()  # until the file with the maps is saved
+    bpy.ops.irpso.cancel()
+    assert stored.path.exists()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kept.blend"))
+    assert not stored.path.exists()
     running = session.begin(make_job(bpy.context))
     running.run()
     for name, whole in running.maps().values.items():
@@ -123,6 +127,19 @@ def test_occluders_come_back_with_their_recovery(plane, folder):
     bpy.data.collections.remove(group)
     with pytest.raises(RuntimeError, match="no collection 'Around' of occluders"):
         bpy.ops.irpso.restore(path=str(found.path))
+
+
+def test_a_stored_recovery_outlives_a_keep_that_was_undone_before_saving(stored, plane, tmp_path):
+    from irpso_addon.ui.session import session
+
+    assert bpy.ops.irpso.restore(path=str(stored.path)) == {"FINISHED"}
+    session.current().run()
+    assert bpy.ops.irpso.keep() == {"FINISHED"}
+    for material in list(bpy.data.materials):
+        bpy.data.materials.remove(material)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "undone.blend"))
+    assert stored.path.exists()
+    session.end()
 
 
 def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
