@@ -14,7 +14,7 @@ from ...solver.state.checkpoint import glance
 from ..common import drawing, failures
 from ..common.polls import usable
 from ..common.words import iface, n_
-from ..properties.recipe import apply_recipe
+from ..properties.recipe import apply_recipe, unchanged_on_error
 from ..session import session, stored_recoveries
 from ..session.card_place import show_card
 from ..session.job import SceneJob, make_job
@@ -34,11 +34,15 @@ def draw_stored(layout, context) -> None:
 
 
 def restored_job(context, stored: stored_recoveries.StoredRecovery) -> SceneJob:
-    """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
+    """Return the job that continues a stored recovery. Sets the scene's settings to its own.
+
+    Raises InputError; the settings then stay.
+    """
     identity = glance(stored.path, {})
     try:
-        apply_recipe(context.scene.irpso, stored.recipe)
-        return replace(make_job(context), entry=identity["entry"], resumed=stored.path)
+        with unchanged_on_error(context.scene.irpso):
+            apply_recipe(context.scene.irpso, stored.recipe)
+            return replace(make_job(context), entry=identity["entry"], resumed=stored.path)
     except InputError as error:
         where = f" (it was in {stored.file})" if stored.file and stored.file != bpy.data.filepath else ""
         raise InputError(f"{error}{where}") from error

@@ -179,6 +179,19 @@ def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
     assert stored.path.exists()
 
 
+def test_without_its_photographs_a_stored_recovery_changes_no_setting(stored, plane, tmp_path):
+    (tmp_path / "leaf").rename(tmp_path / "moved")
+    forget_settings(plane)
+    plane.capture_path, plane.framing, plane.crop = "//elsewhere", "CROP", (1, 2, 3, 4)
+    plane.slots, plane.slot_list, plane.seed, plane.schedule.delta = "NAMED", "cloth", 99, 0.125
+    plane.parameters["roughness"].recover, plane.parameters["specular"].value = True, 0.375
+    with pytest.raises(RuntimeError, match="leaf"):
+        bpy.ops.irpso.restore(path=str(stored.path))
+    assert (plane.capture_path, plane.framing, tuple(plane.crop)) == ("//elsewhere", "CROP", (1, 2, 3, 4))
+    assert (plane.slots, plane.slot_list, plane.seed, plane.schedule.delta) == ("NAMED", "cloth", 99, 0.125)
+    assert plane.parameters["roughness"].recover and plane.parameters["specular"].value == 0.375
+
+
 def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
     from irpso_addon.ui.session import session
 
