@@ -175,8 +175,11 @@ class IRPSO_OT_resume(bpy.types.Operator):
         scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
         scene = scenes.get(running.job.scene_uid, context.scene)
         try:
-            running.resume(schedule_of(scene.irpso.schedule))
-            running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
+            if running.restoring:  # it opens paused; the next Resume takes changed settings
+                running.resume()
+            else:
+                running.resume(schedule_of(scene.irpso.schedule))
+                running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
         except IrpsoError as error:
             return failures.report_and_cancel(self, error)
         if context.window is not None:
@@ -226,9 +229,9 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         return usable(cls, session.current() is not None, "There is no recovery")
 
     def execute(self, context):
-        """End the session and delete its stored checkpoint; that of a kept one goes when the file is saved."""
+        """End the session and delete its stored checkpoint, unless it is not loaded yet or its maps are kept."""
         running = session.current()
-        if not running.kept:
+        if not (running.kept or running.restoring):
             stored_recoveries.delete(running.job.resumed)
         session.end()
         handlers.redraw()

@@ -156,6 +156,11 @@ class Session:
         return self.job.fitted_at(view.index(len(self.job.capture.observations)))
 
     @property
+    def restoring(self) -> bool:
+        """Whether a stored recovery is not loaded yet. Until then its schedule cannot change."""
+        return self.job.resumed is not None and self._opening is not None
+
+    @property
     def active(self) -> bool:
         """Whether there is work to do now."""
         return self.state in ("loading", "preparing", "running")

@@ -161,6 +161,8 @@ def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
     mine = folder / "mine.npz"
     mine.write_bytes(b"no checkpoint")
     bpy.ops.irpso.restore(path=str(stored.path))
+    while session.current().active:
+        session.current().tick(0.05)
     bpy.ops.irpso.cancel()
     assert list(folder.iterdir()) == [mine] and session.current() is None
     with pytest.raises(RuntimeError, match="no longer stored"):
@@ -168,6 +170,31 @@ def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
     with pytest.raises(RuntimeError, match="no longer stored"):
         bpy.ops.irpso.forget(path=str(mine))
     assert stored_recoveries.listed() == [] and mine.exists()
+
+
+def test_settings_changed_while_a_stored_recovery_loads_take_effect_when_it_goes_on(stored, plane):
+    from irpso_addon.ui.session import session
+
+    bpy.ops.irpso.restore(path=str(stored.path))
+    running = session.current()
+    running.pause()
+    plane.schedule.delta = 0.0625
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    while running.active:
+        running.tick(0.05)
+    assert (running.failure, running.state, running.progress.iteration_in_all) == ("", "paused", 3)
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    assert running.job.schedule.fitness.delta == running.job.recipe["schedule"]["delta"] == 0.0625
+    session.end()
+
+
+def test_cancel_while_a_stored_recovery_loads_keeps_it(stored):
+    from irpso_addon.ui.session import session
+
+    bpy.ops.irpso.restore(path=str(stored.path))
+    session.current().pause()
+    assert bpy.ops.irpso.cancel() == {"FINISHED"}
+    assert session.current() is None and stored.path.exists()
 
 
 def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
