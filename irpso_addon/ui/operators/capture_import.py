@@ -47,7 +47,7 @@ _EXTENSIONS = ".lp;.toml;.txt"
 _TABLES = (".lp", ".toml")  # files that are a capture by themselves
 _CAMERA = "camera.toml"  # except this one, which belongs to a folder
 _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
-CARD_SETTINGS = ("framing", "crop", "corners", "card_distance", "card_width")
+CARD_SETTINGS = ("subject", "framing", "crop", "corners", "card_distance", "card_width")
 
 
 @dataclass
@@ -216,10 +216,9 @@ class ImportCapture(bpy.types.Operator):
             self.report({"ERROR"}, _refusal(error, path))
             return {"CANCELLED"}
         settings.source = "FILES"
-        if settings.capture_path != (stored := _stored_path(path)):  # the same capture keeps its card distance
-            settings.capture_path = stored
+        if settings.capture_path != (stored := _stored_path(path)):  # the same capture keeps subject and card distance
+            settings.capture_path, settings.subject = stored, subject_of(spec)
         store_light_facts(settings, spec)
-        settings.subject = subject_of(spec)
         settings.summary = f"kind: {spec.kind}\nimages: {len(spec.observations)}"
         settings.findings.clear()
         settings.checked_path = ""
