@@ -116,12 +116,18 @@ def goals_of(settings) -> tuple[str, ...]:
 
 
 def check_capture(scene) -> None:
-    """Begin the check of files, or check the scene's own cameras and lights at once."""
+    """Begin the check of files, or check the scene's own cameras and lights at once. Store an error as a finding."""
     settings = scene.irpso
-    if settings.source == "SCENE":
-        _check_scene(scene)
-    elif settings.capture_path:
-        begin_check(scene)
+    try:
+        if settings.source == "SCENE":
+            _check_scene(scene)
+        elif settings.capture_path:
+            begin_check(scene)
+    except InputError as error:
+        settings.checked_path = settings.capture_path if settings.source == "FILES" else ""
+        settings.summary = ""
+        fault = Finding(getattr(error, "code", "capture"), failures.message_of(error), severity="error")
+        findings.keep(settings, [fault])
 
 
 def begin_check(scene) -> None:
@@ -279,17 +285,11 @@ class CheckCapture(bpy.types.Operator):
 
 
 def _check_scene(scene) -> None:
-    """Check the scene's own cameras, lights and images; store the findings and the summary."""
+    """Check the scene's own cameras, lights and images; store the findings and the summary. Raises InputError."""
     settings = scene.irpso
     settings.checked_path, settings.summary = "", ""
-    try:
-        capture = capture_of(scene)
-        place = _subject_place(settings, capture)
-    except InputError as error:
-        findings.keep(
-            settings, [Finding(getattr(error, "code", "scene"), failures.message_of(error), severity="error")]
-        )
-        return
+    capture = capture_of(scene)
+    place = _subject_place(settings, capture)
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
     faults = [Finding("left_out", f"left out: {one.why}") for one in capture.left_out]
