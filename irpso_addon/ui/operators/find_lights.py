@@ -19,6 +19,7 @@ from ...calibration.write import write_calibration
 from ...capture.formats.table import TABLE
 from ...capture.spec import CaptureSpec
 from ...core.errors import InputError
+from ...core.files import check_writable
 from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute, first_free
@@ -241,6 +242,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         if keys:
             spec = with_camera(spec, keys, "Field of View")
         table = free_table(source if source.is_dir() else source.parent)
+        check_writable(table.parent, "copy the photographs to a folder that can be written")
         if shading:
             return table, (yield from shading_light_steps(spec, keys, shading, table)), False
         r, g, b = self.albedo

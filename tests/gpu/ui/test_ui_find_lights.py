@@ -1,6 +1,7 @@
 """The button that finds lights: from balls, from a known mesh, a flat card or relief."""
 
 import math
+import tempfile
 from types import SimpleNamespace
 
 import bpy
@@ -11,6 +12,7 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture, read_spec
 from irpso_addon.ui.marks import ball_marks
+from irpso_addon.ui.operators import find_lights
 from irpso_addon.ui.operators.find_lights import FindLights, free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
 from tests.builders.ball_scenes import photographs as photographs_of
@@ -215,6 +217,16 @@ def test_lights_found_for_another_capture_are_not_imported(monkeypatch, photogra
     assert press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr")) == {"FINISHED"}
     assert (photographs / "capture.toml").is_file()
     assert bpy.context.scene.irpso.capture_path in ("/another", "")
+
+
+def test_photographs_that_cannot_be_written_beside_are_refused_before_the_work(monkeypatch, photographs):
+    def refused(**_):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
+    monkeypatch.setattr(find_lights, "calibrate_steps", None)
+    with pytest.raises(RuntimeError, match="photographs: cannot be written .*; copy the photographs to a folder"):
+        press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr"))
 
 
 def test_a_mask_needs_a_kind(photographs):
