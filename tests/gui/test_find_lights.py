@@ -41,6 +41,11 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     ready.screenshot("lights are found")
     found = np.array([one.light.vector for one in read_capture(tmp_path / "capture.toml").observations])
     assert np.degrees(np.arccos(np.clip((found * directions).sum(axis=-1), -1, 1))).mean() < 4
+    ready.move(*ready.region().centre)
+    ready.key("ctrl+z")
+    ready.wait("settings().capture_path == ''")
+    ready.key("ctrl+shift+z")
+    ready.wait(f"settings().capture_path == {str(tmp_path / 'capture.toml')!r}")
     ready.run("bpy.context.scene.irpso.capture_path = ''")
     ready.run(f"bpy.ops.irpso.find_lights('INVOKE_DEFAULT', {given})")
     ready.settle()

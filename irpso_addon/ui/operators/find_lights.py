@@ -108,7 +108,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
 
     bl_idname = "irpso.find_lights"
     bl_label = "Find Lights"
-    bl_options = {"REGISTER"}
+    bl_options = {"UNDO"}  # without REGISTER: Adjust Last Operation would begin it again at each change
     doing = n_("Finding lights")
     names = {
         "give its place as X,Y,R (--ball)": "choose Lights From: Ball in a Circle",
