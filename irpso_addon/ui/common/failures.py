@@ -29,7 +29,10 @@ _SETTINGS = {
     "--slots": "Slots",
     "start without --resume": "delete it, and recover anew",
     "run without --resume": "delete it, and recover anew",
+    "leave out --resume": "delete it",
     "--resume": "Restore",
+    "--object and the cameras": "the chosen Object and the cameras",
+    "fix some (--fixed)": "fix some, under Maps",
     "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window": "use Mark in Photograph",
     "--skip-damaged": "Leave Out Damaged Images",
 }

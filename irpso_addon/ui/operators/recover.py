@@ -172,10 +172,9 @@ class IRPSO_OT_resume(bpy.types.Operator):
     def execute(self, context):
         """Continue with the current schedule of the scene in which the recovery was started."""
         running = session.current()
-        scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
-        scene = scenes.get(running.job.scene_uid, context.scene)
+        scene = running.home_scene()
         try:
-            if running.restoring:  # it opens paused; the next Resume takes changed settings
+            if scene is None or running.restoring:  # a stored one opens paused; the next Resume takes changed settings
                 running.resume()
             else:
                 running.resume(schedule_of(scene.irpso.schedule))

@@ -165,6 +165,10 @@ class Session:
         """Whether there is work to do now."""
         return self.state in ("loading", "preparing", "running")
 
+    def home_scene(self) -> bpy.types.Scene | None:
+        """Return the scene whose settings the recovery has, None if it was deleted."""
+        return next((scene for scene in bpy.data.scenes if scene.session_uid == self.job.scene_uid), None)
+
     def subject(self):
         """Return the bpy object of the mesh or of the kept card; None if it does not exist."""
         return subject_object(self.job.object_uid, self.job.name)

@@ -85,6 +85,17 @@ def test_an_expected_error_keeps_its_text_with_blenders_setting_names():
     assert failures.messages() == ("Memory Budget 1K: is too little",)
 
 
+def test_options_of_the_command_line_become_words_of_the_panel():
+    said = {
+        "is of another version of the program; finish it there, or leave out --resume": "there, or delete it",
+        "check the mesh's place and unit, --object and the cameras": "the chosen Object and the cameras",
+        'search fewer, set linear = "solve", fix some (--fixed), or': "fix some, under Maps, or",
+    }
+    for text, words in said.items():
+        found = failures.message_of(InputError(text))
+        assert words in found and "--" not in found
+
+
 def test_messages_are_dismissed_by_the_button_or_another_file():
     for dismiss in (bpy.ops.irpso.dismiss_failures, lambda: bpy.ops.wm.read_factory_settings(use_empty=True)):
         with failures.reported("The check"):
