@@ -20,6 +20,7 @@ _SETTINGS = {
     "--memory": "Memory Budget",
     "--intensities estimate": "Light Strengths: Estimate",
     "irpso develop --dark": "Develop, with Dark Frames",
+    "irpso develop --register": "the command line (irpso develop --register)",  # Develop cannot
     "--intensities given (Light Strengths)": "Light Strengths: As Given",
     "--colour-space srgb (Color Space)": "Color Space: sRGB",
     "--colour-space linear (Color Space)": "Color Space: Linear",

@@ -96,6 +96,11 @@ def test_options_of_the_command_line_become_words_of_the_panel():
         assert words in found and "--" not in found
 
 
+def test_a_remedy_that_the_window_lacks_is_named_as_one_of_the_command_line():
+    found = failures.message_of(InputError("2 of the frames are shifted; irpso develop --register can correct that"))
+    assert found.endswith("; the command line (irpso develop --register) can correct that")
+
+
 def test_messages_are_dismissed_by_the_button_or_another_file():
     for dismiss in (bpy.ops.irpso.dismiss_failures, lambda: bpy.ops.wm.read_factory_settings(use_empty=True)):
         with failures.reported("The check"):
