@@ -26,7 +26,7 @@ from ...solver.views.display import Display
 from ...solver.views.held_out import relit_line
 from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
-from ..common.words import n_
+from ..common.words import iface, n_
 from . import stored_recoveries
 from .job import SceneJob
 from .probes import Probes
@@ -148,8 +148,8 @@ class Session:
 
     @property
     def held_out_line(self) -> str:
-        """The error of the current maps on held-out photographs as a sentence, "" if it is not measured."""
-        return relit_line(self.work.relit[1]) if self.work.is_relit else ""
+        """The error of the current maps on held-out photographs as a translated line, "" if it is not measured."""
+        return relit_line(self.work.relit[1], iface) if self.work.is_relit else ""
 
     def observation(self, view: Any) -> int:
         """Return the index, in the job's capture, of the fitted observation that ViewSettings ``view`` choose."""
