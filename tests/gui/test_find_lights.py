@@ -51,8 +51,12 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     ready.settle()
     ready.key("Return")
     ready.settle()
-    ready.key("Escape")
+    ready.move(*ready.region().centre)
+    ready.key("ctrl+z")  # in the middle of the work
     ready.settle()
+    assert ready.run("[one.bl_idname for one in main_window().modal_operators]") == ["IRPSO_OT_find_lights"]
+    ready.key("Escape")
+    ready.wait("not main_window().modal_operators")
     assert not (tmp_path / "capture_1.toml").exists()
 
 
