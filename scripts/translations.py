@@ -21,6 +21,7 @@ from irpso_addon.core.paths import DEFAULT_MODEL  # noqa: E402
 from irpso_addon.reflectance.model import load_model, shipped_models  # noqa: E402
 from irpso_addon.solver.settings.resolve import resolve  # noqa: E402
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets  # noqa: E402
+from irpso_addon.solver.views.held_out import RELIT_LINES  # noqa: E402
 from irpso_addon.ui.operators.presets import purpose_of, title_of  # noqa: E402
 from irpso_addon.ui.registration import MODULES  # noqa: E402
 from irpso_addon.ui.translations.po import read_po  # noqa: E402
@@ -83,7 +84,8 @@ def _rna(cls: type) -> Any:
 
 
 def _of_data() -> Iterator[str]:
-    """Yield the texts of shipped presets and models, and of the phases that the panel shows during a recovery."""
+    """Yield the texts of shipped presets and models, of the phases of a recovery, and of its relit photographs."""
+    yield from RELIT_LINES
     models = [load_model(name) for name in shipped_models()]
     for parameter in (parameter for model in models for parameter in model.parameters):
         yield bpy.path.display_name(parameter.name)

@@ -58,18 +58,18 @@ def check_unused(path: Path, remedy: str = "choose a new folder or delete it fir
     check_writable(path.absolute().parent if path.exists() else path)  # an empty folder is replaced, not filled
 
 
-def check_writable(path: Path) -> None:
+def check_writable(path: Path, remedy: str = "choose another folder") -> None:
     """Raise InputError where nothing can be written at ``path``. The trial file has no name or is removed at once."""
     place = path
     while not place.exists() and place != place.parent:
         place = place.parent
     if not place.is_dir():
-        raise InputError(f"{place}: is a file, so nothing can be written to {path}; choose another folder")
+        raise InputError(f"{place}: is a file, so nothing can be written to {path}; {remedy}")
     try:
         with tempfile.TemporaryFile(dir=place):
             pass
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror}); {remedy}") from error
 
 
 def synced(path: Path) -> None:

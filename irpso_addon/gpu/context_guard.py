@@ -1,30 +1,18 @@
-"""Guard against the use of frame buffers in another GPU context."""
+"""The window whose GPU context is current, because frame buffers cannot be used in another."""
 
 from __future__ import annotations
 
 from typing import Any
 
 
-class ContextGuard:
-    """Remembers the current context, outside of draw callbacks.
+def active() -> Any:
+    """Return the frame buffer of the window whose context is current: one object per window, outside of draw callbacks.
+
+    None where no context is current, as in timers between the closing of a window and the next draw.
 
     All contexts of Blender share textures, but a frame buffer belongs to one: bound in another, OpenGL keeps drawing
     into the previous target, without an error (measured on 4.3.2). Events of a modal operator run in the context of its
     window, all draw callbacks in one of their own, bpy.app.timers in that of the window drawn last.
-    """
-
-    def __init__(self) -> None:
-        self._window = active()
-
-    def holds(self) -> bool:
-        """Return whether the same context is current, outside of draw callbacks."""
-        return self._window is not None and active() is self._window
-
-
-def active() -> Any:
-    """Return the frame buffer of the window whose context is current: one object per window.
-
-    None where no context is current, as in timers between the closing of a window and the next draw.
     """
     import gpu
 

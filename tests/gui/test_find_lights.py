@@ -41,13 +41,22 @@ def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_pat
     ready.screenshot("lights are found")
     found = np.array([one.light.vector for one in read_capture(tmp_path / "capture.toml").observations])
     assert np.degrees(np.arccos(np.clip((found * directions).sum(axis=-1), -1, 1))).mean() < 4
+    ready.move(*ready.region().centre)
+    ready.key("ctrl+z")
+    ready.wait("settings().capture_path == ''")
+    ready.key("ctrl+shift+z")
+    ready.wait(f"settings().capture_path == {str(tmp_path / 'capture.toml')!r}")
     ready.run("bpy.context.scene.irpso.capture_path = ''")
     ready.run(f"bpy.ops.irpso.find_lights('INVOKE_DEFAULT', {given})")
     ready.settle()
     ready.key("Return")
     ready.settle()
-    ready.key("Escape")
+    ready.move(*ready.region().centre)
+    ready.key("ctrl+z")  # in the middle of the work
     ready.settle()
+    assert ready.run("[one.bl_idname for one in main_window().modal_operators]") == ["IRPSO_OT_find_lights"]
+    ready.key("Escape")
+    ready.wait("not main_window().modal_operators")
     assert not (tmp_path / "capture_1.toml").exists()
 
 

@@ -172,6 +172,23 @@ def test_the_extension_switched_off_in_mid_run_leaves_nothing_behind(ready):
     ready.run(MODULES, area="")
 
 
+def test_the_picture_follows_a_recovery_that_another_window_resumes(ready):
+    begin(ready)
+    ready.run("bpy.ops.irpso.pause()\nbpy.ops.wm.window_new()")
+    ready.run("redrawn()", area="")
+    ready.run(
+        "import time\nnew = bpy.context.window_manager.windows[-1]\nresumed = time.perf_counter()\n"
+        "with bpy.context.temp_override(window=new, area=new.screen.areas[0]):\n    bpy.ops.irpso.resume()",
+        area="",
+    )
+    drawn = "handlers._overlay._updated > resumed"
+    ready.wait(f"{drawn} or session.current().state == 'done'", 400)
+    assert ready.run(f"[session.current().state, {drawn}]") == ["running", True]
+    ready.run("bpy.ops.irpso.cancel()", area="")
+    ready.run("with bpy.context.temp_override(window=new, area=new.screen.areas[0]):\n    bpy.ops.wm.window_close()",
+              area="")  # fmt: skip
+
+
 def test_two_windows_the_background_and_the_command_line_find_the_same_maps(
     ready, blender, backend, settings, capture, tmp_path
 ):

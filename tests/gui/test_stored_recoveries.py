@@ -78,8 +78,10 @@ def test_a_new_file_offers_the_recovery_which_goes_on_where_it_was(window):
     assert window.run("session.current().failure") == "" and window.run("len(recoveries.listed())") == 1
 
 
-def test_keeping_or_discarding_it_by_hand_removes_what_was_stored(window):
+def test_saving_the_kept_material_removes_what_was_stored(window, tmp_path):
     window.run("bpy.ops.irpso.keep()")
+    assert window.run("len(recoveries.listed())") == 1
+    window.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / 'kept.blend')!r})", area="")
     assert window.run("recoveries.listed()") == [] and window.run("list(recoveries.folder().iterdir())") == []
     window.run("bpy.ops.wm.read_homefile()", area="")
     assert window.run("state(), recoveries.listed()") == ["none", []]
@@ -96,6 +98,27 @@ def test_another_recovery_stores_the_former_which_stays_when_it_is_further_done(
     fraction = window.run("session.current().fraction")
     window.run("bpy.ops.wm.read_homefile()", area="")
     assert fraction < 1 and window.run("[one.fraction for one in recoveries.listed()]") == [fraction, 1.0]
+    window.run("[recoveries.delete(one.path) for one in recoveries.listed()]")
+
+
+LEAVE_IN_ANOTHER_WINDOW = """
+def leave():
+    new = bpy.context.window_manager.windows[-1]
+    for _ in range(5):  # the window drawn last has the current graphics context
+        for area in new.screen.areas:
+            area.tag_redraw()
+        yield
+    with bpy.context.temp_override(window=new):
+        bpy.ops.wm.read_homefile()
+leave()
+"""
+
+
+def test_a_file_closed_in_another_window_stores_the_recovery(window, capture, tmp_path):
+    begin(window, capture, tmp_path / "mine.blend")
+    window.run("bpy.ops.wm.window_new()")
+    window.run(LEAVE_IN_ANOTHER_WINDOW, area="")
+    assert window.run("state(), [one.name for one in recoveries.listed()]") == ["none", ["leaf"]]
     window.run("[recoveries.delete(one.path) for one in recoveries.listed()]")
 
 

@@ -21,6 +21,11 @@ from .pictures import SHOWN_WHITE, Indirect, image_psnr, image_row, no_indirect
 
 _STEP, _MOST = 8, 6  # of the automatic choice
 FEWEST_SPARING = _STEP // 2 + 1  # least observations of a capture that holds one out
+RELIT_LINES = (  # with no, one and both figures
+    "Unseen photographs: nothing to compare",
+    "Unseen photographs: RMS error {error}",
+    "Unseen photographs: RMS error {error}, in highlights {highlights}",
+)
 HIGHLIGHT = 1.5  # a highlight exceeds the diffuse reflection by this factor …
 _DARK = 0.02  # … and by this fraction of display white, to exceed noise
 
@@ -84,18 +89,18 @@ def relit_steps(
     return {"relit": picture}, figures
 
 
-def relit_line(figures: Mapping[str, Any]) -> str:
+def relit_line(figures: Mapping[str, Any], translated: Callable[[str], str] = str) -> str:
     """Return the means of a report's figures as one line for display, "" where nothing was held out.
 
     The percentages are RMS errors of display values, in parts of white: geometric means over the photographs.
+    translated: returns one of ``RELIT_LINES`` in the reader's language.
     """
     if "relighting_mean_psnr_db" not in figures:
         return ""
     psnr, highlights = figures["relighting_mean_psnr_db"], figures["relighting_highlights_mean_psnr_db"]
-    mean = "nothing to compare" if psnr is None else f"RMS error {_error_of(psnr)}"
-    return f"Unseen photographs: {mean}" + (
-        f", in highlights {_error_of(highlights)}" if highlights is not None else ""
-    )
+    known = {"error": psnr, "highlights": highlights}
+    known = {name: _error_of(value) for name, value in known.items() if value is not None}
+    return translated(RELIT_LINES[len(known)]).format(**known)
 
 
 def _error_of(psnr: float) -> str:

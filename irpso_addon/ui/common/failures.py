@@ -20,6 +20,7 @@ _SETTINGS = {
     "--memory": "Memory Budget",
     "--intensities estimate": "Light Strengths: Estimate",
     "irpso develop --dark": "Develop, with Dark Frames",
+    "irpso develop --register": "the command line (irpso develop --register)",  # Develop cannot
     "--intensities given (Light Strengths)": "Light Strengths: As Given",
     "--colour-space srgb (Color Space)": "Color Space: sRGB",
     "--colour-space linear (Color Space)": "Color Space: Linear",
@@ -29,7 +30,10 @@ _SETTINGS = {
     "--slots": "Slots",
     "start without --resume": "delete it, and recover anew",
     "run without --resume": "delete it, and recover anew",
+    "leave out --resume": "delete it",
     "--resume": "Restore",
+    "--object and the cameras": "the chosen Object and the cameras",
+    "fix some (--fixed)": "fix some, under Maps",
     "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window": "use Mark in Photograph",
     "--skip-damaged": "Leave Out Damaged Images",
 }

@@ -13,7 +13,7 @@ import bpy
 from ...core.errors import InputError
 from ...core.optional import present
 from . import failures
-from .words import iface
+from .words import iface, rpt
 
 _SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # duration of a slice of work; interval of the timer events that start one
 
@@ -29,13 +29,14 @@ class SlicedOperator:
     names: Mapping[str, str] = MappingProxyType({})
     _steps: Generator[float, None, Any] | None = None
     _timer: Any = None
+    _for: tuple[int, str] = (0, "")  # the scene and its capture when the work began
 
     def begin(self, context, steps: Generator[float, None, Any]) -> set[str]:
         """Run all steps, which yield the finished fraction (0…1) and return the argument of ``finished``.
 
         In a window they run in time slices, with the progress in the status bar; Esc cancels.
         """
-        self._steps = steps
+        self._steps, self._for = steps, _capture_in(context)
         failures.clear()
         context.window_manager.progress_begin(0, 1)
         if not bpy.app.background and context.window is not None:
@@ -47,6 +48,10 @@ class SlicedOperator:
     def finished(self, context, result: Any) -> set[str]:
         """Use the steps' return value; return the operator's result, as ``execute`` does."""
         raise NotImplementedError
+
+    def unused(self, result: Any) -> str:
+        """Return the message in place of ``finished`` if the capture has changed. result: begins with the new path."""
+        return rpt("{path} is written, but not imported: another capture was chosen meanwhile", path=result[0])
 
     def modal(self, context, event):
         """Work for one slice at each timer event."""
@@ -73,7 +78,10 @@ class SlicedOperator:
                     break
         except StopIteration as end:
             self._leave(context, set())
-            return self.finished(context, end.value)
+            if _capture_in(context) == self._for:
+                return self.finished(context, end.value)
+            self.report({"WARNING"}, self.unused(end.value))
+            return {"FINISHED"}
         except InputError as error:
             if self._timer is not None:  # the report's popup closes when the mouse moves
                 failures.report(self.doing, error, self.names)
@@ -97,3 +105,7 @@ class SlicedOperator:
             if context.workspace is not None:
                 context.workspace.status_text_set(None)
         return result
+
+
+def _capture_in(context) -> tuple[int, str]:
+    return context.scene.session_uid, context.scene.irpso.capture_path

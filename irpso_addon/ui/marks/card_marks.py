@@ -179,5 +179,9 @@ class IRPSO_OT_find_corners(SlicedOperator, bpy.types.Operator):
         self.report({"INFO"}, rpt("Corners: {corners}", corners=detected))
         return {"FINISHED"}
 
+    def unused(self, detected: DetectedCorners) -> str:
+        """Return the message if the capture has changed meanwhile."""
+        return rpt("The corners are not used: another capture was chosen meanwhile")
+
 
 CLASSES = (IRPSO_OT_mark_card, IRPSO_OT_mark_chart, IRPSO_OT_find_corners)

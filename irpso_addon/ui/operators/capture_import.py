@@ -47,7 +47,7 @@ _EXTENSIONS = ".lp;.toml;.txt"
 _TABLES = (".lp", ".toml")  # files that are a capture by themselves
 _CAMERA = "camera.toml"  # except this one, which belongs to a folder
 _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
-CARD_SETTINGS = ("framing", "crop", "corners", "card_distance", "card_width")
+CARD_SETTINGS = ("subject", "framing", "crop", "corners", "card_distance", "card_width")
 
 
 @dataclass
@@ -116,12 +116,18 @@ def goals_of(settings) -> tuple[str, ...]:
 
 
 def check_capture(scene) -> None:
-    """Begin the check of files, or check the scene's own cameras and lights at once."""
+    """Begin the check of files, or check the scene's own cameras and lights at once. Store an error as a finding."""
     settings = scene.irpso
-    if settings.source == "SCENE":
-        _check_scene(scene)
-    elif settings.capture_path:
-        begin_check(scene)
+    try:
+        if settings.source == "SCENE":
+            _check_scene(scene)
+        elif settings.capture_path:
+            begin_check(scene)
+    except InputError as error:
+        settings.checked_path = settings.capture_path if settings.source == "FILES" else ""
+        settings.summary = ""
+        fault = Finding(getattr(error, "code", "capture"), failures.message_of(error), severity="error")
+        findings.keep(settings, [fault])
 
 
 def begin_check(scene) -> None:
@@ -216,10 +222,9 @@ class ImportCapture(bpy.types.Operator):
             self.report({"ERROR"}, _refusal(error, path))
             return {"CANCELLED"}
         settings.source = "FILES"
-        if settings.capture_path != (stored := _stored_path(path)):  # the same capture keeps its card distance
-            settings.capture_path = stored
+        if settings.capture_path != (stored := _stored_path(path)):  # the same capture keeps subject and card distance
+            settings.capture_path, settings.subject = stored, subject_of(spec)
         store_light_facts(settings, spec)
-        settings.subject = subject_of(spec)
         settings.summary = f"kind: {spec.kind}\nimages: {len(spec.observations)}"
         settings.findings.clear()
         settings.checked_path = ""
@@ -280,17 +285,11 @@ class CheckCapture(bpy.types.Operator):
 
 
 def _check_scene(scene) -> None:
-    """Check the scene's own cameras, lights and images; store the findings and the summary."""
+    """Check the scene's own cameras, lights and images; store the findings and the summary. Raises InputError."""
     settings = scene.irpso
     settings.checked_path, settings.summary = "", ""
-    try:
-        capture = capture_of(scene)
-        place = _subject_place(settings, capture)
-    except InputError as error:
-        findings.keep(
-            settings, [Finding(getattr(error, "code", "scene"), failures.message_of(error), severity="error")]
-        )
-        return
+    capture = capture_of(scene)
+    place = _subject_place(settings, capture)
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
     faults = [Finding("left_out", f"left out: {one.why}") for one in capture.left_out]

@@ -55,7 +55,7 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
 
     bl_idname = "irpso.develop"
     bl_label = "Develop"
-    bl_options = {"REGISTER"}
+    bl_options = {"UNDO"}  # without REGISTER, as Find Lights
     doing = n_("Developing")
     names = {
         "--colour-chart auto": "Colors", "--colour-chart": "Colors", "--response": "Response", "--dark": "Dark Frames",

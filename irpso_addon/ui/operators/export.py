@@ -27,6 +27,7 @@ from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
 from ...results.write import write_maps
+from ..common.failures import report_and_cancel
 from ..common.file_paths import absolute
 from ..common.words import iface, rpt
 from ..session import session
@@ -129,8 +130,7 @@ class IRPSO_OT_export(bpy.types.Operator):
             path = absolute(self.filepath, "Export")
             text, warnings = (self._write_maps if self.format == MAPS else self._write_format)(running, path)
         except IrpsoError as error:
-            self.report({"ERROR"}, " ".join(str(error).splitlines()))
-            return {"CANCELLED"}
+            return report_and_cancel(self, error)
         for warning in warnings:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, text)

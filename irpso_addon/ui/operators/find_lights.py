@@ -19,6 +19,7 @@ from ...calibration.write import write_calibration
 from ...capture.formats.table import TABLE
 from ...capture.spec import CaptureSpec
 from ...core.errors import InputError
+from ...core.files import check_writable
 from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute, first_free
@@ -107,7 +108,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
 
     bl_idname = "irpso.find_lights"
     bl_label = "Find Lights"
-    bl_options = {"REGISTER"}
+    bl_options = {"UNDO"}  # without REGISTER: Adjust Last Operation would begin it again at each change
     doing = n_("Finding lights")
     names = {
         "give its place as X,Y,R (--ball)": "choose Lights From: Ball in a Circle",
@@ -121,7 +122,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
 
     photographs: StringProperty(
         name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
-        subtype="FILE_PATH", **RELATIVE_PATH,
+        subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATH.get("options", ())},
     )  # fmt: skip
     found_by: EnumProperty(name="Lights From", description="What shows the lights", items=_FOUND_BY, default="AUTO")
     kind: EnumProperty(name="Surface", description="Surface of the ball", items=_KINDS, default="auto")
@@ -241,6 +242,7 @@ class FindLights(SlicedOperator, bpy.types.Operator):
         if keys:
             spec = with_camera(spec, keys, "Field of View")
         table = free_table(source if source.is_dir() else source.parent)
+        check_writable(table.parent, "copy the photographs to a folder that can be written")
         if shading:
             return table, (yield from shading_light_steps(spec, keys, shading, table)), False
         r, g, b = self.albedo

@@ -172,11 +172,13 @@ class IRPSO_OT_resume(bpy.types.Operator):
     def execute(self, context):
         """Continue with the current schedule of the scene in which the recovery was started."""
         running = session.current()
-        scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
-        scene = scenes.get(running.job.scene_uid, context.scene)
+        scene = running.home_scene()
         try:
-            running.resume(schedule_of(scene.irpso.schedule))
-            running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
+            if scene is None or running.restoring:  # a stored one opens paused; the next Resume takes changed settings
+                running.resume()
+            else:
+                running.resume(schedule_of(scene.irpso.schedule))
+                running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
         except IrpsoError as error:
             return failures.report_and_cancel(self, error)
         if context.window is not None:
@@ -226,8 +228,10 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         return usable(cls, session.current() is not None, "There is no recovery")
 
     def execute(self, context):
-        """End the session and delete its stored checkpoint."""
-        stored_recoveries.delete(session.current().job.resumed)
+        """End the session and delete its stored checkpoint, unless it is not loaded yet or its maps are kept."""
+        running = session.current()
+        if not (running.kept or running.restoring):
+            stored_recoveries.delete(running.job.resumed)
         session.end()
         handlers.redraw()
         return {"FINISHED"}

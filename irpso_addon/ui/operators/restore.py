@@ -14,7 +14,7 @@ from ...solver.state.checkpoint import glance
 from ..common import drawing, failures
 from ..common.polls import usable
 from ..common.words import iface, n_
-from ..properties.recipe import apply_recipe
+from ..properties.recipe import apply_recipe, unchanged_on_error
 from ..session import session, stored_recoveries
 from ..session.card_place import show_card
 from ..session.job import SceneJob, make_job
@@ -34,11 +34,15 @@ def draw_stored(layout, context) -> None:
 
 
 def restored_job(context, stored: stored_recoveries.StoredRecovery) -> SceneJob:
-    """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
+    """Return the job that continues a stored recovery. Sets the scene's settings to its own.
+
+    Raises InputError; the settings then stay.
+    """
     identity = glance(stored.path, {})
     try:
-        apply_recipe(context.scene.irpso, stored.recipe)
-        return replace(make_job(context), entry=identity["entry"], resumed=stored.path)
+        with unchanged_on_error(context.scene.irpso):
+            apply_recipe(context.scene.irpso, stored.recipe)
+            return replace(make_job(context), entry=identity["entry"], resumed=stored.path)
     except InputError as error:
         where = f" (it was in {stored.file})" if stored.file and stored.file != bpy.data.filepath else ""
         raise InputError(f"{error}{where}") from error
@@ -120,12 +124,13 @@ CLASSES = (IRPSO_OT_restore, IRPSO_OT_forget)
 
 @persistent
 def _on_save(*_: object) -> None:
+    stored_recoveries.delete_saved()
     if not bpy.app.timers.is_registered(mark_changed):
         bpy.app.timers.register(mark_changed, first_interval=_AFTER_SAVING)
 
 
 def register() -> None:
-    """Mark the file as changed after each save, because the recovery is not saved with it."""
+    """After each save, delete what is stored of kept recoveries, and mark the file as changed for one that is not."""
     bpy.app.handlers.save_post.append(_on_save)
 
 

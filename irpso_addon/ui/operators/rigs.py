@@ -79,7 +79,7 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
 
     bl_idname = "irpso.apply_rig"
     bl_label = "Apply Rig"
-    bl_options = {"REGISTER"}
+    bl_options = {"UNDO"}  # without REGISTER, as Find Lights
     doing = n_("Applying the rig")
     names = {
         "--match names or --match numbers": "Match: Names or Numbers", "--match order": "Match: Order",

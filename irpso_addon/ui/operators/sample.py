@@ -51,7 +51,7 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
 
     bl_idname = "irpso.open_sample"
     bl_label = "Open Sample"
-    bl_options = {"REGISTER"}
+    bl_options = {"UNDO"}  # without REGISTER, as Find Lights
     doing = n_("Opening the sample")
 
     folder: StringProperty(

@@ -7,6 +7,7 @@ from typing import Any
 
 import bpy
 
+from ...gpu import context_guard
 from ..common import failures
 from ..session import session
 from .session_overlay import SessionOverlay
@@ -35,10 +36,10 @@ def why_hidden(context) -> str:
     return "" if _overlay is None or context.space_data is None else _overlay.why_hidden(context)
 
 
-def redraw(only: int = 0) -> None:
-    """Redraw the 3D viewports and Image editors. only: the address of a window, 0 for all windows."""
+def redraw() -> None:
+    """Redraw the 3D viewports and Image editors of all windows."""
     for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas if only in (0, window.as_pointer()) else ():
+        for area in window.screen.areas:
             if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
                 area.tag_redraw()
 
@@ -92,11 +93,9 @@ def _idle() -> float | None:
         _end()
         return None
     if not _overlay.running.active:
-        if _overlay.in_own_context():
-            if _guarded(_overlay.running, _overlay.update):
-                redraw()
-        else:
-            redraw(_overlay.own_window)  # drawing a window makes its context current
+        # Without a current context, after the closing of a window: drawing one makes its context current.
+        if context_guard.active() is None or _guarded(_overlay.running, _overlay.update):
+            redraw()
         if _guarded(_overlay.running, _overlay.wants_redraw):
             redraw()
     return _IDLE_SECONDS

@@ -1,4 +1,4 @@
-"""The overlay of one session: ``update`` prepares it in the session's GPU context, draw callbacks show it."""
+"""The overlay of one session: ``update`` prepares it in a window's GPU context, draw callbacks show it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ...capture.camera import Camera
 from ...core.errors import InputError
-from ...gpu.context_guard import ContextGuard
+from ...gpu import context_guard
 from ...gpu.viewport import Drawing, Surface
 from ...solver.views.display import Shown
 from ...solver.views.texel_probe import TexelProbe
@@ -39,14 +39,12 @@ class SessionOverlay:
     """The pictures, curves and trails of a session; ``close`` frees their GPU memory.
 
     Frame buffers belong to the context in which they were made, and draw callbacks run in another context than
-    operators. So ``update``, called where the session works, renders pictures and reads probes; callbacks only draw.
+    operators. So ``update``, called outside of them, renders pictures and reads probes; callbacks only draw.
     """
 
     def __init__(self, running: Session, home_scene: int):
         self.running, self.home_scene = running, home_scene
         self.drawing = Drawing()
-        self.own_window = 0  # address of the window in whose context the session works
-        self._guard: ContextGuard | None = None
         self._recovery: object = None  # that of surface, pictures and reader
         self._surface: Surface | None = None
         self._corners: np.ndarray | None = None
@@ -60,13 +58,10 @@ class SessionOverlay:
 
     def is_due(self) -> bool:
         """Return whether new pictures are due, by the preferences' display rate."""
-        if self._recovery is not self.running.recovery:
-            return True
-        return self.in_own_context() and time.perf_counter() - self._updated >= preferences.picture_seconds(bpy.context)
-
-    def in_own_context(self) -> bool:
-        """Return whether the recovery's GPU context is current, so that it may be used."""
-        return self._guard is not None and self._guard.holds()
+        if context_guard.active() is None:
+            return False
+        waits = time.perf_counter() - self._updated < preferences.picture_seconds(bpy.context)
+        return not waits or self._recovery is not self.running.recovery
 
     def update(self) -> bool:
         """Update pictures, curves and trails; return whether anything has changed."""
@@ -168,8 +163,7 @@ class SessionOverlay:
 
     def _begin(self) -> None:
         self._release()
-        self._recovery, self._guard = self.running.recovery, ContextGuard()
-        self.own_window = bpy.context.window.as_pointer() if bpy.context.window is not None else 0
+        self._recovery = self.running.recovery
         self._surface = surface.make_surface(self.running)
         self._reader = texel_probe_of(self.running.recovery)
 

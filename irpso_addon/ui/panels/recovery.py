@@ -87,7 +87,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Evaluations", drawing.rate(running.rate))
         left = running.seconds_left
         drawing.fact(column, context, "Time Left", "–" if left is None else drawing.clock(left))
-    if running.state == "paused":
+    if running.state == "paused" and running.home_scene() == context.scene:  # whose settings Resume takes
         draw_presets(layout, context.scene.irpso)
     row = layout.row()
     row.scale_y = 1.5
@@ -178,9 +178,14 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether changes have an effect now: neither before there is a capture nor while a recovery runs."""
+        """Whether changes have an effect now: neither before there is a capture nor while a recovery runs.
+
+        Resume takes the settings of the scene in which the recovery was started.
+        """
         running = session.current()
-        return has_capture(context.scene.irpso) if running is None else running.state in ("paused", "done")
+        if running is None:
+            return has_capture(context.scene.irpso)
+        return running.state == "done" or running.state == "paused" and running.home_scene() == context.scene
 
     def draw(self, context) -> None:
         """Draw the seed, except during a pause, when it cannot change. Panels below have the other settings."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
@@ -23,12 +24,30 @@ def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str,
 
     Objects, collections and images are stored by name, paths as absolute ones. Raises InputError as ``absolute`` does.
     """
+    recipe = _recipe_as_is(settings, obj, slots)
+    recipe["settings"] |= {
+        "capture_path": str(absolute(settings.capture_path, "Capture")) if settings.source == "FILES" else "",
+        "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
+    }
+    return recipe
+
+
+@contextmanager
+def unchanged_on_error(settings: Any) -> Iterator[None]:
+    """Set a scene's settings back if the block raises an InputError."""
+    former, slots = _recipe_as_is(settings, settings.object, None), (settings.slots, settings.slot_list)
+    try:
+        yield
+    except InputError:
+        apply_recipe(settings, former)
+        settings.slots, settings.slot_list = slots
+        raise
+
+
+def _recipe_as_is(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, Any]:
+    """Return ``recipe_of`` with paths as they are set."""
     return {
-        "settings": {name: _plain_value(getattr(settings, name)) for name in _plain_names(settings)}
-        | {
-            "capture_path": str(absolute(settings.capture_path, "Capture")) if settings.source == "FILES" else "",
-            "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
-        },
+        "settings": {name: _plain_value(getattr(settings, name)) for name in _plain_names(settings)},
         "object": None if obj is None else obj.name,
         "occluders": None if settings.occluders is None else settings.occluders.name,
         "slots": None if slots is None else ", ".join(map(str, slots)),

@@ -15,6 +15,7 @@ from ...reflectance.model import shipped_models
 from ...results.derived_maps import DerivedMaps
 from ...results.map_tables import map_tables
 from ...results.preview import Curves, convergence, display_image
+from ..common.failures import report_and_cancel
 from ..common.polls import usable
 from ..common.words import n_, rpt
 from ..properties import preferences
@@ -95,10 +96,9 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running.pause()
         try:
             text = _keep(context, running)
-            stored_recoveries.delete(running.job.resumed)
+            stored_recoveries.delete_when_saved(running.job.resumed, running.stamp)
         except IrpsoError as error:
-            self.report({"ERROR"}, " ".join(str(error).splitlines()))
-            return {"CANCELLED"}
+            return report_and_cancel(self, error)
         self.report({"INFO"}, text)
         return {"FINISHED"}
 

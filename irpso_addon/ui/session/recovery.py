@@ -15,7 +15,6 @@ from ...blender.materials.material import STAMP, subject_object
 from ...core.udim import ONE_SQUARE
 from ...geometry.domain import Domain
 from ...gpu import context
-from ...gpu.context_guard import ContextGuard
 from ...pipeline.result import maps_warnings
 from ...pipeline.run import LIGHTS, PREPARE, READ, Run, RunCache
 from ...results.maps import Maps
@@ -27,7 +26,7 @@ from ...solver.views.display import Display
 from ...solver.views.held_out import relit_line
 from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
-from ..common.words import n_
+from ..common.words import iface, n_
 from . import stored_recoveries
 from .job import SceneJob
 from .probes import Probes
@@ -63,7 +62,6 @@ class Session:
         self.longest_stall_s = 0.0
         self.closed = False
         self.runs = 0  # starts of the modal operator: each resume starts another
-        self._guard: ContextGuard | None = None
         self._uuid = uuid4().hex
         self._state_before_pause = self.state
         self._fraction = 0.0  # fraction done of reading, lights or preparation
@@ -150,22 +148,26 @@ class Session:
 
     @property
     def held_out_line(self) -> str:
-        """The error of the current maps on held-out photographs as a sentence, "" if it is not measured."""
-        return relit_line(self.work.relit[1]) if self.work.is_relit else ""
+        """The error of the current maps on held-out photographs as a translated line, "" if it is not measured."""
+        return relit_line(self.work.relit[1], iface) if self.work.is_relit else ""
 
     def observation(self, view: Any) -> int:
         """Return the index, in the job's capture, of the fitted observation that ViewSettings ``view`` choose."""
         return self.job.fitted_at(view.index(len(self.job.capture.observations)))
 
     @property
-    def in_own_context(self) -> bool:
-        """Whether the graphics context of the recovery's display is current; true in background."""
-        return self._guard is None or self._guard.holds()
+    def restoring(self) -> bool:
+        """Whether a stored recovery is not loaded yet. Until then its schedule cannot change."""
+        return self.job.resumed is not None and self._opening is not None
 
     @property
     def active(self) -> bool:
         """Whether there is work to do now."""
         return self.state in ("loading", "preparing", "running")
+
+    def home_scene(self) -> bpy.types.Scene | None:
+        """Return the scene whose settings the recovery has, None if it was deleted."""
+        return next((scene for scene in bpy.data.scenes if scene.session_uid == self.job.scene_uid), None)
 
     def subject(self):
         """Return the bpy object of the mesh or of the kept card; None if it does not exist."""
@@ -309,18 +311,13 @@ class Session:
             notes = self.recovery.load(self.job.resumed)
             self.history = [(int(iteration), float(error)) for iteration, error in notes[stored_recoveries.HISTORY]]
             self.seconds = float(notes[stored_recoveries.SECONDS])
-        self._create_display()
+        self.display = display_of(self.recovery)
         self.state = "running"
         if self.job.resumed is not None:  # a stored recovery opens paused
             self.title = self.recovery.progress.title
             self.pause()
             if self.recovery.progress.done:
                 self.finish()
-
-    def _create_display(self) -> None:
-        """Create the recovery's display in the current graphics context."""
-        self._guard = None if bpy.app.background else ContextGuard()
-        self.display = display_of(self.recovery)
 
     def _on_step(self, step: str, fraction: float) -> None:
         """Set title, state and fraction (0…1) of a step. The worker thread calls this too, even during a pause."""
@@ -339,7 +336,7 @@ class Session:
         self._state_before_pause = "running"
         self.display.close()
         self._time_left = TimeLeft()
-        self._create_display()
+        self.display = display_of(self.recovery)
 
     def _measure_error(self) -> None:
         """Measure the mean error, at most every _ERROR_SECONDS seconds, and once at the end."""

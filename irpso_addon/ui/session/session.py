@@ -16,6 +16,7 @@ from . import stored_recoveries
 from .job import SceneJob
 from .recovery import Session
 
+_LEAVING = n_("Leaving the file")
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
 _previous_run = RunCache()  # results of the last run that the next one may reuse
@@ -68,9 +69,10 @@ def _notify() -> None:
 
 
 def reset() -> None:
-    """Before the file changes: store unkept maps, close the session, and delete its data."""
-    if _current is not None:
-        stored_recoveries.store(_current)
+    """Before the file changes: store unkept maps, or say in the panel that they are lost; close the session."""
+    if _current is not None and not stored_recoveries.store(_current):
+        lost = f"the recovery of '{_current.job.name}' could not be stored and is lost (Blender's log says why)"
+        failures.report(_LEAVING, InputError(lost))
     end()
     _previous_run.clear()
 
@@ -87,6 +89,6 @@ def unregister() -> None:
 
 
 @persistent
-@failures.reported(n_("Leaving the file"))
+@failures.reported(_LEAVING)
 def _on_load(*_: object) -> None:
     reset()

@@ -12,12 +12,15 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...blender.materials.material import STAMP
 from ...core.errors import CheckpointError, GpuUnavailableError
 from ...core.paths import BASE_PACKAGE
 from ...exports.place import file_stem
+from ...gpu import context_guard
 from ...solver.state.checkpoint import read_note
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
+_kept: dict[Path, str] = {}  # stored recoveries to delete when the file is saved → the kept material's stamp
 _log = logging.getLogger(__name__)
 _listed: list[StoredRecovery] | None = None  # contents of the folder, None before it is read
 
@@ -55,14 +58,16 @@ def store(running: Any) -> bool:
     about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
     digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
     try:
-        if not running.in_own_context:
-            raise GpuUnavailableError("the graphics context in which it was made is not current")
+        if context_guard.active() is None:
+            raise GpuUnavailableError("no graphics context is current")
         notes = {
             _ABOUT: np.frombuffer(json.dumps(about).encode(), np.uint8),
             HISTORY: np.array(running.history).reshape(-1, 2),
             SECONDS: np.array(running.seconds),
         }
-        running.recovery.save(job.resumed or _place(directory, job.name, digest, running.fraction), notes, running=True)
+        path = job.resumed or _place(directory, job.name, digest, running.fraction)
+        running.recovery.save(path, notes, running=True)
+        _kept.pop(path, None)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
         return False
@@ -94,6 +99,20 @@ def refresh() -> None:
     except OSError:
         newest = []
     _listed = [stored for path in newest if (stored := _read(path)) is not None]
+
+
+def delete_when_saved(path: Path | None, stamp: str) -> None:
+    """Delete a stored recovery once a file is saved whose material has ``stamp``: until then a crash would lose it."""
+    if path is not None:
+        _kept[path] = stamp
+
+
+def delete_saved() -> None:
+    """After the file was saved: delete the stored recoveries whose maps it holds."""
+    stamps = {material.get(STAMP) for material in bpy.data.materials}
+    for path in [path for path, stamp in _kept.items() if stamp in stamps]:
+        del _kept[path]
+        delete(path)
 
 
 def delete(path: Path | None) -> None:

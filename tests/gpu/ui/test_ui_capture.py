@@ -52,6 +52,16 @@ def test_a_list_of_lights_is_a_card_and_cameras_around_something_are_a_mesh(scen
     assert scene.irpso.subject == "MESH"
 
 
+def test_a_path_beside_an_unsaved_file_is_a_finding(scene):
+    settings = scene.irpso
+    settings.capture_path = "//photographs"
+    for check in (bpy.ops.irpso.check_capture, lambda: setattr(settings, "skip_damaged", True)):
+        settings.findings.clear()
+        check()
+        (finding,) = findings.shown(settings)
+        assert finding.severity == "error" and "Capture: //photographs lies beside the .blend file" in finding.message
+
+
 @pytest.mark.parametrize("chosen", ["nothing", "gone/capture.toml", "odd.lp", ""])
 def test_another_file_than_a_capture_is_reported_in_one_line_and_changes_nothing(scene, tmp_path, chosen):
     write_diligent(tmp_path / "good")

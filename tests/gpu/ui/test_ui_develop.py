@@ -44,9 +44,13 @@ def test_develop_finds_the_chart_and_imports_linear_images(settings, tmp_path):
     np.testing.assert_allclose([o.light.vector for o in capture.observations], LIGHTS, atol=1e-6)
 
 
-def test_the_card_stays_framed_as_it_was(settings):
+def test_the_subject_and_its_frame_stay_as_they_were(settings):
     settings.framing, settings.crop, settings.picture_scale, settings.card_width = "CROP", (4, 2, 30, 20), 0.5, 120
+    settings.subject = "MESH"
+    bpy.ops.irpso.import_capture(directory=settings.capture_path)
+    assert settings.subject == "MESH"
     assert bpy.ops.irpso.develop() == {"FINISHED"}
+    assert settings.subject == "MESH"
     assert (settings.framing, tuple(settings.crop), settings.picture_scale) == ("CROP", (4, 2, 30, 20), 0.5)
     assert settings.card_width == 120
 

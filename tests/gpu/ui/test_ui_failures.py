@@ -48,10 +48,10 @@ def test_a_failed_check_ends_and_is_reported_in_the_panel(scene, tmp_path, monke
 @pytest.mark.parametrize("name", ["_idle", "draw", "_follow"])
 def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
-    due = dict.fromkeys(("in_own_context", "is_due"), lambda: True)
     fails = dict.fromkeys(("update", "wants_redraw", "close", "draw_view"), broken)
-    overlay = SimpleNamespace(running=running, own_window=0, **due, **fails)
+    overlay = SimpleNamespace(running=running, is_due=lambda: True, **fails)
     monkeypatch.setattr(handlers, "_overlay", overlay)
+    monkeypatch.setattr(handlers.context_guard, "active", object)
     monkeypatch.setattr(handlers, "_failed", None)
     monkeypatch.setattr(session, "_current", running)
     monkeypatch.setattr(handlers.bpy, "app", SimpleNamespace(background=False, timers=bpy.app.timers))
@@ -83,6 +83,22 @@ def test_an_expected_error_keeps_its_text_with_blenders_setting_names():
     with failures.reported("The check"):
         raise InputError("--memory 1K: is too little")
     assert failures.messages() == ("Memory Budget 1K: is too little",)
+
+
+def test_options_of_the_command_line_become_words_of_the_panel():
+    said = {
+        "is of another version of the program; finish it there, or leave out --resume": "there, or delete it",
+        "check the mesh's place and unit, --object and the cameras": "the chosen Object and the cameras",
+        'search fewer, set linear = "solve", fix some (--fixed), or': "fix some, under Maps, or",
+    }
+    for text, words in said.items():
+        found = failures.message_of(InputError(text))
+        assert words in found and "--" not in found
+
+
+def test_a_remedy_that_the_window_lacks_is_named_as_one_of_the_command_line():
+    found = failures.message_of(InputError("2 of the frames are shifted; irpso develop --register can correct that"))
+    assert found.endswith("; the command line (irpso develop --register) can correct that")
 
 
 def test_messages_are_dismissed_by_the_button_or_another_file():

@@ -1,6 +1,7 @@
 """The button that finds lights: from balls, from a known mesh, a flat card or relief."""
 
 import math
+import tempfile
 from types import SimpleNamespace
 
 import bpy
@@ -11,6 +12,7 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture, read_spec
 from irpso_addon.ui.marks import ball_marks
+from irpso_addon.ui.operators import find_lights
 from irpso_addon.ui.operators.find_lights import FindLights, free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
 from tests.builders.ball_scenes import photographs as photographs_of
@@ -190,6 +192,43 @@ def test_a_capture_of_several_cameras_asks_for_that_of_the_balls(tmp_path):
         bpy.ops.irpso.find_lights(photographs=str(tmp_path / "capture"))
 
 
+def test_the_dialog_opens_with_the_scenes_photographs_and_not_with_those_of_last_time():
+    assert bpy.ops.irpso.find_lights.get_rna_type().properties["photographs"].is_skip_save
+
+
+def choose_another_capture():
+    bpy.context.scene.irpso.capture_path = "/another"
+
+
+def open_another_scene():
+    bpy.context.window.scene = bpy.data.scenes.new("Other")
+
+
+@pytest.mark.parametrize("meanwhile", [choose_another_capture, open_another_scene])
+def test_lights_found_for_another_capture_are_not_imported(monkeypatch, photographs, meanwhile):
+    usual = FindLights._find_steps
+
+    def steps(self, settings):
+        found = yield from usual(self, settings)
+        meanwhile()
+        return found
+
+    monkeypatch.setattr(FindLights, "_find_steps", steps)
+    assert press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr")) == {"FINISHED"}
+    assert (photographs / "capture.toml").is_file()
+    assert bpy.context.scene.irpso.capture_path in ("/another", "")
+
+
+def test_photographs_that_cannot_be_written_beside_are_refused_before_the_work(monkeypatch, photographs):
+    def refused(**_):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
+    monkeypatch.setattr(find_lights, "calibrate_steps", None)
+    with pytest.raises(RuntimeError, match="photographs: cannot be written .*; copy the photographs to a folder"):
+        press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr"))
+
+
 def test_a_mask_needs_a_kind(photographs):
     with pytest.raises(RuntimeError, match="choose Mirror or Matte"):
         press(photographs, "auto", found_by="MASK", mask=str(photographs.parent / "ball.exr"))
@@ -216,8 +255,9 @@ def test_a_circle_counts_from_the_upper_left_and_a_table_is_never_overwritten(ph
     (photographs / "capture.toml").unlink()
     assert press(photographs, found_by="CIRCLE", circle=circle) == {"FINISHED"}
     first = (photographs / "capture.toml").read_text()
-    assert press(photographs, found_by="CIRCLE", circle=circle) == {"FINISHED"}
-    assert (photographs / "capture.toml").read_text() == first
+    bpy.context.scene.irpso.subject = "MESH"
+    assert press(photographs / "capture.toml", found_by="CIRCLE", circle=circle) == {"FINISHED"}
+    assert (photographs / "capture.toml").read_text() == first and bpy.context.scene.irpso.subject == "MESH"
     assert free_table(photographs).name == "capture_2.toml"
     capture = read_capture(photographs / "capture_1.toml")
     assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 1.5

@@ -1,6 +1,7 @@
 """Photographs held out by the window: the same figures as the command line's, and nothing else where it is off."""
 
 import json
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -72,7 +73,10 @@ def relighting(report):
     return {key: value for key, value in report.items() if key.startswith("relighting")}
 
 
-def test_window_and_command_line_hold_out_the_same(settings, of_cli, tmp_path):
+def test_window_and_command_line_hold_out_the_same(settings, of_cli, tmp_path, monkeypatch):
+    from irpso_addon.ui.common import words
+    from irpso_addon.ui.translations.register import words as registered_words
+
     running = begin()
     while running.active:
         running.tick(0.05)
@@ -89,6 +93,10 @@ def test_window_and_command_line_hold_out_the_same(settings, of_cli, tmp_path):
     plain, lit = (f"{10 ** (-psnr / 20):.1%} ({psnr:.1f} dB)" for psnr in (mean, bright))
     assert running.held_out_line == f"Unseen photographs: RMS error {plain}, in highlights {lit}"
     assert running.held_out_line in " ".join(drawn().texts)  # wrapped
+    german = registered_words()["de"]
+    in_german = SimpleNamespace(pgettext_iface=lambda text: german["*", text])
+    monkeypatch.setattr(words, "translations", in_german)  # bpy has no languages
+    assert running.held_out_line == f"Zurückgehaltene Fotos: RMS-Fehler {plain}, in Glanzlichtern {lit}"
     assert report["relighting_highlights_factor"] == wanted["relighting_highlights_factor"] == 1.5
     assert (tmp_path / "out" / "relit.png").read_bytes() == (folder / "relit.png").read_bytes()
     assert (tmp_path / "out" / "normal.exr").read_bytes() == (folder / "normal.exr").read_bytes()

@@ -45,6 +45,19 @@ def test_without_a_recovery_every_button_names_the_next_step():
         assert "press Recover" in refusal(operator)
 
 
+def test_errors_of_keep_and_export_use_blenders_setting_names(recovered, monkeypatch, tmp_path):
+    from irpso_addon.ui.operators import export
+    from irpso_addon.ui.session import keep
+
+    def fail(*_):
+        raise InputError("--memory 1K: is too little")
+
+    monkeypatch.setattr(keep, "current_maps", fail)
+    monkeypatch.setattr(export, "current_maps", fail)
+    for said in (refusal(bpy.ops.irpso.keep), refusal(bpy.ops.irpso.export, filepath=str(tmp_path / "out"))):
+        assert said == "Error: Memory Budget 1K: is too little"
+
+
 def test_keep_puts_the_maps_on_a_visible_card(recovered):
     assert bpy.ops.irpso.keep() == {"FINISHED"}
     (obj,) = bpy.context.scene.objects

@@ -204,6 +204,24 @@ def test_any_error_in_a_tick_ends_the_session_and_is_reported(running, monkeypat
     assert running.closed and running.failure == "The recovery has ended: the device is gone"
 
 
+def test_resume_takes_the_settings_of_the_scene_in_which_it_began_and_only_there_they_are_shown(running):
+    from tests.builders.drawn_panels import labels
+
+    home, other = bpy.context.scene, bpy.data.scenes.new("Other")
+    running.pause()
+    other.irpso.capture_path, other.irpso.schedule.iterations = home.irpso.capture_path, 7
+    home.irpso.schedule.delta = 0.0625
+    assert "Search Settings" in labels()
+    bpy.context.window.scene = other
+    assert "Search Settings" not in labels()
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    schedule = running.job.schedule
+    assert schedule.fitness.delta == 0.0625
+    running.pause()
+    bpy.data.scenes.remove(home)
+    assert bpy.ops.irpso.resume() == {"FINISHED"} and running.job.schedule == schedule
+
+
 def test_stopping_keeps_and_ends_the_run(running):
     assert bpy.ops.irpso.stop() == {"FINISHED"}
     assert running.state == "done" and running.kept

@@ -70,7 +70,7 @@ def forget_settings(settings):
     settings.schedule.preset, settings.parameters["roughness"].recover = "standard", True
 
 
-def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, plane):
+def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, plane, tmp_path):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.job import make_job
 
@@ -87,7 +87,11 @@ def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, pl
     running.run()
     values = running.maps().values
     assert stored.path.exists()
-    assert bpy.ops.irpso.keep() == {"FINISHED"} and not stored.path.exists()
+    assert bpy.ops.irpso.keep() == {"FINISHED"} and stored.path.exists()  # until the file with the maps is saved
+    bpy.ops.irpso.cancel()
+    assert stored.path.exists()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kept.blend"))
+    assert not stored.path.exists()
     running = session.begin(make_job(bpy.context))
     running.run()
     for name, whole in running.maps().values.items():
@@ -125,6 +129,19 @@ def test_occluders_come_back_with_their_recovery(plane, folder):
         bpy.ops.irpso.restore(path=str(found.path))
 
 
+def test_a_stored_recovery_outlives_a_keep_that_was_undone_before_saving(stored, plane, tmp_path):
+    from irpso_addon.ui.session import session
+
+    assert bpy.ops.irpso.restore(path=str(stored.path)) == {"FINISHED"}
+    session.current().run()
+    assert bpy.ops.irpso.keep() == {"FINISHED"}
+    for material in list(bpy.data.materials):
+        bpy.data.materials.remove(material)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "undone.blend"))
+    assert stored.path.exists()
+    session.end()
+
+
 def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
@@ -144,6 +161,8 @@ def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
     mine = folder / "mine.npz"
     mine.write_bytes(b"no checkpoint")
     bpy.ops.irpso.restore(path=str(stored.path))
+    while session.current().active:
+        session.current().tick(0.05)
     bpy.ops.irpso.cancel()
     assert list(folder.iterdir()) == [mine] and session.current() is None
     with pytest.raises(RuntimeError, match="no longer stored"):
@@ -153,6 +172,31 @@ def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
     assert stored_recoveries.listed() == [] and mine.exists()
 
 
+def test_settings_changed_while_a_stored_recovery_loads_take_effect_when_it_goes_on(stored, plane):
+    from irpso_addon.ui.session import session
+
+    bpy.ops.irpso.restore(path=str(stored.path))
+    running = session.current()
+    running.pause()
+    plane.schedule.delta = 0.0625
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    while running.active:
+        running.tick(0.05)
+    assert (running.failure, running.state, running.progress.iteration_in_all) == ("", "paused", 3)
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    assert running.job.schedule.fitness.delta == running.job.recipe["schedule"]["delta"] == 0.0625
+    session.end()
+
+
+def test_cancel_while_a_stored_recovery_loads_keeps_it(stored):
+    from irpso_addon.ui.session import session
+
+    bpy.ops.irpso.restore(path=str(stored.path))
+    session.current().pause()
+    assert bpy.ops.irpso.cancel() == {"FINISHED"}
+    assert session.current() is None and stored.path.exists()
+
+
 def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
     plane.seed = 99
     bpy.data.objects.remove(bpy.data.objects["Plane"])
@@ -160,6 +204,19 @@ def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
         bpy.ops.irpso.restore(path=str(stored.path))
     assert "this file has no object 'Plane'" in str(caught.value) and plane.seed == 99
     assert stored.path.exists()
+
+
+def test_without_its_photographs_a_stored_recovery_changes_no_setting(stored, plane, tmp_path):
+    (tmp_path / "leaf").rename(tmp_path / "moved")
+    forget_settings(plane)
+    plane.capture_path, plane.framing, plane.crop = "//elsewhere", "CROP", (1, 2, 3, 4)
+    plane.slots, plane.slot_list, plane.seed, plane.schedule.delta = "NAMED", "cloth", 99, 0.125
+    plane.parameters["roughness"].recover, plane.parameters["specular"].value = True, 0.375
+    with pytest.raises(RuntimeError, match="leaf"):
+        bpy.ops.irpso.restore(path=str(stored.path))
+    assert (plane.capture_path, plane.framing, tuple(plane.crop)) == ("//elsewhere", "CROP", (1, 2, 3, 4))
+    assert (plane.slots, plane.slot_list, plane.seed, plane.schedule.delta) == ("NAMED", "cloth", 99, 0.125)
+    assert plane.parameters["roughness"].recover and plane.parameters["specular"].value == 0.375
 
 
 def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
@@ -175,14 +232,16 @@ def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
 
 
 def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, folder, caplog):
+    from irpso_addon.ui.common import failures
     from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.job import make_job
 
     folder.write_text("in the way")
     session.begin(make_job(bpy.context)).run()
-    session.reset()
+    bpy.ops.wm.read_homefile(use_empty=True)
     assert session.current() is None and stored_recoveries.listed() == []
     assert folder.read_text() == "in the way" and "Plane skin could not be stored" in caplog.text
+    assert failures.messages()[0].startswith("the recovery of 'Plane skin' could not be stored and is lost")
 
 
 def test_another_recovery_replaces_one_that_is_less_far_and_none_that_cannot_be_stored(plane, folder):
