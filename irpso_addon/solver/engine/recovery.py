@@ -340,7 +340,6 @@ class Recovery(RecoveryEngine):
         """The stage and the iteration, as a checkpoint counts them."""
         return self._index, self._phase.iteration if self._phase is not None else 0
 
-
     def _iteration(self, phase: Phase, seconds: float) -> Iterator[None]:
         """Make the next iteration; after the last one of a stage begin the next stage. Yields often."""
         if self._stack is not None:
