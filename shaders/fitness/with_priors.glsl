@@ -7,8 +7,8 @@
 #include "priors.glsl"
 #include "fitness/loss.glsl"
 
-// Fitness of an error of 0.3 % of the brightness, about one step of 8 bits. A robust fitness is in units of δ², which is
-// 3 % of it by default, the others in radiance.
+// Fitness of an error of 0.3 % of the brightness, about one step of 8 bits. A robust fitness is in units of δ², by
+// default 3 % of it; the others are in radiance.
 #if FITNESS == FITNESS_L1
 #define NOISE_FLOOR (0.003 * u_brightness)
 #elif FITNESS == FITNESS_L2
