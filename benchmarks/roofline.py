@@ -91,7 +91,7 @@ def measure(quick: bool) -> dict[str, Any]:
         domain = make_card(model, side)
         phases, passes = recorded(domain, model, schedule, entry)
     for each in passes:
-        if each.kernel.source.name == _OF_SAMPLE:
+        if Path(each.kernel.source).name == _OF_SAMPLE:
             each.runs *= SAMPLE / _TEXELS
     rows = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
     here = ceilings(software, entry)
