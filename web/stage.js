@@ -81,7 +81,7 @@ relight.Stage = class {
     return [0, this.result.parameters.filter((p) => p.place && p.uncertainty).length];
   }
 
-  // Draws the tiles in sight, under those that are still absent a coarser one.
+  // Draws the tiles in sight, under those that are absent, or cannot be read, a coarser one.
   drawPart(part, state, names) {
     const { gl, result } = this, [, inside] = result.tile;
     gl.scissor(part.from, 0, part.to - part.from, this.canvas.height);
@@ -95,10 +95,10 @@ relight.Stage = class {
     names.push(`${last}-0-0-${part.kind}`);
     for (const [column, row] of wanted) {
       names.push(`${level}-${column}-${row}-${part.kind}`);
-      if (this.tiles.held.has(names.at(-1))) continue;
+      if (this.tiles.held.get(names.at(-1))?.texture) continue;
       for (let up = 1; level + up <= last; up++) {
         const above = [level + up, column >> up, row >> up].join("-");
-        if (!this.tiles.held.has(`${above}-${part.kind}`)) continue;
+        if (!this.tiles.held.get(`${above}-${part.kind}`)?.texture) continue;
         under.add(above);
         break;
       }

@@ -156,7 +156,7 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
         choices=[*FORMATS, RELIEF, TURNTABLE, ASSET],
         help="format to write; OUT of asset is a Blender asset library",
     )
-    add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
+    add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"),
                      help="names and normals of textures (default blender)")  # fmt: skip
     add.add_argument(
         "--object", metavar="NAME", help="mesh object of gltf, turntable and asset, if several have recovered materials"
@@ -166,7 +166,7 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--rays", type=int, metavar="N", help="rays per texel for a mesh's occlusion (default 128)")
     add.add_argument("--occluder", action="append", default=[], metavar="NAME",
                      help="object in the result's .blend that hides the mesh's sky; may be repeated")  # fmt: skip
-    add.add_argument("--width", type=float, default=100.0, metavar="W",
+    add.add_argument("--width", type=float, metavar="W",
                      help="width of a card exported as relief (default 100, for millimetres)")  # fmt: skip
     add.add_argument("--photographs", type=int, metavar="N",
                      help="number of photographs in a web page: held-out ones, then the most different"

@@ -35,7 +35,8 @@ def add_mesh(add: argparse.ArgumentParser, more: str = "") -> None:
 
 def add_shelf(add: argparse.ArgumentParser) -> None:
     """Add the options of an asset: name, catalog, author, licence and tags."""
-    add.add_argument("--asset-name", metavar="NAME", help="name of the asset (default: the subject's)")
+    add.add_argument("--asset-name", metavar="NAME",
+                     help="name of the asset (default: the subject's; of export, the result's)")  # fmt: skip
     add.add_argument("--catalog", metavar="A/B", help="catalog of the asset; created if the library lacks it")
     add.add_argument("--author", metavar="NAME", help="author of the asset")
     add.add_argument("--license", metavar="L", help="licence of the asset, as CC-BY-4.0")

@@ -22,16 +22,22 @@ from .options.occlusion import check_occlusion, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
 from .options.values import check_shelf, shelf_of, silent
 
+_CONVENTION, _WIDTH = "blender", 100.0
+_OWNERS = {"convention": "textures", "photographs": WEB, "width": RELIEF}  # option → the format that has it
+
 
 def run(options: Namespace) -> dict:
     """Read the result's folder and write it in the chosen format. Raises InputError."""
     check_occlusion(options)
+    _check_options(options)
     result = read_result(options.result, options.model)
     if options.format == ASSET:
         return _asset(result, options)
     check_shelf(options, "export with --format asset")
     if options.format == RELIEF:
-        report = write_relief(result, options.output, options.width, options.replace)
+        report = write_relief(
+            result, options.output, _WIDTH if options.width is None else options.width, options.replace
+        )
         if not silent(options):
             sys.stdout.write(f"written to {report['output']}: {report['width']:g} wide, {report['depth']:.3g} deep\n")
         return report
@@ -51,7 +57,7 @@ def run(options: Namespace) -> dict:
         result,
         options.format,
         options.output,
-        options.convention,
+        options.convention or _CONVENTION,
         subject,
         lambda: page_photographs(result, options),
         options.replace,
@@ -61,6 +67,13 @@ def run(options: Namespace) -> dict:
     if not silent(options):
         sys.stdout.write(_summary(report))
     return report
+
+
+def _check_options(options: Namespace) -> None:
+    """Raise InputError for an option of another format."""
+    for name, owner in _OWNERS.items():
+        if getattr(options, name) is not None and options.format != owner:
+            raise InputError(f"--{name}: --format {options.format} has none; leave it out, or choose --format {owner}")
 
 
 def _asset(result: Result, options: Namespace) -> dict:

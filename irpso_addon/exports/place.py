@@ -11,7 +11,9 @@ from pathlib import Path
 from ..core.errors import InputError
 from ..results.write import check_output_folder
 
-_FILES = {".glb", ".gltf", ".fbx", ".obj", ".stl", ".ply", ".ptm", ".png", ".jpg", ".exr", ".html", ".blend", ".zip"}
+_MESHES = (".glb", ".gltf", ".fbx", ".obj", ".stl", ".ply", ".3mf", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend")
+_IMAGES = (".ptm", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".tga", ".webp", ".bmp", ".hdr", ".exr")
+_FILES = {*_MESHES, *_IMAGES, ".html", ".htm", ".pdf", ".zip"}
 
 
 @contextmanager

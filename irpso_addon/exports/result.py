@@ -29,7 +29,8 @@ class Result:
 
     height: the relief, None if not requested. folder: of the result, None if it is only in memory. report: its own, {}
     in memory. card: whether the maps are a flat card's, not a mesh's. baked_sky: (H, W) ``mesh_open_sky`` of a mesh,
-    None if not requested. mesh: the one of a session's maps, None for a card or a folder's result.
+    None if not requested. mesh: the one of a session's maps, None for a card or a folder's result. occluded: whether a
+    card's relief occludes.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Result:
     card: bool = True
     baked_sky: np.ndarray | None = None
     mesh: MeshData | None = None
+    occluded: bool = True
 
     @cached_property
     def open_sky(self) -> np.ndarray | float:
@@ -48,7 +50,7 @@ class Result:
         The relief of a mesh gives none: it is only the mesh's fine detail."""
         if self.baked_sky is not None:
             return self.baked_sky
-        if self.height is None or self.height.unit != TEXELS:
+        if not self.occluded or self.height is None or self.height.unit != TEXELS:
             return 1.0
         return open_sky(self.height, wraps="tile" in self.report)
 

@@ -161,7 +161,7 @@ class IRPSO_OT_export(bpy.types.Operator):
             running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded))
         )
         job = running.job
-        result = Result(file_stem(job.name), found.written, found.height, card=card, mesh=job.mesh)
+        result = Result(file_stem(job.name), found.written, found.height, card=card, mesh=job.mesh, occluded=occluded)
         if occluded and not card:
             result = replace(result, baked_sky=mesh_open_sky(alone(job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)

@@ -211,11 +211,19 @@ def test_a_result_folder_reads_back_as_written(folder):
     ],
 )  # fmt: skip
 def test_the_command_writes_each_format(kind, files, folder, tmp_path):
-    code, out, err = run_cli(
-        "export", folder, "--format", kind, "--convention", "unreal", "-o", tmp_path / "out", "--json"
-    )
+    convention = ["--convention", "unreal"] if kind == "textures" else []
+    code, out, err = run_cli("export", folder, "--format", kind, *convention, "-o", tmp_path / "out", "--json")
     assert (code, err) == (0, "") and str(tmp_path / "out") in json.loads(out.splitlines()[-1])["output"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == files
+
+
+@pytest.mark.parametrize(
+    ("kind", "option"),
+    [("gltf", ("--convention", "unreal")), ("ptm", ("--photographs", "4")), ("gltf", ("--width", "5"))],
+)
+def test_an_option_of_another_format_is_refused(kind, option, folder, tmp_path):
+    code, _, err = run_cli("export", folder, "--format", kind, *option, "-o", tmp_path / "out")
+    assert code == 2 and f"{option[0]}: --format {kind} has none" in err and not (tmp_path / "out").exists()
 
 
 def test_a_file_can_be_named(folder, tmp_path):

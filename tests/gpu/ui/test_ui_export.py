@@ -113,6 +113,14 @@ def test_a_cards_occlusion_is_that_of_its_relief(settings, tmp_path):
     assert "occlusionTexture" in material
 
 
+@pytest.mark.parametrize("occlusion", [False, True])
+def test_a_cards_height_is_written_without_occlusion_unless_asked(occlusion, settings, tmp_path):
+    wanted = {"filepath": str(tmp_path / "set"), "format": "textures", "height": True, "occlusion": occlusion}
+    assert bpy.ops.irpso.export(**wanted, convention="blender") == {"FINISHED"}
+    files = {path.name for path in (tmp_path / "set").iterdir()}
+    assert "leaf_Height.png" in files and ("leaf_AO.png" in files) == occlusion
+
+
 def test_an_unwritable_path_is_reported_in_one_line(settings, tmp_path):
     (tmp_path / "file").write_text("in the way")
     for kind in ("maps", "textures"):
