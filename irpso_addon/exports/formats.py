@@ -13,6 +13,7 @@ from .openlime import write_openlime
 from .place import file_place, file_stem
 from .ptm import write_ptm
 from .result import Result
+from .surface import unused_parameters
 from .textures import write_textures
 from .web.page import write_page
 from .web.photographs import Photographs
@@ -36,11 +37,21 @@ def export(
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: choose one of {', '.join(FORMATS)}")
     if kind == "openlime":
-        return write_openlime(result, out, replace)
+        return _with_warning(result, write_openlime(result, out, replace))
     if kind == WEB:
         return write_page(result, out, photographs() if result.card else None, replace)
     if kind == "textures":
         return write_textures(result, out, convention, replace)
     # A PTM's names have the numbers of UDIM tiles.
     path = file_place(out, file_stem(result.name), [ONE_FILE[kind]], replace or kind == "ptm")
-    return write_ptm(result, path, replace) if kind == "ptm" else write_gltf(result, path, subject())
+    if kind == "ptm":
+        return write_ptm(result, path, replace)
+    return _with_warning(result, write_gltf(result, path, subject()))
+
+
+def _with_warning(result: Result, report: dict[str, Any]) -> dict[str, Any]:
+    """Return the report of a format of one lobe, with a warning of the parameters that it cannot hold."""
+    if lost := unused_parameters(result.maps.model):
+        text = f"{', '.join(lost)}: this format has no place for them; textures, or the maps themselves, have"
+        report["warnings"] = [*report.get("warnings", []), text]
+    return report

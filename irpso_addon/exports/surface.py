@@ -11,9 +11,14 @@ import numpy as np
 
 from ..blender.materials.two_lobe_nodes import settings_of
 from ..core.errors import InputError
-from ..reflectance.model import Parameter
+from ..reflectance.model import Parameter, ReflectanceModel
 from ..results.maps import Maps
 
+# Sockets that ``surface_of`` reads, by shader.
+_SOCKETS = {
+    "principled": ("Base Color", "Specular IOR Level", "Roughness", "Metallic"),
+    "two_lobe": ("Base Color", "Weight", "Roughness 1", "Roughness 2"),
+}
 _IOR = 1.5  # Principled's default, with reflectance 0.04 at normal incidence
 F0_HALF = 0.04  # reflectance at a Specular IOR Level of 0.5
 
@@ -49,7 +54,7 @@ def surface_of(maps: Maps) -> Surface:
     shader = maps.model.material.get("shader")
     if shader == "two_lobe":
         return _two_lobes(maps)
-    if shader == "principled" and _named(maps, "Base Color") is not None:
+    if shader == "principled" and _named(maps.model, "Base Color") is not None:
         return _principled(maps)
     raise InputError(
         f'model {maps.model.name}: [material] has neither shader = "principled" nor "two_lobe", so the meaning of its'
@@ -57,12 +62,19 @@ def surface_of(maps: Maps) -> Surface:
     )
 
 
+def unused_parameters(model: ReflectanceModel) -> tuple[str, ...]:
+    """Return the names of the parameters that ``surface_of`` leaves out: of a coat, a grain or other sockets."""
+    sockets = _SOCKETS.get(str(model.material.get("shader")), ())
+    used = [_named(model, socket) for socket in sockets]
+    return tuple(p.name for p in model.parameters if sockets and not p.is_normal and p not in used)
+
+
 def _principled(maps: Maps) -> Surface:
     shape = maps.covered.shape
     settings = dict(maps.model.material.get("settings", {}))
     settings.pop("distribution", None)
     ior = float(settings.get("IOR", _IOR))
-    matte = not settings and _named(maps, "Roughness") is None
+    matte = not settings and _named(maps.model, "Roughness") is None
     level = _map(maps, "Specular IOR Level", 0.0 if matte else settings.get("Specular IOR Level", 0.5))
     f0 = 2 * level * ((ior - 1) / (ior + 1)) ** 2
     roughness = _map(maps, "Roughness", settings.get("Roughness", 0.5))
@@ -83,11 +95,11 @@ def _two_lobes(maps: Maps) -> Surface:
     return Surface(_color(maps), _normal(maps), tuple(lobes), f0, np.zeros(shape, np.float32), layered=False)
 
 
-def _named(maps: Maps, socket: str) -> Parameter | None:
+def _named(model: ReflectanceModel, socket: str) -> Parameter | None:
     """Return the parameter that drives a socket; a parameter without a socket matches by its name."""
     by_name = socket.lower().replace(" ", "_")
     aliases = {"roughness_1": "r1", "roughness_2": "r2", "weight": "w"}
-    for parameter in maps.model.parameters:
+    for parameter in model.parameters:
         if parameter.socket == socket or (not parameter.socket and parameter.name == aliases.get(by_name, by_name)):
             return parameter
     return None
@@ -95,14 +107,14 @@ def _named(maps: Maps, socket: str) -> Parameter | None:
 
 def _map(maps: Maps, socket: str, otherwise: float) -> np.ndarray:
     """Return (H, W) float32 of the parameter that drives a socket, or ``otherwise`` everywhere."""
-    parameter = _named(maps, socket)
+    parameter = _named(maps.model, socket)
     if parameter is None:
         return np.full(maps.covered.shape, otherwise, np.float32)
     return _values(maps, parameter)[..., 0]
 
 
 def _color(maps: Maps) -> np.ndarray:
-    parameter = _named(maps, "Base Color")
+    parameter = _named(maps.model, "Base Color")
     if parameter is None or parameter.components != 3:
         raise InputError(f"model {maps.model.name}: no parameter with three components drives Base Color")
     return _values(maps, parameter)

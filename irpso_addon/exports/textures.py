@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,21 +20,28 @@ from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem, filled_folder
 from .result import Result, open_sky_of
-from .surface import F0_HALF, Surface, surface_of
+from .surface import F0_HALF, Surface, surface_of, unused_parameters
 
 _SPECULAR_OF_F0 = 0.5 / F0_HALF  # Principled's, Unreal's and Substance's: 0.5 reflects 4 %
 
 
 @dataclass(frozen=True)
-class _Set:
-    """The maps of one tile for a single lobe."""
+class _Shape:
+    """Maps of one tile that all models have. normal: (H, W, 3) unit, OpenGL. open_sky: (H, W), or 1 if unknown."""
 
     maps: Maps
+    normal: np.ndarray
+    height: np.ndarray | None
+    open_sky: np.ndarray | float
+
+
+@dataclass(frozen=True)
+class _Set(_Shape):
+    """The maps of one tile for a single lobe."""
+
     surface: Surface
     roughness: np.ndarray
     specular: np.ndarray
-    height: np.ndarray | None
-    open_sky: np.ndarray | float
 
 
 @dataclass(frozen=True)
@@ -42,16 +49,33 @@ class _Texture:
     """One file of a set: suffix of its name, its pixels in 0…1 (None for no file), and its bits."""
 
     suffix: str
-    pixels: Callable[[_Set], np.ndarray | None]
+    pixels: Callable[[Any], np.ndarray | None]
     bits: int = 8
+
+
+def _opengl(s: _Shape) -> np.ndarray:
+    return pixels.normal(s.normal, s.maps)
+
+
+def _directx(s: _Shape) -> np.ndarray:
+    return pixels.normal(s.normal, s.maps, directx=True)
+
+
+def _height(s: _Shape) -> np.ndarray | None:
+    return s.height
+
+
+def _occlusion(s: _Shape) -> np.ndarray | None:
+    return None if isinstance(s.open_sky, float) else pixels.packed(s.maps, s.open_sky)
 
 
 _BASE = _Texture("_BaseColor", lambda s: pixels.colour(s.surface.base_color, s.maps))
 _ROUGHNESS = _Texture("_Roughness", lambda s: pixels.packed(s.maps, s.roughness))
 _METALLIC = _Texture("_Metallic", lambda s: pixels.packed(s.maps, s.surface.metallic))
 _SPECULAR = _Texture("_Specular", lambda s: pixels.packed(s.maps, s.specular))
-_NORMAL = _Texture("_Normal", lambda s: pixels.normal(s.surface.normal, s.maps), 16)
-_HEIGHT = _Texture("_Height", lambda s: s.height, 16)
+_NORMAL = _Texture("_Normal", _opengl, 16)
+_HEIGHT = _Texture("_Height", _height, 16)
+_OF_SHAPE = _opengl, _directx, _height, _occlusion
 # Metallic, occlusion, detail mask and smoothness, as for Unity's HDRP.
 _MASK = _Texture("_MaskMap", lambda s: pixels.packed(s.maps, s.surface.metallic, s.open_sky, 1.0, 1 - s.roughness))
 
@@ -59,14 +83,6 @@ _MASK = _Texture("_MaskMap", lambda s: pixels.packed(s.maps, s.surface.metallic,
 def _orm(s: _Set) -> np.ndarray:
     """Return occlusion (1 where it is unknown), roughness and metallic."""
     return pixels.packed(s.maps, s.open_sky, s.roughness, s.surface.metallic)
-
-
-def _occlusion(s: _Set) -> np.ndarray | None:
-    return None if isinstance(s.open_sky, float) else pixels.packed(s.maps, s.open_sky)
-
-
-def _directx(s: _Set) -> np.ndarray:
-    return pixels.normal(s.surface.normal, s.maps, directx=True)
 
 
 # Program → prefix of the names, files.
@@ -102,8 +118,9 @@ def write_textures(
 ) -> dict[str, Any]:
     """Write a set of PNG, UDIM tiles as NAME_BaseColor.1001.png; return their names and the fit's error.
 
-    convention: "blender", "unreal", "unity" or "substance". Two lobes are replaced by the nearest single GGX lobe. For
-    an unknown shader each map is written unchanged. replace: files of the same names. Raises InputError.
+    convention: "blender", "unreal", "unity" or "substance". Two lobes are replaced by the nearest single GGX lobe. Maps
+    that no texture of the set holds, such as a clear coat's, and for an unknown shader all but the normal, are written
+    unchanged. replace: files of the same names. Raises InputError.
     """
     if convention not in CONVENTIONS:
         raise InputError(f"'{convention}': no texture set has this name; choose one of {', '.join(CONVENTIONS)}")
@@ -113,10 +130,7 @@ def write_textures(
     names = []
     with filled_folder(folder, replace) as place:
         for index, (number, maps) in enumerate(split_maps(result.maps)):
-            try:
-                pictures, error = _pictures(result, maps, index, textures)
-            except InputError:
-                pictures, error = _unchanged(maps, open_sky_of(result, index)), None
+            pictures, error = _pictures(result, maps, index, textures)
             for suffix, (image, bits) in pictures.items():
                 names.append(f"{tile_stem(stem + suffix, number, result.maps.tiles)}.png")
                 encode_png(place / names[-1], image, bits=bits)
@@ -128,22 +142,36 @@ def write_textures(
 def _pictures(
     result: Result, maps: Maps, index: int, textures: tuple[_Texture, ...]
 ) -> tuple[dict[str, tuple[np.ndarray, int]], np.ndarray | None]:
-    surface = surface_of(maps)
-    fit = fit_ggx(surface)
     height = None
     if result.height is not None:
         height = tile_part(height_map(result.height).encoded, index, len(result.maps.tiles))
+    (normal,) = (p.name for p in maps.model.parameters if p.is_normal)
+    shape = _Shape(maps, np.float32(maps.values[normal]), height, open_sky_of(result, index))
+    try:
+        surface = surface_of(maps)
+    except InputError:  # the meaning of the other maps is unknown
+        known = [texture for texture in textures if texture.pixels in _OF_SHAPE]
+        if all(texture.pixels is not _occlusion for texture in known):
+            known.append(_Texture("_AO", _occlusion))
+        drawn = _drawn(known, shape)
+        return drawn | _unchanged(maps, {p.name for p in maps.model.parameters} - {normal}), None
+    fit = fit_ggx(surface)
     specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
-    single = _Set(maps, surface, np.sqrt(fit.alpha), specular, height, open_sky_of(result, index))
-    drawn = {texture.suffix: (texture.pixels(single), texture.bits) for texture in textures}
-    pictures = {suffix: picture for suffix, picture in drawn.items() if picture[0] is not None}
-    return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None
+    drawn = _drawn(textures, _Set(**vars(shape), surface=surface, roughness=np.sqrt(fit.alpha), specular=specular))
+    error = fit.error[maps.covered] if len(surface.lobes) > 1 else None
+    return drawn | _unchanged(maps, unused_parameters(maps.model)), error
 
 
-def _unchanged(maps: Maps, open_sky: np.ndarray | float) -> dict[str, tuple[np.ndarray, int]]:
-    """Return the model's own maps under their names in CamelCase, and the occlusion where it is known."""
-    pictures = {
+def _drawn(textures: Iterable[_Texture], made: _Shape) -> dict[str, tuple[np.ndarray, int]]:
+    """Return suffix → pixels and bits, without absent ones."""
+    all_pixels = ((texture, texture.pixels(made)) for texture in textures)
+    return {texture.suffix: (image, texture.bits) for texture, image in all_pixels if image is not None}
+
+
+def _unchanged(maps: Maps, names: Collection[str]) -> dict[str, tuple[np.ndarray, int]]:
+    """Return the model's own maps of some parameters, under their names in CamelCase."""
+    return {
         "_" + table.name.title().replace("_", ""): (encoded_values(table, map_values(table, maps)), 16)
         for table in map_tables(maps.model)
+        if {p.name for p in table.parameters} & set(names)
     }
-    return pictures if isinstance(open_sky, float) else pictures | {"_AO": (pixels.packed(maps, open_sky), 8)}

@@ -1,15 +1,17 @@
 """Exports read back by hand: OpenLIME by its shader's formulas, PTM by its format's description."""
 
 import json
+from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.exports import openlime, ptm, textures
+from irpso_addon.exports import formats, openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.relief.height import Height
 from irpso_addon.geometry.relief.occlusion import open_sky
+from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.derived_map import height_map
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
@@ -66,6 +68,39 @@ def test_each_program_gets_its_normal_convention(convention, name, turned, tmp_p
     textures.write_textures(result, tmp_path, convention)
     green = picture(tmp_path / f"{name}.png")[..., 1] * 2 - 1
     np.testing.assert_allclose(green, (-1 if turned else 1) * result.maps.values["normal"][..., 1], atol=5e-5)
+
+
+def coated():
+    """A result of the model with a clear coat."""
+    made, model = result_of("principled"), load_model("clear_coat")
+    coat = {p.name: np.full((*SHAPE, p.components), 0.3, np.float32) for p in model.parameters}
+    values = coat | {name: value for name, value in made.maps.values.items() if name in coat}
+    return Result("leaf", replace(made.maps, model=model, values=values))
+
+
+def test_a_texture_set_holds_what_no_program_has_a_name_for_unchanged(tmp_path):
+    result = coated()
+    found = textures.write_textures(result, tmp_path, "unreal")
+    assert {f"T_leaf_{n}.png" for n in ("BC", "N", "ORM", "S", "CoatWeight", "CoatRoughness")} == set(found["files"])
+    coat = picture(tmp_path / "T_leaf_CoatWeight.png")[..., :1]
+    np.testing.assert_allclose(coat, result.maps.values["coat_weight"], atol=1e-4)
+
+
+def test_formats_of_one_lobe_name_what_they_leave_out(tmp_path):
+    found = formats.export(coated(), "openlime", tmp_path, "blender", None)
+    assert found["warnings"][0].startswith("coat_weight, coat_roughness: this format has no place for them")
+    assert "warnings" not in formats.export(result_of("principled"), "openlime", tmp_path, "blender", None)
+
+
+def test_an_unknown_shaders_normal_and_height_follow_the_convention(tmp_path):
+    made = result_of("principled")
+    model = replace(made.maps.model, material={"shader": "images"})
+    height = Height(np.linspace(-2, 3, 560, dtype=np.float32).reshape(SHAPE), np.ones(SHAPE, bool), "texels")
+    result = Result("leaf", replace(made.maps, model=model), height)
+    found = textures.write_textures(result, tmp_path, "unreal")
+    assert {f"T_leaf_{n}.png" for n in ("N", "H", "AO", "BaseColor", "Roughness", "Specular")} == set(found["files"])
+    green = picture(tmp_path / "T_leaf_N.png")[..., 1] * 2 - 1
+    np.testing.assert_allclose(green, -made.maps.values["normal"][..., 1], atol=5e-5)
 
 
 def test_unitys_mask_map_holds_smoothness_in_alpha(tmp_path):
