@@ -14,7 +14,9 @@ from .maps import Maps
 
 _CHANNELS = {1: "Y", 3: "RGB", 4: "RGBA"}
 _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
+# Names of other files of a result.
 _RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip", "live"}
+_RESERVED |= {"height", "indirect", "normal_object", "normal_world", "normal_directx", "repeated"}
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def map_tables(model: ReflectanceModel) -> list[MapTable]:
     for table in tables:
         what = f"model {model.name}: the map '{table.name}'"
         if not _FILE_STEM.match(table.name) or table.name.lower() in _RESERVED:
-            raise InputError(f"{what} cannot be a file name; use letters, digits, _ and -, and no name of the report")
+            raise InputError(f"{what} cannot be a file name; use letters, digits, _ and -, and no name of another file of a result")
         if table.components > 4:
             raise InputError(f"{what} is shared by {table.components} components; a picture has 4, so use two maps")
         if len(table.parameters) > 1 and (any(p.is_normal for p in table.parameters)):

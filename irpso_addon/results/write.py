@@ -91,8 +91,6 @@ def write_maps(
     model's table of maps is unusable.
     """
     tables = map_tables(maps.model)
-    if taken := {extra.name for extra in derived} & {table.name for table in tables}:
-        raise InputError(f"model {maps.model.name}: has a map '{taken.pop()}' of its own; give it another name")
     folder = check_output_folder(folder)
     created = [p for p in (folder, *folder.parents) if not p.exists()]
     try:

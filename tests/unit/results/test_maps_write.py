@@ -246,6 +246,7 @@ def test_a_folder_that_cannot_be_written_is_refused():
     [
         ((Parameter("n", 3, map="a/b", is_normal=True),), "file name"),
         ((Parameter("n", 3, map="Maps", is_normal=True),), "file name"),
+        ((Parameter("a", 1, map="height"),), "file name"),
         ((Parameter("a", 3, map="x"), Parameter("b", 2, map="x")), "5 components"),
         ((Parameter("a", 1, map="x"), Parameter("n", 3, map="x", is_normal=True)), "normal"),
         ((Parameter("a", 1, map="x"), Parameter("b", 1, map="x", color_space="sRGB")), "colour spaces"),
