@@ -89,7 +89,7 @@ relight.divider = (divider, page) => {
   divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
   divider.addEventListener("pointermove", (event) => event.buttons && put(event.clientX / window.innerWidth));
   divider.addEventListener("keydown", (event) => {
-    const by = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 }[event.key];
+    const by = { ArrowLeft: -0.02, ArrowRight: 0.02, ArrowUp: 0.02, ArrowDown: -0.02, Home: -1, End: 1 }[event.key];
     if (!by) return;
     event.preventDefault();
     event.stopPropagation();

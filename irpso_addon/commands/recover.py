@@ -101,7 +101,8 @@ def _preview(options: Namespace, job: Job, work: float) -> bool:
     except InputError as error:  # which the whole job may not have
         warn([f"no preview: {error}"])
         return False
-    (folder / LIVE).unlink(missing_ok=True)
+    if options.live:
+        (folder / LIVE).unlink(missing_ok=True)
     if interrupted():
         raise KeyboardInterrupt(f"{folder} holds the preview")
     if not silent(options):
