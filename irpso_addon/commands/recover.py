@@ -29,7 +29,7 @@ from ..pipeline.ranks import leave_with_error, run_on_ranks
 from ..pipeline.result import ResultMaps, make_material, pictures_of, report_of, result_maps, subject_of
 from ..pipeline.run import Run
 from ..results.report import plain
-from ..results.write import BLEND, REPORT, remove_result, write_maps
+from ..results.write import BLEND, FORMER_BLEND, REPORT, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
@@ -101,7 +101,8 @@ def _preview(options: Namespace, job: Job, work: float) -> bool:
     except InputError as error:  # which the whole job may not have
         warn([f"no preview: {error}"])
         return False
-    (folder / LIVE).unlink(missing_ok=True)
+    if options.live:
+        (folder / LIVE).unlink(missing_ok=True)
     if interrupted():
         raise KeyboardInterrupt(f"{folder} holds the preview")
     if not silent(options):
@@ -179,7 +180,7 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
         height = found.height if options.displacement else None
         _, subject = make_material(run.job, subject_of(run.job), found, height)
         material.save_blend(folder / BLEND)
-        for name in (CHECKPOINT, *[LIVE] * options.live):
+        for name in (CHECKPOINT, FORMER_BLEND, *[LIVE] * options.live):
             (folder / name).unlink(missing_ok=True)
         if not previewed:
             _remove_former_preview(folder / PREVIEW)

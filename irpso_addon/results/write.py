@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from .report import plain
 
 REPORT = "report.json"
 BLEND = "material.blend"
+FORMER_BLEND = "material.former.blend"  # of the result before, until the new material is saved
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
 _PARTIAL = ".irpso-result-"  # prefix of the temporary folder
 # Stems of a result's files other than the maps of its model.
@@ -87,8 +89,8 @@ def write_maps(
     UDIM tile has its own files: normal.1001.exr, normal.1002.exr, and so on.
     pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. derived: maps that
     are not the model's, each in its own files. report: plain data; "maps" and "files" are added. Files of a former
-    result, listed in its report, are removed where this one lacks them. Raises InputError where the folder or the
-    model's table of maps is unusable.
+    result, listed in its report, are removed where this one lacks them; its material becomes FORMER_BLEND, which who
+    saves the new one removes. Raises InputError where the folder or the model's table of maps is unusable.
     """
     tables = map_tables(maps.model)
     folder = check_output_folder(folder)
@@ -107,6 +109,9 @@ def write_maps(
             # The report is last: every file that a report lists exists.
             for name in (*names, REPORT):
                 synced(Path(temporary) / name)
+            if BLEND in former:  # exports would take it for that of the new maps; the user may have edited it
+                with suppress(FileNotFoundError):
+                    os.replace(folder / BLEND, folder / FORMER_BLEND)
             for name in (*names, REPORT):
                 os.replace(Path(temporary) / name, folder / name)
             synced(folder)

@@ -27,6 +27,7 @@ from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import slot_names, slots_of_text
 from ...pipeline.drive import CHECKPOINT, check_every
 from ...pipeline.job import Job, LightOptions
+from ...pipeline.live import LIVE
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.derived_maps import DerivedMaps, normals_of_text
 from ...results.read import read_maps
@@ -138,11 +139,13 @@ def _check_mesh_options(options: Namespace) -> None:
 def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:
     """Give a resumed run its former kind of pass, because the two kinds differ in the last bits.
 
-    Raises InputError if the checkpoint is unusable or cannot be written.
+    Raises InputError if the checkpoint is unusable or cannot be written, or --live would replace a picture of others.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder in the place of the checkpoint; choose another -o, or move it")
     if not options.resume:
+        if options.live and (path.parent / LIVE).exists() and not path.exists():  # else it is of an interrupted run
+            raise InputError(f"{path.parent / LIVE}: would be replaced by --live; choose another -o, or move it")
         return
     if not path.is_file():
         raise InputError(f"--resume: {path.parent} holds no {CHECKPOINT}; run without --resume")

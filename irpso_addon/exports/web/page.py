@@ -38,6 +38,7 @@ from .pyramid import INSIDE, TILE, level_shapes, levels, tile_of, tile_places
 ENTRY = "index.html"
 _TILES = "tiles"
 _RESULT = "result.js"
+_BEGINNING = "relight.result = "  # of result.js
 _TILE_NAME = re.compile(r"\d+-\d+-\d+-\w+\.js$")
 _QUALITY = 90  # of a photograph's JPEG
 _FROM_ABOVE = np.array([0.0, 0.0, 1.0, 0.0])
@@ -59,7 +60,7 @@ def write_page(
         raise InputError(
             f"{result.name}: its maps are those of a mesh, which the page does not show; choose gltf (--format gltf)"
         )
-    former_page = (Path(folder) / _RESULT).exists()
+    former_page = _holds_page(Path(folder))
     if (Path(folder) / ENTRY).exists() and not former_page:
         raise InputError(
             f"{Path(folder) / ENTRY}: would be replaced, but this program did not write it; name another folder"
@@ -80,12 +81,18 @@ def write_page(
             bytes_of["photographs"] += writer.write(f"p{k}", pyramid, _photograph_planes, _jpeg)
         described = _description(result, maps, photographs, entries)
         text = json.dumps(plain(described), indent=1, ensure_ascii=False, allow_nan=False)
-        (place / _RESULT).write_text(f"relight.result = {text};\n", encoding="utf-8")
-    for former in (Path(folder) / _TILES).iterdir():
+        (place / _RESULT).write_text(f"{_BEGINNING}{text};\n", encoding="utf-8")
+    for former in (Path(folder) / _TILES).iterdir() if former_page else ():
         if _TILE_NAME.match(former.name) and former.name not in writer.names:
             former.unlink()
     warnings = list(photographs.warnings) if photographs else []
     return {"output": str(Path(folder) / ENTRY), "bytes": bytes_of, "warnings": warnings}
+
+
+def _holds_page(folder: Path) -> bool:
+    """Return whether this program wrote a page into the folder."""
+    file = folder / _RESULT
+    return file.is_file() and file.read_bytes().startswith(_BEGINNING.encode("ascii"))
 
 
 class _TileWriter:

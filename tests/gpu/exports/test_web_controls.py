@@ -102,6 +102,10 @@ def test_the_divider_moves_by_keys(page):
     page.run("document.getElementById('divider').focus()")
     page.key("ArrowLeft")
     assert float(hash_of(page)["split"]) == pytest.approx(0.48)
+    page.key("ArrowDown")
+    assert float(hash_of(page)["split"]) == pytest.approx(0.46)
+    page.key("ArrowUp")
+    assert float(hash_of(page)["split"]) == pytest.approx(0.48)
     assert hash_of(page)["photograph"] == "2"  # the lamp has not moved
     assert "not seen" in page.run("document.getElementById('said').textContent")
 
@@ -274,6 +278,20 @@ def test_a_page_of_the_users_own_is_not_replaced(recovered, tmp_path):
     code, _, said = run_cli("export", result, "--format", "web", "-o", mine.parent)
     assert code == 2 and "would be replaced" in said
     assert mine.read_text() == "mine" and list(mine.parent.iterdir()) == [mine]
+
+
+def test_a_script_of_the_users_own_makes_no_folder_a_page(recovered, tmp_path):
+    result, *_ = recovered
+    site = tmp_path / "site"
+    (site / "tiles").mkdir(parents=True)
+    mine = {site / "result.js": "var score;", site / "tiles" / "0-0-0-map.js": "mine"}
+    for file, text in mine.items():
+        file.write_text(text)
+    words = ("export", result, "--format", "web", "-o", site, "--photographs", 0)
+    code, _, said = run_cli(*words)
+    assert code == 2 and "result.js: is there already" in said
+    assert {file: file.read_text() for file in site.rglob("*.js")} == mine
+    assert run_cli(*words, "--replace")[0] == 0 and (site / "tiles" / "0-0-0-map.js").read_text() == "mine"
 
 
 def test_another_file_of_the_users_own_is_replaced_only_on_request(recovered, tmp_path):

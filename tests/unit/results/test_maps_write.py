@@ -154,6 +154,18 @@ def test_a_second_result_replaces_the_first_and_keeps_other_files(maps, tmp_path
     assert (tmp_path / "photo.png").read_bytes() == b"mine"
 
 
+def test_the_material_of_a_former_result_does_not_stand_beside_new_maps(maps, tmp_path):
+    (tmp_path / "material.blend").write_bytes(b"the user's")
+    write_maps(maps, tmp_path, {})  # no result was here, so the file is not of one
+    assert (tmp_path / "material.blend").read_bytes() == b"the user's"
+    (tmp_path / "material.blend").write_bytes(b"edited")
+    write_maps(maps, tmp_path, {})
+    assert not (tmp_path / "material.blend").exists()
+    assert (tmp_path / "material.former.blend").read_bytes() == b"edited"
+    write_maps(maps, tmp_path, {})
+    assert (tmp_path / "material.former.blend").read_bytes() == b"edited"
+
+
 @pytest.mark.parametrize("name", ["bumps.png", "report.json", "maps.exr"])
 def test_a_file_that_no_result_wrote_is_never_replaced(name, maps, tmp_path):
     (tmp_path / name).write_bytes(b"a photograph")
