@@ -130,6 +130,14 @@ class Capture:
         return names
 
     @property
+    def listed_cameras(self) -> list[int]:
+        """Camera of each listed observation; −1 of an excluded one."""
+        cameras = [shot.camera for shot in self.observations]
+        for one in sorted(self.left_out, key=lambda one: one.index):
+            cameras.insert(one.index, -1)
+        return cameras
+
+    @property
     def lights(self) -> list[Light]:
         """The light of each observation."""
         return [shot.light for shot in self.observations]

@@ -343,4 +343,5 @@ def _check_seen(capture: Capture, domain: Domain, what: str) -> None:
     if not domain.solvable.any():
         raise InputError(
             f"no image of capture '{capture.name}' shows {what} lit; check its cameras, masks and exposure"
+            + ("" if domain.card else ", and that its normals point outward (Mesh › Normals › Recalculate Outside)")
         )

@@ -245,11 +245,12 @@ def check_explained(capture: Capture, fit: LampFit, subject: str) -> None:
 
 
 def _outside_mesh(capture: Capture, mesh: MeshData) -> float:
-    """Return the share of the masks that the mesh does not cover; 0 where no camera has a mask."""
+    """Return the share of the masks that the mesh itself does not cover; 0 where no camera has a mask."""
     missed = masked = 0
     for camera, mask in zip(capture.cameras, capture.masks, strict=True):
         if not mask.all():
-            covered = bake_camera(mesh, camera).coverage
+            shown = bake_camera(mesh, camera).triangle
+            covered = (shown >= 0) & (shown < len(mesh.positions))  # an occluder is not the mesh
             missed, masked = missed + int((mask & ~covered).sum()), masked + int(mask.sum())
     return missed / max(masked, 1)
 

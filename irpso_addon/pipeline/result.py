@@ -100,7 +100,7 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
         return []
     return [
         f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"
-        " the cameras"
+        " the cameras, and that its normals point outward"
     ]
 
 

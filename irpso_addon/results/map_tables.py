@@ -57,7 +57,7 @@ def map_tables(model: ReflectanceModel) -> list[MapTable]:
     for table in tables:
         what = f"model {model.name}: the map '{table.name}'"
         if not _FILE_STEM.match(table.name) or table.name.lower() in _RESERVED:
-            raise InputError(f"{what} cannot be a file name; use letters, digits, _ and -, and no name of another file of a result")
+            raise InputError(f"{what} cannot be a file name; use letters, digits, _ and -, and no other file's name")
         if table.components > 4:
             raise InputError(f"{what} is shared by {table.components} components; a picture has 4, so use two maps")
         if len(table.parameters) > 1 and (any(p.is_normal for p in table.parameters)):

@@ -16,6 +16,7 @@ from ...core.errors import InputError
 from ..operators import quiet_operator
 
 # Custom property of a camera object: lens distortion, which Blender's cameras do not have.
+ASPECT = "irpso_pixel_aspect"  # custom property of cameras: pixel aspect (x, y), which Blender has only per scene
 DISTORTION = "irpso_distortion"
 _OTHERS = {".obj", ".ply", ".stl", ".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".dae", ".3ds"}
 
@@ -123,10 +124,16 @@ def scene_cameras(names: Sequence[str], size: tuple[int, int]) -> list[Camera]:
     if not names:
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no active camera; name one with --camera")
-        return [camera_from_object(scene.camera, *size)]
+        return [camera_in_scene(scene.camera, *size, scene)]
     if missing := [name for name in names if name not in scene.objects]:
         raise InputError(f"--camera {missing[0]}: there is no such object in scene '{scene.name}'")
-    return [camera_from_object(scene.objects[name], *size) for name in names]
+    return [camera_in_scene(scene.objects[name], *size, scene) for name in names]
+
+
+def camera_in_scene(obj: Any, width: int, height: int, scene: Any) -> Camera:
+    """Return the camera of an object, with the pixels of its custom property, else of the scene's render settings."""
+    aspect = obj.get(ASPECT, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
+    return camera_from_object(obj, width, height, tuple(aspect))
 
 
 def _distorting(camera: Camera, obj: Any) -> Camera:

@@ -16,13 +16,11 @@ from ...core.errors import InputError
 from ...core.files import natural
 from ...core.steps import run_steps
 from ..images import decode
-from .scene import camera_from_object, middle_of
+from .scene import camera_in_scene, middle_of
 from .scene_images import Photograph, open_photograph
 from .scene_lights import light_of, too_wide
 
-# Custom properties of imported objects: the capture's name, and a camera's pixel aspect (x, y), which Blender has only
-# per scene.
-CAPTURE, ASPECT = "irpso_capture", "irpso_pixel_aspect"
+CAPTURE = "irpso_capture"  # custom property of imported objects: the capture's name
 _SETTINGS = "irpso"  # the user interface's property group with an object's image and camera
 
 
@@ -73,7 +71,7 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
     cameras, masks = [], []
     for camera, pairs in seen_by:
         yield
-        cameras.append(_camera(camera, *_common_size(pairs, camera.name), scene))
+        cameras.append(camera_in_scene(camera, *_common_size(pairs, camera.name), scene))
         masks.append(_mask(camera, cameras[-1], store))
     observations = tuple(
         Observation(obj.name, lambda p=photograph: p.read().bounds, vectors[obj.session_uid], camera, photograph.coarse)
@@ -142,11 +140,6 @@ def _camera_object(light: Any, scene: Any) -> Any:
     if camera is None:
         raise InputError(f"light '{light.name}' has no camera and the scene has none; set the one that took its image")
     return camera
-
-
-def _camera(obj: Any, width: int, height: int, scene: Any) -> Camera:
-    aspect = obj.get(ASPECT, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
-    return camera_from_object(obj, width, height, tuple(aspect))
 
 
 def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int, int]:

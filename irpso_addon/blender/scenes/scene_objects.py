@@ -11,8 +11,7 @@ from ...capture.camera import Camera
 from ...capture.types import Light
 from ..colour_spaces import from_rec_709
 from .light_units import area_power, point_power, spot_power, sun_strength
-from .scene import DISTORTION
-from .scene_capture import ASPECT
+from .scene import ASPECT, DISTORTION
 from .scene_lights import EMISSION
 
 RESOLUTION = "irpso_resolution"  # custom property of a camera: its image's size (width, height)

@@ -107,6 +107,11 @@ def _fit(
         rows = np.stack([irradiance(samples.places, camera, at, power) for camera in samples.cameras])
         return np.log(rows[k, p])
 
+    def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+        weighted = matrix * weight[:, None]
+        square = weighted.T @ matrix + 1e-9 * len(log) * np.eye(matrix.shape[1])
+        return np.linalg.solve(square, weighted.T @ right)
+
     for _ in range(_ROUNDS):
         predicted = lit(offset, beam)
         columns = [lit(offset, beam + 1.0) - predicted]
@@ -117,9 +122,9 @@ def _fit(
         ones[np.arange(len(log)), k] = 1.0
         matrix = centred(np.concatenate([np.stack(columns, -1), ones], axis=1))
         residual = centred((log - predicted)[:, None])[:, 0]
-        weighted = matrix * weight[:, None]
-        square = weighted.T @ matrix + 1e-9 * len(log) * np.eye(matrix.shape[1])
-        solution = np.linalg.solve(square, weighted.T @ residual)
+        solution = solved(matrix, residual)
+        if beam + solution[0] < 0:  # a lens's correction of vignetting may brighten the corners; a lamp does not
+            solution = np.append(-beam, solved(matrix[:, 1:], residual + beam * matrix[:, 0]))
         beam += float(solution[0])
         if free:
             offset = offset + np.append(np.clip(solution[1:3], -0.2, 0.2) * distance, 0.0)

@@ -12,8 +12,8 @@ from ...solver.views.held_out import spared
 _SHOWN = 3  # most names in a message
 
 
-def held_out_list(text: str | None, names: Sequence[str]) -> list[int]:
-    """Return the indices of --hold-out among the photographs' names.
+def held_out_list(text: str | None, names: Sequence[str], cameras: Sequence[int] = ()) -> list[int]:
+    """Return the indices of --hold-out among the photographs' names. cameras: of each photograph; () for one camera.
 
     Each entry is a full name, else a name without its suffix, else a number from 0. Raises InputError if one is
     unknown, ambiguous or given twice.
@@ -21,7 +21,7 @@ def held_out_list(text: str | None, names: Sequence[str]) -> list[int]:
     if not text:
         return []
     if text == "auto":
-        return _spared(len(names))
+        return _spared(cameras or [0] * len(names))
     chosen = [_index(entry, text, names) for entry in _entries(text, names)]
     if twice := [k for n, k in enumerate(chosen) if k in chosen[:n]]:
         raise InputError(f"--hold-out {text}: gives {names[twice[0]]} twice; give different photographs")
@@ -40,10 +40,12 @@ def _entries(text: str, names: Sequence[str]) -> list[str]:
     return entries
 
 
-def _spared(count: int) -> list[int]:
-    chosen = spared(count)
+def _spared(cameras: Sequence[int]) -> list[int]:
+    chosen = spared(cameras)
     if not chosen:
-        raise InputError(f"--hold-out auto: of {count} observations none can be held out; omit the option, or name one")
+        raise InputError(
+            f"--hold-out auto: of {len(cameras)} observations none can be held out; omit the option, or name one"
+        )
     return chosen
 
 

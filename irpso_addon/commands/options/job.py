@@ -79,7 +79,7 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     with with_skip_remedy(options.skip_damaged):
         capture = _capture(options, folder)
-    held_out = capture.numbers(held_out_list(options.hold_out, capture.listed_names))
+    held_out = capture.numbers(held_out_list(options.hold_out, capture.listed_names, capture.listed_cameras))
     capture, _ = held_out_last(capture, held_out)
     size = capture.masks[0].shape[::-1] if mesh is None else mesh.domain_size(*resolution)
     job = Job(

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ...capture.camera import Camera
+from ...core.errors import InputError
 from ..domain import Domain
 from ..relief.relief import card_height
 from ..surface.bake import SurfaceBake, surface_bake
@@ -85,6 +86,11 @@ class CardSurroundings:
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
         """As Surroundings. Every call casts all rays: the relief depends on the maps."""
         mesh, bake = card_surface(self.camera, domain, values[self.normal])
+        if not len(mesh.positions):
+            raise InputError(
+                "interreflection: the card's texels touch nowhere, so they have no relief that throws light; recover"
+                " with --set interreflection_rounds=0"
+            )
         cast = self.caster_of(mesh)
         exchange = yield from exchange_steps(mesh, bake, domain.lights, cast, self.resolution, self.rays)
         own = np.zeros((*domain.shape, 3), np.float32)

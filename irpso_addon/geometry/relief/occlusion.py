@@ -23,8 +23,10 @@ def open_sky(height: Height, wraps: bool = False) -> np.ndarray:
     for azimuth in 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS:
         uphill = along * np.cos(azimuth) + up * np.sin(azimuth)
         steepest = np.full(values.shape, -np.inf)
-        for distance in (d for d in _DISTANCES if d < min(values.shape)):
+        for distance in _DISTANCES:
             x, y = round(distance * np.cos(azimuth)), round(distance * np.sin(azimuth))
+            if abs(x) >= values.shape[1] or abs(y) >= values.shape[0]:
+                break
             # Above the texel's own plane: rounding to whole texels (x, y) leaves the direction.
             rise = _moved(values, x, y, wraps) - height.values - (along * x + up * y)
             np.maximum(steepest, uphill + rise / np.hypot(x, y), out=steepest)

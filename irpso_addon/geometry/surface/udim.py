@@ -23,17 +23,18 @@ def lay_out(where: str, uvs: np.ndarray) -> tuple[tuple[int, ...], np.ndarray]:
     error. Raises InputError, with their number, where triangles cross a border of tiles or lie outside all tiles.
     """
     column, row, fits = _places(uvs)
-    in_range = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
-    if not (fits & in_range).all():
-        (u0, v0), (u1, v1) = uvs.min(axis=(0, 1)), uvs.max(axis=(0, 1))
-        crossing = int((~fits).sum())
+    drawn = uv_areas(uvs) >= SMALLEST_AREA
+    out = drawn & ~(fits & (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS))
+    if out.any():
+        (u0, v0), (u1, v1) = uvs[drawn].min(axis=(0, 1)), uvs[drawn].max(axis=(0, 1))
+        crossing = int((drawn & ~fits).sum())
         raise InputError(
-            f"{where}: {(~(fits & in_range)).sum()} of {len(uvs)} triangles do not lie in one UDIM tile"
+            f"{where}: {out.sum()} of {len(uvs)} triangles do not lie in one UDIM tile"
             f" (u {u0:.4g} to {u1:.4g}, v {v0:.4g} to {v1:.4g}; {crossing} cross a border of tiles); move each island"
             " into a tile, 1001 to 2000, or pack all into the unit square"
         )
     numbers = tile_number(column, row)
-    tiles = tuple(int(number) for number in np.unique(numbers[uv_areas(uvs) >= SMALLEST_AREA])) or ONE_SQUARE
+    tiles = tuple(int(number) for number in np.unique(numbers[drawn])) or ONE_SQUARE
     if tiles == ONE_SQUARE:
         return tiles, uvs
     # Triangles without an area may lie outside these tiles; they draw no texel.

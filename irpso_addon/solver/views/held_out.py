@@ -30,13 +30,20 @@ HIGHLIGHT = 1.5  # a highlight exceeds the diffuse reflection by this factor …
 _DARK = 0.02  # … and by this fraction of display white, to exceed noise
 
 
-def spared(count: int) -> list[int]:
-    """Return the indices that the automatic choice holds out of ``count`` observations, [] below ``FEWEST_SPARING``.
+def spared(cameras: Sequence[int]) -> list[int]:
+    """Return the indices that the automatic choice holds out of observations, [] for fewer than ``FEWEST_SPARING``.
 
-    One in eight, evenly spaced, at most six, because the fit cannot use them.
+    One in eight, evenly spaced, at most six, because the fit cannot use them. cameras: of each observation. Cameras
+    often list the same lamps in one order: none is held out at the place of its camera's list where another is.
     """
-    step = max(_STEP, math.ceil(count / _MOST))
-    return list(range(step // 2, count, step))
+    step = max(_STEP, math.ceil(len(cameras) / _MOST))
+    places = [list(cameras[:k]).count(camera) for k, camera in enumerate(cameras)]
+    chosen: list[int] = []
+    for middle in range(step // 2, len(cameras), step):
+        near = range(middle - step // 2, min(middle - step // 2 + step, len(cameras)))
+        taken = [places[k] for k in chosen]
+        chosen.append(min(near, key=lambda k: (taken.count(places[k]), abs(k - middle))))
+    return chosen
 
 
 def held_out_last(capture: Capture, held_out: Sequence[int]) -> tuple[Capture, list[int]]:

@@ -133,7 +133,7 @@ def _held_out(settings, capture: Capture) -> tuple[int, ...]:
     if settings.hold_out == "OFF":
         return ()
     count = capture.listed
-    if not (chosen := spared(count)):
+    if not (chosen := spared(capture.listed_cameras)):
         photographs = "1 photograph" if count == 1 else f"{count} photographs"
         raise InputError(
             f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {FEWEST_SPARING} or more"

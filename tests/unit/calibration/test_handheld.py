@@ -148,6 +148,17 @@ def test_brightness_tells_place_beam_and_strength_of_the_flash():
     assert np.median(found.albedo / albedo) == pytest.approx(1, abs=0.02)
 
 
+def test_light_that_rises_toward_the_corners_gives_an_even_beam_and_gains_that_fit_it():
+    cameras, random = np.stack([c.matrix for c in hand(24, widest=55)]), np.random.default_rng(5)
+    places, albedo = random.uniform(-60, 60, (200, 2)), random.uniform(0.1, 0.8, 200)
+    exact = np.stack([albedo * irradiance(places, c, OFFSET, -0.4) for c in cameras])
+    found = flash_of(Samples(places, cameras, exact * np.exp(random.normal(0, 0.02, exact.shape))))
+    assert found.beam == 0
+    lit = np.stack([irradiance(places, c, found.offset, 0.0) for c in cameras])
+    ratio = np.log(exact / (lit * found.albedo)).mean(axis=1)
+    np.testing.assert_allclose(np.log(found.gains), ratio - ratio.mean(), atol=0.02)
+
+
 def test_irradiance_falls_with_distance_cosine_and_beam():
     camera = np.eye(4)
     camera[2, 3] = 300

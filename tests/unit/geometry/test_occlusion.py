@@ -27,6 +27,13 @@ def test_at_the_foot_of_a_high_wall_half_of_the_light_is_hidden():
     assert open_sky(relief(values))[60, 10] > 0.97, "a low wall far away"
 
 
+def test_a_wall_across_a_narrow_strip_is_searched_along_the_strip():
+    values = np.zeros((8, 200))
+    values[:, 100:] = 40
+    for distance in (10, 15):  # beyond the width of the strip
+        assert open_sky(relief(values))[4, 99 - distance] < 0.98
+
+
 def test_hollows_of_a_rough_relief_see_what_rays_see():
     random = np.random.default_rng(0)
     values = 45 * gaussian_filter(random.normal(size=(90, 90)), 4, mode="wrap")

@@ -55,6 +55,7 @@ def test_rounding_past_a_border_and_triangles_without_area_make_no_tile():
     collapsed = np.full((3, 2), 1.5, np.float32)
     tiles, uvs = lay_out("map", np.stack([triangles((0, 0))[0], sliver, collapsed]))
     assert tiles == (1001,)
+    assert lay_out("map", np.stack([triangles((0, 0))[0], collapsed - 3]))[0] == (1001,)
     tiles, uvs = lay_out("map", np.stack([triangles((0, 0))[0], triangles((1, 0))[0], collapsed + 3]))
     assert tiles == (1001, 1002) and not np.ptp(uvs[2], axis=0).any() and uvs.min() >= 0 and uvs.max() <= 1
 

@@ -64,7 +64,13 @@ def test_names_of_left_out_photographs_keep_their_place():
 
 
 def test_the_least_number_for_holding_out_is_right():
-    assert spared(FEWEST_SPARING) and not spared(FEWEST_SPARING - 1)
+    assert spared([0] * FEWEST_SPARING) and not spared([0] * (FEWEST_SPARING - 1))
+
+
+@pytest.mark.parametrize(("lamps", "cameras"), [(8, 4), (16, 3), (24, 2), (40, 3)])
+def test_cameras_that_list_the_same_lamps_do_not_lose_one_lamp_in_all_views(lamps, cameras):
+    chosen = spared([k // lamps for k in range(lamps * cameras)])
+    assert len({k % lamps for k in chosen}) == len(chosen) and len({k // lamps for k in chosen}) == cameras
 
 
 def test_held_out_images_are_read_last_in_the_named_order():
