@@ -219,6 +219,8 @@ def test_a_blender_camera_projects_as_blender_says(fit, kind, width, height, asp
     expected = np.array([world_to_camera_view(bpy.context.scene, obj, Vector(p))[:] for p in points])
     np.testing.assert_allclose(pixels / (width, height), expected[:, :2], atol=2e-6)
     np.testing.assert_allclose(depth, expected[:, 2], rtol=1e-5)
+    (named,) = scene.scene_cameras(["camera"], (width, height))  # with the pixels of the render settings
+    np.testing.assert_array_equal(named.project(points)[0], pixels)
 
 
 def test_objects_other_than_pinhole_cameras_are_refused():
