@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -95,9 +96,17 @@ def reframed(spec: CaptureSpec, framing: Framing, store: ImageStore) -> CaptureS
             " (Card Width)",
             "value",
         )
-    camera = spec.views[0].make(*(spec.views[0].size or store.size(spec.observations[0].image)))
-    distance = distance_of_width(camera, own)
+    size = spec.views[0].size or _first_size(spec, store)
+    distance = distance_of_width(spec.views[0].make(*size), own)
     return replace(new, card_distance=distance, framing=replace(framing, card_width=None))
+
+
+def _first_size(spec: CaptureSpec, store: ImageStore) -> tuple[int, int]:
+    """Return the size of the first image that can be read. Raises CaptureError if none can."""
+    for shot in spec.observations[:-1]:
+        with suppress(CaptureError):  # a damaged one may be left out later
+            return store.size(shot.image)
+    return store.size(spec.observations[-1].image)
 
 
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:

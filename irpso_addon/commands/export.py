@@ -18,7 +18,7 @@ from ..exports.relief import write_relief
 from ..exports.result import Result, read_result
 from ..exports.turntable import write_turntable
 from ..gpu import context, probe
-from .options.occlusion import check_occlusion, with_occlusion
+from .options.occlusion import check_occlusion, slots_of_result, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
 from .options.values import check_shelf, shelf_of, silent
 
@@ -79,7 +79,8 @@ def _check_options(options: Namespace) -> None:
 def _asset(result: Result, options: Namespace) -> dict:
     shelf, name = shelf_of(options, options.output), options.asset_name or result.name
     shelf.path(name)
-    path = write_to_shelf(shelf, _subject(result, options.object), name)
+    subject = _subject(result, options.object)
+    path = write_to_shelf(shelf, subject, name, slots_of_result(result, subject) or ())
     if not silent(options):
         sys.stdout.write(f"written to {path}\n")
     return {"output": str(path)}

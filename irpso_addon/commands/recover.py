@@ -176,11 +176,12 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
     folder = Path(options.output)
     saving = Saving(folder / CHECKPOINT, options.resume, options.checkpoint_every, previewed)
     with ExitStack() as writing:
+        writing.callback(_remove_live, options, folder)
         report, found, started, interrupted = _solved(options, run, folder, saving, writing)
         height = found.height if options.displacement else None
         _, subject = make_material(run.job, subject_of(run.job), found, height)
         material.save_blend(folder / BLEND)
-        for name in (CHECKPOINT, FORMER_BLEND, *[LIVE] * options.live):
+        for name in (CHECKPOINT, FORMER_BLEND):
             (folder / name).unlink(missing_ok=True)
         if not previewed:
             _remove_former_preview(folder / PREVIEW)
@@ -188,11 +189,18 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
         report[INTERRUPTED] = True
     if options.asset is not None:
         shelf = shelf_of(options, options.asset)
-        report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name))
+        slots = () if run.job.mesh is None else run.job.mesh.solved_slots
+        report["asset"] = str(write_to_shelf(shelf, subject, options.asset_name or run.job.name, slots))
     if not silent(options):
         sys.stdout.write(_summary(report, folder, time.perf_counter() - started))
     warn_quietly(options, report["warnings"])
     return {"output": str(folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
+
+
+def _remove_live(options: Namespace, folder: Path) -> None:
+    """Remove the picture of --live, unless a checkpoint tells that the run goes on."""
+    if options.live and not (folder / CHECKPOINT).exists():
+        (folder / LIVE).unlink(missing_ok=True)
 
 
 def _solved(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..blender.materials.asset import About, write_asset
+from ..blender.materials.asset import About, recovered_slot, write_asset
 from ..core.errors import InputError
 from ..results.write import check_output_folder
 from .catalog import catalog_id, catalog_path
@@ -37,14 +38,15 @@ class Shelf:
         return path
 
 
-def write_to_shelf(shelf: Shelf, obj: Any, name: str) -> Path:
+def write_to_shelf(shelf: Shelf, obj: Any, name: str, slots: Sequence[int] = ()) -> Path:
     """Write the recovered material of an object of the open file as an asset; return its .blend.
 
+    slots: those whose material it is; else it is that of the active slot, or the first.
     Raises InputError where the library has it already, or cannot be written.
     """
     path = shelf.path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     catalog = catalog_id(path.parent, shelf.catalog) if shelf.catalog else ""
     about = About(shelf.author, shelf.license, _DESCRIPTION, (*shelf.tags, _TAG))
-    write_asset(path, obj, name, about, catalog)
+    write_asset(path, obj, recovered_slot(obj, slots), name, about, catalog)
     return path

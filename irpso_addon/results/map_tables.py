@@ -14,9 +14,10 @@ from .maps import Maps
 
 _CHANNELS = {1: "Y", 3: "RGB", 4: "RGBA"}
 _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
-# Names of other files of a result.
-_RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip", "live"}
-_RESERVED |= {"height", "indirect", "normal_object", "normal_world", "normal_directx", "repeated"}
+# Stems of a result's files other than the maps of its model.
+OTHER_FILES = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect",
+               "normal_object", "normal_world", "normal_directx")  # fmt: skip
+_RESERVED = {*OTHER_FILES, "coverage", "strip", "live", "repeated"}
 
 
 @dataclass(frozen=True)

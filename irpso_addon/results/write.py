@@ -24,7 +24,7 @@ from ..core.steps import available_cores
 from ..core.udim import tile_part, tile_stem
 from ..reflectance.model import ReflectanceModel
 from .derived_map import DerivedMap
-from .map_tables import MapTable, encoded_values, encoding_text, exr_channels, map_tables, map_values
+from .map_tables import OTHER_FILES, MapTable, encoded_values, encoding_text, exr_channels, map_tables, map_values
 from .maps import Maps, split_maps
 from .report import plain
 
@@ -33,9 +33,6 @@ BLEND = "material.blend"
 FORMER_BLEND = "material.former.blend"  # of the result before, until the new material is saved
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
 _PARTIAL = ".irpso-result-"  # prefix of the temporary folder
-# Stems of a result's files other than the maps of its model.
-_BESIDE = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect", "normal_object",
-           "normal_world", "normal_directx")  # fmt: skip
 
 
 def check_output_folder(folder: str | Path) -> Path:
@@ -48,7 +45,7 @@ def check_output_folder(folder: str | Path) -> Path:
 
 def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
     """Raise InputError if a result of ``model`` in ``folder`` would replace a file that no former result wrote."""
-    stems = {table.name for table in map_tables(model)} | set(_BESIDE)
+    stems = {table.name for table in map_tables(model)} | set(OTHER_FILES)
     names = [path.name for path in sorted(folder.iterdir())] if folder.is_dir() else []
     ours = [n for n in names if n in (REPORT, BLEND) or (_OWN_FILE.match(n) and n.partition(".")[0] in stems)]
     _refuse_foreign(folder, ours, _former_files(folder))

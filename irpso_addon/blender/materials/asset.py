@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,24 +29,27 @@ class About:
     tags: tuple[str, ...] = ()
 
 
-def recovered_slot(obj: Any) -> Any:
-    """Return the recovered material of an object's active slot, else its first. Raises InputError where it has none."""
-    materials = (obj.active_material, *(slot.material for slot in obj.material_slots))
+def recovered_slot(obj: Any, slots: Sequence[int] = ()) -> Any:
+    """Return the recovered material of one of some slots, else of the object's active slot, else its first.
+
+    Raises InputError where the object has none.
+    """
+    of_slots = [slot.material for slot in obj.material_slots]
+    materials = (*(of_slots[index] for index in slots if index < len(of_slots)), obj.active_material, *of_slots)
     recovered = next((material for material in materials if material is not None and TAG in material), None)
     if recovered is None:
         raise InputError(f"object '{obj.name}' has no recovered material")
     return recovered
 
 
-def write_asset(path: Path, obj: Any, name: str, about: About, catalog: str) -> None:
-    """Write the recovered material of an object into a .blend, as an asset with its maps packed; whole or not at all.
+def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, catalog: str) -> None:
+    """Write a material of an object into a .blend, as an asset with its maps packed; whole or not at all.
 
     The open file stays as it is. catalog: UUID, "" for none. Raises InputError where ``path`` cannot be written, or an
     image has unsaved changes or no file.
     """
     import bpy
 
-    material = recovered_slot(obj)
     images = sorted(_images(material.node_tree), key=lambda image: image.name)
     if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
         raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")

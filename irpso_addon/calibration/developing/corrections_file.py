@@ -74,12 +74,13 @@ def photograph_at(image: str, path: Path) -> Photograph:
 def photograph_of_keys(row: dict[str, Any], where: str) -> Photograph:
     """Return a Photograph from its table. Raises CaptureError at unknown keys."""
     known_keys(row, {"image", "file", *LENS_KEYS, "seconds", "f_number", "iso", "orientation"}, where)
-    seconds, f_number, iso = (number(row, key, where) if key in row else None for key in ("seconds", "f_number", "iso"))
+    seconds, f_number, iso, orientation = (
+        number(row, key, where) if key in row else None for key in ("seconds", "f_number", "iso", "orientation")
+    )
     lens = {key: row[key] for key in LENS_KEYS if key in row}
     exposure = None if seconds is None else Exposure(seconds, f_number, iso)
-    return Photograph(
-        text(row, "image", where), text(row, "file", where), lens, exposure, row.get("orientation")
-    )  # fmt: skip
+    tag = None if orientation is None else int(orientation)
+    return Photograph(text(row, "image", where), text(row, "file", where), lens, exposure, tag)
 
 
 def write_corrections(folder: Path, measured: Measured, photographs: Sequence[Photograph]) -> None:

@@ -156,7 +156,9 @@ class _Work:
 
     def __init__(self, store: ImageStore, source: Source, options: MeasureOptions):
         self.store, self.source, self.options = store, source, options
-        self.colour_space = _common_space(source) if options.colour_space == "auto" else options.colour_space
+        self.colour_space = options.colour_space
+        if options.colour_space == "auto":
+            self.colour_space = _common_space(source, refused=bool(options.left_out))
         self.figures: dict = {}
         self.warnings: list[str] = []
 
@@ -325,9 +327,9 @@ class _Work:
         return parsed[1] if parsed else None
 
     def _check_known(self, darks: Sequence[Path], amounts: Sequence[float | None]) -> None:
-        """Raise InputError for a dark frame whose name does not tell which of several --exposures it has."""
+        """Raise InputError for one of several dark frames whose name does not tell which of the --exposures it has."""
         exposing = self.options.exposing
-        if exposing is None or len(set(exposing.exposures)) < 2 or None not in amounts:
+        if exposing is None or len(set(exposing.exposures)) < 2 or len(darks) < 2 or None not in amounts:
             return
         raise InputError(
             f"{darks[amounts.index(None)]}: its name does not tell which of the --exposures it has; end it with that"
@@ -345,11 +347,16 @@ class _Work:
         return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)
 
 
-def _common_space(source: Source) -> str:
-    """Return the colour space that a capture states for its images. Raises InputError if it states several."""
+def _common_space(source: Source, refused: bool) -> str:
+    """Return the colour space that a capture states for its images; "auto" if it states several, or an error."""
     images = [image for shot in source.shots for image in shot.images]
-    first, *others = [image for image in images if not (is_exr(image.path) or is_raw(image.path))] or images
+    images = [image for image in images if not (is_exr(image.path) or is_raw(image.path))]
+    if not images:
+        return "auto"
+    first, *others = images
     if other := next((image for image in others if image.colour_space != first.colour_space), None):
+        if not refused:
+            return "auto"
         raise InputError(
             f'{other}: has colour_space "{other.colour_space}" where {first} has "{first.colour_space}"; develop'
             " photographs of one encoding, or set --colour-space (Color Space)"

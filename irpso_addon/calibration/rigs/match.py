@@ -72,15 +72,15 @@ def check_photographs(
                 f"{path}: is {size[0]}×{size[1]} pixels, the rig's photographs {view.size[0]}×{view.size[1]}; set the"
                 " camera as for the rig, and do not crop"
             )
-        if None not in (expected.orientation, source.orientation) and source.orientation != expected.orientation:
-            raise InputError(
-                f"{path}: its EXIF orientation is {source.orientation}, that of the rig's photographs"
-                f" {expected.orientation}: it would be turned against the lamps; give all of them the same orientation"
-            )
         if rig.measured is not None and _kind(path.name) != _kind(expected.file):
             raise InputError(
                 f"{path}: is a {_kind(path.name)} file, and the rig's corrections are for {_kind(expected.file)} files;"
                 " give the camera's own files as for the rig"
+            )
+        if None not in (expected.orientation, source.orientation) and source.orientation != expected.orientation:
+            raise InputError(
+                f"{path}: its EXIF orientation is {source.orientation}, that of the rig's photographs"
+                f" {expected.orientation}: it would be turned against the lamps; give all of them the same orientation"
             )
         for key, value in expected.lens.items():
             if key in source.lens and not _same(source.lens[key], value):

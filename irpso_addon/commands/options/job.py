@@ -144,7 +144,8 @@ def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, s
     if path.is_dir():
         raise InputError(f"{path}: is a folder in the place of the checkpoint; choose another -o, or move it")
     if not options.resume:
-        if options.live and (path.parent / LIVE).exists() and not path.exists():  # else it is of an interrupted run
+        own = path.exists() or options.dry_run  # of an interrupted run, or not written
+        if options.live and (path.parent / LIVE).exists() and not own:
             raise InputError(f"{path.parent / LIVE}: would be replaced by --live; choose another -o, or move it")
         return
     if not path.is_file():

@@ -48,12 +48,12 @@ def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any
             )
         return result
     obj = subject()
-    mesh = extract_mesh(obj, _slots(result, obj))
+    mesh = extract_mesh(obj, slots_of_result(result, obj))
     mesh = with_occluders(mesh, named_occluders(options.occluder, obj, "--occluder"))
     return replace(result, baked_sky=mesh_open_sky(mesh, result.maps, options.rays or RAYS))
 
 
-def _slots(result: Result, obj: Any) -> tuple[int, ...] | None:
+def slots_of_result(result: Result, obj: Any) -> tuple[int, ...] | None:
     """Return the object's slots that the maps belong to, None for all.
 
     Slots that the recovery chose by number are chosen by number again: their names are now the recovered materials'.

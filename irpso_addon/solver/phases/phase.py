@@ -63,7 +63,7 @@ class Phase(Protocol):
 
     @property
     def keeps_estimates(self) -> bool:
-        """Whether the phase only measures: ``conclude`` writes no estimates, and the current ones stay."""
+        """Whether the recovery's estimates stay as they are at the end; then ``placed`` is False."""
         return False
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:

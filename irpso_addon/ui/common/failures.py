@@ -18,6 +18,8 @@ from .words import iface
 _SETTINGS = {
     "--distance": "Card Distance",
     "--memory": "Memory Budget",
+    "--card-width (Card Width)": "Card Width",
+    "--card-width": "Card Width",
     "--intensities estimate": "Light Strengths: Estimate",
     "irpso develop --dark": "Develop, with Dark Frames",
     "irpso develop --register": "the command line (irpso develop --register)",  # Develop cannot

@@ -27,6 +27,7 @@ class SlicedOperator:
 
     doing = ""
     names: Mapping[str, str] = MappingProxyType({})
+    of_capture = True  # whether ``finished`` changes the capture for which the work began
     _steps: Generator[float, None, Any] | None = None
     _timer: Any = None
     _for: tuple[int, str] = (0, "")  # the scene and its capture when the work began
@@ -78,7 +79,7 @@ class SlicedOperator:
                     break
         except StopIteration as end:
             self._leave(context, set())
-            if _capture_in(context) == self._for:
+            if not self.of_capture or _capture_in(context) == self._for:
                 return self.finished(context, end.value)
             self.report({"WARNING"}, self.unused(end.value))
             return {"FINISHED"}

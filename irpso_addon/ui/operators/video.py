@@ -47,6 +47,7 @@ class PhotographsOfVideo(VideoBrowser, SlicedOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
     doing = n_("Choosing frames")
     names = {"--count": "Photographs"}
+    of_capture = False
 
     count: IntProperty(
         name="Photographs", description="Most frames that become photographs. Each takes time in the recovery;"

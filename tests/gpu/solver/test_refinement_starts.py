@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.domain import with_samples
+from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from tests.builders.domains import make_domain, unit
 from tests.builders.refinement import materials, observed, refinements, schedule_of
@@ -140,8 +141,10 @@ def test_a_start_with_a_wide_delta_gives_no_worse_material(refinement, source):
     while not bench.refinement.done:
         found = bench.run(bench.refinement.iteration + 1)
         if source == "shown":
-            parts = np.split(bench.refinement.halo(), np.cumsum([p.components for p in model.parameters])[:-1], axis=-1)
-            found = {p.name: part.astype(np.float64) for p, part in zip(model.parameters, parts, strict=True)}
+            bench.refinement.preview(bench.estimates.shown)
+            shown = bench.pack.unpack(np.concatenate([textures.download(t) for t in bench.estimates.shown], axis=-1))
+            parts = np.split(shown, np.cumsum([p.components for p in model.parameters]), axis=-1)
+            found = {p.name: part.astype(np.float64) for p, part in zip(model.parameters, parts, strict=False)}
         render = confidence_oracle.radiance(domain, model.name, found)
         errors.append(np.abs(render - domain.stack.values[..., :3]).mean())
     assert max(errors) < 2 * errors[0], errors

@@ -5,6 +5,8 @@ import pytest
 
 from irpso_addon.calibration.photographs import with_camera
 from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture
+from irpso_addon.capture.images import image
+from irpso_addon.capture.images.raw import RawHeader
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.read import read_spec
 from tests.builders.captures import chunk, decode_png, write_png
@@ -91,12 +93,21 @@ def test_a_lens_is_not_set_for_a_camera_of_the_cameras_file(scan):
         with_camera(read_spec(scan / "capture.toml"), {"fov_degrees": 40.0}, "--fov")
 
 
-def test_a_raw_file_that_is_no_tiff_has_the_camera_of_its_pose(scan):
-    (scan / "IMG_1.CR3").write_bytes(b"\0\0\0\x18ftypcrx ")  # LibRaw turns its picture upright
+@pytest.mark.parametrize("tag", [1, 3])
+def test_a_raw_file_that_is_no_tiff_has_the_camera_of_its_pose(scan, tag, monkeypatch):
+    monkeypatch.setattr(image, "raw_header", lambda path: RawHeader(64, 48, tag))  # LibRaw turns its picture upright
+    (scan / "IMG_1.CR3").write_bytes(b"\0\0\0\x18ftypcrx ")
     text = 'image = "IMG_1.CR3"\ncamera = "IMG_1.png"'
     (scan / "capture.toml").write_text(f'cameras = "colmap"\n[[observation]]\n{text}\n{LIT}')
     (view,) = read_spec(scan / "capture.toml").views
-    np.testing.assert_allclose(view.make(64, 48).position, CENTRE, atol=1e-12)
+    camera = view.make(64, 48)
+    np.testing.assert_allclose(camera.position, CENTRE, atol=1e-12)
+    (scan / "capture.toml").write_text(f'cameras = "colmap"\n[[observation]]\nimage = "IMG_1.png"\n{LIT}')
+    stored = read_spec(scan / "capture.toml").views[0].make(64, 48)
+    points = SEEN @ ROTATION + CENTRE
+    pixels = stored.project(points)[0]
+    expected = pixels if tag == 1 else np.array([64, 48]) - pixels
+    np.testing.assert_allclose(camera.project(points)[0], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(
