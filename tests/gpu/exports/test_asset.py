@@ -158,6 +158,8 @@ def test_the_material_of_the_active_slot_is_saved_if_it_was_recovered(card):
     for card.active_material_index in range(3):
         found.append(recovered_slot(card))
     assert found == [first, second, first]
+    card.active_material_index = 0
+    assert recovered_slot(card, (1,)) == second
 
 
 def test_recover_and_export_write_assets(tmp_path):

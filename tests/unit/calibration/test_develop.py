@@ -343,6 +343,7 @@ def test_dark_flat_and_chart_have_the_encoding_that_the_capture_states(photograp
     table.write_text(f'format = 1\n{rows}colour_space = "linear"\n')
     code, _, err = run_cli("develop", table, "-o", tmp_path / "mixed", *frames)
     assert code == 2 and err.count("\n") == 1 and 'has colour_space "linear" where' in err
+    assert run_cli("develop", table, "-o", tmp_path / "mixed", "--quiet")[0] == 0  # each in its own encoding
 
 
 def test_8_bit_png_files_that_state_to_be_linear_are(tmp_path):
@@ -367,6 +368,8 @@ def test_dark_frames_of_numbered_exposures_go_with_their_own(tmp_path, first):
     write(folder / "dark" / "dark.png", np.full((SIZE, SIZE, 3), 0.01), None)
     code, _, err = run_cli("develop", folder, "-o", tmp_path / "none", *options, folder / "dark")
     assert code == 2 and err.count("\n") == 1 and "dark.png: its name does not tell which of the --exposures" in err
+    # One alone, without a number, is that of all exposures.
+    assert run_cli("develop", folder, "-o", tmp_path / "one", *options, folder / "dark" / "dark.png")[0] == 0
 
 
 @pytest.mark.parametrize("name", ["00.png", "dark/1.png", "flat/a.png"])
