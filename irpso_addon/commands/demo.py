@@ -19,7 +19,7 @@ from ..gpu import context, probe
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.report import build_report, ground_truth_errors, quantiles
-from ..results.write import BLEND, FORMER_BLEND, check_output_folder, check_replaces_nothing, write_maps
+from ..results.write import check_output_folder, check_replaces_nothing, write_maps
 from ..solver.settings.schedule import load_schedule
 from .options.values import silent
 
@@ -112,8 +112,7 @@ def _write(
         joint_figures,
     )
     material.apply_material(subject, material.build_material(_turned(found, joint.maps), subject.name))
-    material.save_blend(folder / BLEND)
-    (folder / FORMER_BLEND).unlink(missing_ok=True)
+    material.save_result_blend(folder)
     return {"output": str(folder), "excluded_fraction": report["excluded_fraction"], "texels": report["texels"],
             "runs": errors, "seconds": report["seconds"]}  # fmt: skip
 

@@ -29,7 +29,7 @@ from ..pipeline.ranks import leave_with_error, run_on_ranks
 from ..pipeline.result import ResultMaps, make_material, pictures_of, report_of, result_maps, subject_of
 from ..pipeline.run import Run
 from ..results.report import plain
-from ..results.write import BLEND, FORMER_BLEND, REPORT, remove_result, write_maps
+from ..results.write import BLEND, REPORT, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
@@ -180,9 +180,8 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
         report, found, started, interrupted = _solved(options, run, folder, saving, writing)
         height = found.height if options.displacement else None
         _, subject = make_material(run.job, subject_of(run.job), found, height)
-        material.save_blend(folder / BLEND)
-        for name in (CHECKPOINT, FORMER_BLEND):
-            (folder / name).unlink(missing_ok=True)
+        material.save_result_blend(folder)
+        (folder / CHECKPOINT).unlink(missing_ok=True)
         if not previewed:
             _remove_former_preview(folder / PREVIEW)
     if interrupted():

@@ -11,7 +11,7 @@ from ..core.errors import InputError
 from ..exports.result import Result, read_result
 from ..exports.tile import Tile, tiled
 from ..results.maps import Maps
-from ..results.write import BLEND, FORMER_BLEND, check_output_folder, check_replaces_nothing, write_maps
+from ..results.write import check_output_folder, check_replaces_nothing, write_maps
 from .options.values import silent
 
 _SIZES = (16, 8192)  # texels of a side
@@ -49,8 +49,7 @@ def _checked(options: Namespace, result: Result) -> Path:
 def _write_material(maps: Maps, name: str, folder: Path) -> None:
     made = material.build_material(maps, name)
     material.apply_material(material.card_object(name, *maps.covered.shape), made)
-    material.save_blend(folder / BLEND)
-    (folder / FORMER_BLEND).unlink(missing_ok=True)
+    material.save_result_blend(folder)
 
 
 def _summary(name: str, tile: Tile, folder: Path) -> str:

@@ -86,8 +86,8 @@ def write_maps(
     UDIM tile has its own files: normal.1001.exr, normal.1002.exr, and so on.
     pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. derived: maps that
     are not the model's, each in its own files. report: plain data; "maps" and "files" are added. Files of a former
-    result, listed in its report, are removed where this one lacks them; its material becomes FORMER_BLEND, which who
-    saves the new one removes. Raises InputError where the folder or the model's table of maps is unusable.
+    result, listed in its report, are removed where this one lacks them; its material becomes FORMER_BLEND until
+    the new one is saved. Raises InputError where the folder or the model's table of maps is unusable.
     """
     tables = map_tables(maps.model)
     folder = check_output_folder(folder)

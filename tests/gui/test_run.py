@@ -9,6 +9,11 @@ from tests.gui.traces import MODULE, SNAPSHOT, switch
 
 SIZE, LIGHTS = 64, 24
 CARD = "IRPSO card"
+IN_NEW_WINDOW = """
+new = bpy.context.window_manager.windows[-1]
+with bpy.context.temp_override(window=new, area=new.screen.areas[0]):
+    {}
+"""
 MODULES = f"""
 import gpu
 import importlib
@@ -150,11 +155,7 @@ def test_modes_areas_and_windows_may_change_in_mid_run(ready):
     ready.run("redrawn()", area="")
     ready.run("area.spaces.active.shading.type = 'SOLID'\nbpy.ops.wm.window_new()")
     ready.run("redrawn()", area="")
-    ready.run(
-        "new = bpy.context.window_manager.windows[-1]\n"
-        "with bpy.context.temp_override(window=new, area=new.screen.areas[0]):\n    bpy.ops.wm.window_close()",
-        area="",
-    )
+    ready.run(IN_NEW_WINDOW.format("bpy.ops.wm.window_close()"), area="")
     ready.run("redrawn()", area="")
     finish(ready)
     assert ready.run("session.current().failure") == ""
@@ -176,17 +177,13 @@ def test_the_picture_follows_a_recovery_that_another_window_resumes(ready):
     begin(ready)
     ready.run("bpy.ops.irpso.pause()\nbpy.ops.wm.window_new()")
     ready.run("redrawn()", area="")
-    ready.run(
-        "import time\nnew = bpy.context.window_manager.windows[-1]\nresumed = time.perf_counter()\n"
-        "with bpy.context.temp_override(window=new, area=new.screen.areas[0]):\n    bpy.ops.irpso.resume()",
-        area="",
-    )
+    ready.run("import time\nresumed = time.perf_counter()", area="")
+    ready.run(IN_NEW_WINDOW.format("bpy.ops.irpso.resume()"), area="")
     drawn = "handlers._overlay._updated > resumed"
     ready.wait(f"{drawn} or session.current().state == 'done'", 400)
     assert ready.run(f"[session.current().state, {drawn}]") == ["running", True]
     ready.run("bpy.ops.irpso.cancel()", area="")
-    ready.run("with bpy.context.temp_override(window=new, area=new.screen.areas[0]):\n    bpy.ops.wm.window_close()",
-              area="")  # fmt: skip
+    ready.run(IN_NEW_WINDOW.format("bpy.ops.wm.window_close()"), area="")
 
 
 def test_two_windows_the_background_and_the_command_line_find_the_same_maps(

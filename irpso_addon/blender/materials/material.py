@@ -15,6 +15,7 @@ from ...geometry.relief.height import Height
 from ...reflectance.model import ReflectanceModel
 from ...results.map_tables import MapTable, map_tables
 from ...results.maps import Maps
+from ...results.write import BLEND, FORMER_BLEND
 from ..operators import quiet_operator
 from . import two_lobe_nodes as two_lobe
 from .anisotropy_nodes import connect_grain
@@ -234,6 +235,12 @@ def _give_height(mesh, x: float, y: float) -> None:
         for corner in corners:
             corner.y = math.copysign(y, corner.y)
         mesh.update()
+
+
+def save_result_blend(folder: Path) -> None:
+    """Save a copy of the open file as a result's, in place of a former result's that ``write_maps`` set aside."""
+    save_blend(folder / BLEND)
+    (folder / FORMER_BLEND).unlink(missing_ok=True)
 
 
 def save_blend(path: str | Path) -> Path:
