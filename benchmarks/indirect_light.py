@@ -77,7 +77,7 @@ class Body:
             self.mesh, domain.bake, domain.lights, ray_caster(self.mesh), settings.resolution, settings.rays
         )
         with closing(IndirectLight(domain, run_steps(steps), model, maps, domain.solvable, bounces)) as light:
-            return np.stack([light.at_texels(light.of_elements(k)[0]) for k in range(domain.observations)])
+            return np.stack([light.at_texels(k, light.of_elements(k)[0]) for k in range(domain.observations)])
 
     def baked(self, samples: int) -> np.ndarray:
         """Return (40, T, 3), the light that Cycles bakes with the true material; the lights are distant."""

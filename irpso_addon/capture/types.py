@@ -52,14 +52,22 @@ class Light:
 
     def relative_intensity(self, points: np.ndarray) -> np.ndarray:
         """Return (…) the fraction 0…1 of the axial intensity in the direction of points (…, 3), without distance."""
-        if self.axis is None:
-            return np.ones(points.shape[:-1])
-        away: np.ndarray = points - np.asarray(self.vector, np.float64)
-        cosine = away @ np.asarray(self.axis) / np.maximum(np.linalg.norm(away, axis=-1), 1e-300)
-        share = np.maximum(cosine, 0) ** self.cosine if self.cosine else np.ones_like(cosine)
+        return beam_share(points - np.asarray(self.vector, np.float64), self.beam)
+
+    @property
+    def beam(self) -> np.ndarray:
+        """(5,) for ``beam_share``: axis, cosine of the cone, exponent; (0, 0, 0, −1, 0) for an isotropic light."""
         # 5e-7 degrees of tolerance: points on the cone's border within rounding are inside.
         border = -1.0 if self.cone is None else math.cos(math.radians(min(self.cone + 5e-7, 180)))
-        return np.where(cosine >= border, share, 0.0)
+        return np.array([*((0.0, 0.0, 0.0) if self.axis is None else self.axis), border, self.cosine])
+
+
+def beam_share(away: np.ndarray, beam: np.ndarray) -> np.ndarray:
+    """Return (…) the fraction 0…1 of a light's axial intensity along vectors (…, 3) away from it; beam: (5,)."""
+    axis, border, exponent = beam[:3], beam[3], beam[4]
+    cosine = away @ axis / np.maximum(np.linalg.norm(away, axis=-1), 1e-300)
+    share = np.maximum(cosine, 0) ** exponent if exponent else np.ones_like(cosine)
+    return np.where(cosine >= border, share, 0.0)
 
 
 @dataclass(frozen=True)

@@ -290,8 +290,12 @@ def _domain(
     card: bool,
     noise: float,
 ) -> Domain:
-    observations = capture.observations
-    return domain_of(
+    observations, beams = capture.observations, None
+    if any(observation.light.axis is not None for observation in observations):
+        beams = np.array([observation.light.beam for observation in observations])
+        beams[:, :3] = beams[:, :3] @ to_frame[:3, :3].T
+        beams = beams.astype(np.float32)
+    domain = domain_of(
         bake,
         stack.values,
         lights=np.array([_light(observation.light, to_frame) for observation in observations], np.float32),
@@ -300,6 +304,7 @@ def _domain(
         card=card,
         noise=noise,
     )
+    return replace(domain, beams=beams)
 
 
 def _light(light: Light, to_frame: np.ndarray) -> np.ndarray:

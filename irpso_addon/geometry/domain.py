@@ -64,7 +64,8 @@ class Domain:
     neighbours: they are read but never moved. card: whether the domain is the image itself rather than a UV square.
     seams: which texels are neighbours across UV seams; where None, as on a card, those beside a texel are. noise:
     standard deviation of the photographs' sRGB codes, as a fraction of white (capture/noise.py); 0 where their files
-    are finer than that.
+    are finer than that. beams: (K, 5) of ``beam_share``, by which the samples were divided; None where all
+    lights are isotropic.
     """
 
     bake: GeometryBake
@@ -78,6 +79,7 @@ class Domain:
     card: bool = True
     seams: SeamMap | None = None
     noise: float = 0.0
+    beams: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -143,6 +145,7 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: n
         lights=domain.lights[chosen],
         intensities=domain.intensities[chosen],
         views=domain.views[chosen],
+        beams=None if domain.beams is None else domain.beams[chosen],
     )
 
 

@@ -3,8 +3,9 @@
 // by light of other elements; in alpha by direct light, mean of the channels. u_to_camera = 0: mean over all
 // directions, with the light of each ray leaving in the direction of another ray.
 // Reads estimates, geometry and observation table; u_rays, one layer per ray: direction in world space and the element
-// that it hits (−1: none); u_lit: whether the light reaches an element; u_received: the mean of the previous bounces.
-// An element's indirect light is this mean if u_branches = 0, else from u_branches rays: a lobe does not send the mean.
+// that it hits (−1: none); u_lit: fraction of the light that reaches an element; u_received: the mean of the previous
+// bounces. An element's indirect light is this mean if u_branches = 0, else from u_branches rays: a lobe does not send
+// the mean.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -17,13 +18,14 @@
 // Returns the radiance of an element toward a direction by direct light, times the throughput of the receiver.
 vec3 direct_radiance(ivec2 element, vec3 toward, vec3 throughput)
 {
-    if (texelFetch(u_lit, element, 0).r == 0.0) {
+    float lit = texelFetch(u_lit, element, 0).r;
+    if (lit == 0.0) {
         return vec3(0.0);
     }
     Frame f = frame_at(element);
     vec3 intensity;
     vec3 l = light_at(f, u_observation, intensity);
-    return intensity * min(throughput * reflectance(estimate_at(element), l, to_local(f, toward)), vec3(MAX_RADIANCE));
+    return lit * intensity * min(throughput * reflectance(estimate_at(element), l, to_local(f, toward)), vec3(MAX_RADIANCE));
 }
 
 // Returns the throughput: the factor from the radiance along a ray (l) to radiance toward v.

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...capture.types import Light
+from ...capture.types import Light, beam_share
+from ..domain import Domain
 
 # Samples below this fraction of the intensity along the axis (3° from edge-on to a flat emitter) are unusable: with an
 # axis known to 1°, their radiance would be off by a third.
@@ -25,3 +26,15 @@ def beam_correction(light: Light, points: np.ndarray) -> tuple[np.ndarray, np.nd
     usable = share >= LEAST_SHARE
     gain = np.where(usable, 1 / np.where(usable, share, 1), 0)
     return gain.astype(np.float32), np.where(usable, share**2, 0).astype(np.float32)
+
+
+def beam_shares(domain: Domain, observation: int, texels: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Return, for T texels (rows, columns), (T,) the fraction of the light's axial intensity, and the samples' divisor.
+
+    The divisor is 1 where ``beam_correction`` left the radiance as photographed. (1,) of 1 where lights are isotropic.
+    """
+    if domain.beams is None:
+        return np.ones(1, np.float32), np.ones(1, np.float32)
+    away = domain.bake.position[texels] - domain.lights[observation, :3]
+    share = beam_share(away, domain.beams[observation])
+    return share, np.where(share >= LEAST_SHARE, share, np.float32(1))

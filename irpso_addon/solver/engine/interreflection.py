@@ -144,7 +144,7 @@ class InterreflectionRounds(Successive):
 
         def indirect(observation: int) -> np.ndarray:
             result = np.zeros((*domain.shape, 3), np.float32)
-            result[light.covered] = light.at_texels(radiance[observation])
+            result[light.covered] = light.at_texels(observation, radiance[observation])
             return result
 
         return indirect
@@ -297,7 +297,7 @@ class InterreflectionRounds(Successive):
             subtracted, shown = np.zeros((2, int(covered.sum())))
             for observation, (layer, of_elements) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
                 sample = (layer if first else samples.layer(observation)).copy()
-                light_of_texels = strength * light.at_texels(of_elements)
+                light_of_texels = strength * light.at_texels(observation, of_elements)
                 remaining = np.maximum(layer[covered, :3] - light_of_texels, 0)
                 sample[covered, :3] += relaxation * (remaining - sample[covered, :3])
                 samples.put(observation, sample)

@@ -11,6 +11,7 @@ import numpy as np
 from ...core.filters import weighted_median
 from ...geometry.domain import Domain
 from ...geometry.light.exchange import Exchange
+from ...geometry.light.light_shape import beam_shares
 from ...gpu import context, textures
 from ...reflectance.model import ReflectanceModel
 from ..kernels.kernels import exchange_pass
@@ -38,7 +39,8 @@ class IndirectLight:
     → (H, W, components). known: (H, W) bool, where the maps determine the material; other elements get the material of
     the nearest known one. Elements that are not solvable have the mesh's own normal. materials: of the E elements,
     parameter name → (E, components); the light is computed with wider lobes. covered: (H, W) bool, the texels of
-    ``at_texels``.
+    ``at_texels``. Radiances of elements are as photographed; those of texels are as their samples, which are divided by
+    the beams of the lights.
     """
 
     def __init__(
@@ -76,17 +78,21 @@ class IndirectLight:
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in rays]))
         self._inputs["u_received"], *self._targets = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(3))
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
+        shares, divisors = zip(*(beam_shares(domain, k, self._places) for k in range(domain.observations)), strict=True)
+        self._lit = exchange.lit * np.stack(shares)  # (K, E) fraction of each light's axial intensity
+        self._divisors = np.stack(divisors)
 
-    def at_texels(self, radiance: np.ndarray) -> np.ndarray:
+    def at_texels(self, observation: int, radiance: np.ndarray) -> np.ndarray:
         """Return (T, 3) float32: the radiance of elements (E, 3), interpolated to the covered texels, row by row."""
+        divisor = beam_shares(self._domain, observation, np.nonzero(self.covered))[1][:, None]
         if self._detail is None:
-            return self.exchange.at_texels(radiance)
-        return self.exchange.at_texels(radiance / self._albedo) * self._detail
+            return self.exchange.at_texels(radiance) / divisor
+        return self.exchange.at_texels(radiance / self._albedo) * (self._detail / divisor)
 
     @cached_property
     def shown(self) -> np.ndarray:
         """(K, E): photographed radiance of the elements, mean of the channels; 0 without a photograph."""
-        return self._domain.stack.texels(*self._places)[..., :3].mean(axis=-1)
+        return self._domain.stack.texels(*self._places)[..., :3].mean(axis=-1) * self._divisors
 
     @cached_property
     def seen(self) -> np.ndarray:
@@ -111,7 +117,7 @@ class IndirectLight:
         toward, _ = light_vectors(domain, self._places)
         cosine = (toward * self._normals).sum(axis=-1)
         predicted = radiance.mean(axis=-1)
-        dark = ~self.exchange.lit | (cosine < _AWAY)
+        dark = (self._lit == 0) | (cosine < _AWAY)
         enough = predicted > _LEAST_SHARE * np.percentile(shown[self.seen], 90)
         counted = dark & self.seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _LEAST_SAMPLES:
@@ -131,7 +137,7 @@ class IndirectLight:
 
         And (E,): the direct radiance of the same materials, mean of the channels.
         """
-        lit = self._grid(self.exchange.lit[observation].astype(np.float32))
+        lit = self._grid(self._lit[observation])
         inputs = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
         received, (target, other) = inputs["u_received"], self._targets
         constants = {

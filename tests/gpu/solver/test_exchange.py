@@ -1,11 +1,13 @@
 """Light that a mesh throws on itself, where the answer is known: in hollow spheres."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.capture.types import Light
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.light.exchange import exchange_steps
 from irpso_addon.reflectance.model import load_model
@@ -28,7 +30,7 @@ def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
     maps = maps_of(domain, base_color=albedo, **{name: (value,) for name, value in numbers.items()})
     exchange = exchange_of(mesh, domain, rays=rays)
     with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
-        return light.at_texels(light.of_elements(0)[0])
+        return light.at_texels(0, light.of_elements(0)[0])
 
 
 @pytest.mark.parametrize("bounces", [1, 2, 4])
@@ -47,6 +49,20 @@ def test_elements_say_what_the_light_itself_makes_them_send():
     maps = maps_of(domain, base_color=albedo)
     with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
         np.testing.assert_allclose(light.of_elements(0)[1], albedo.mean(), rtol=0.02)
+
+
+def test_a_beam_lights_only_what_it_reaches():
+    # Of the square of the cosine within 60° of the axis, a sphere receives ∫ z² dz / 2 for z in ½ … 1 on average, and
+    # sends it on everywhere. The samples are divided by the beam where it reaches.
+    mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
+    beam = Light((0.0, 0.0, 0.0), distant=False, axis=(0.0, 0.0, 1.0), cone=60.0, cosine=2.0).beam
+    domain = replace(cavity(mesh), beams=beam[None].astype(np.float32))
+    found = indirect(mesh, domain, albedo, 1, rays=512)
+    height = -domain.bake.normal[domain.bake.coverage][:, 2]
+    reached = np.where(height > 0.5, height**2, 1.0)
+    wanted = albedo**2 * (1 - 0.5**3) / 6
+    np.testing.assert_allclose(found * reached[:, None], np.broadcast_to(wanted, found.shape), rtol=0.12)
+    np.testing.assert_allclose((found * reached[:, None]).mean(axis=0), wanted, rtol=0.01)
 
 
 def test_half_a_sphere_keeps_half_of_it():
