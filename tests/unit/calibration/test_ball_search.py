@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.calibration.balls.ball import Ball
-from irpso_addon.calibration.balls.checks import near_lamps, unknown_lens
+from irpso_addon.calibration.balls.checks import ball_warnings, near_lamps, unknown_lens
 from irpso_addon.calibration.balls.detect import falloff, shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
 from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
@@ -259,3 +259,9 @@ def test_balls_of_the_surest_ones_kind_and_size_are_used():
     assert [b.radius for b in usable_balls(found)] == [50, 47]
     small = FoundBall("mirror", np.zeros((3, 2)), 12, 1.0, 0.9, exact=False)
     assert [b.kind for b in usable_balls([small, found[0]])] == ["matte"] and usable_balls([small]) == []
+
+
+def test_a_ball_whose_outline_hardly_shows_is_warned_of():
+    clear, dim = (FoundBall("mirror", np.zeros((3, 2)), 30.0, support, 0.9) for support in (0.8, 0.2))
+    (warning,) = ball_warnings([clear, dim])
+    assert "20% of its outline" in warning and "balls.png" in warning
