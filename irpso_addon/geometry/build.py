@@ -291,14 +291,15 @@ def _domain(
     noise: float,
 ) -> Domain:
     observations, beams = capture.observations, None
+    lights = np.array([_light(observation.light, to_frame) for observation in observations], np.float32)
     if any(observation.light.axis is not None for observation in observations):
-        beams = np.array([observation.light.beam for observation in observations])
-        beams[:, :3] = beams[:, :3] @ to_frame[:3, :3].T
-        beams = beams.astype(np.float32)
+        shapes = np.array([observation.light.beam for observation in observations])
+        axes = shapes[:, :3] @ to_frame[:3, :3].T
+        beams = np.concatenate([lights[:, :3], axes, shapes[:, 3:]], axis=-1, dtype=np.float32)
     domain = domain_of(
         bake,
         stack.values,
-        lights=np.array([_light(observation.light, to_frame) for observation in observations], np.float32),
+        lights=lights,
         intensities=np.array([observation.light.intensity for observation in observations], np.float32),
         views=np.asarray(views, np.float32),
         card=card,

@@ -64,8 +64,8 @@ class Domain:
     neighbours: they are read but never moved. card: whether the domain is the image itself rather than a UV square.
     seams: which texels are neighbours across UV seams; where None, as on a card, those beside a texel are. noise:
     standard deviation of the photographs' sRGB codes, as a fraction of white (capture/noise.py); 0 where their files
-    are finer than that. beams: (K, 5) of ``beam_share``, by which the samples were divided; None where all
-    lights are isotropic.
+    are finer than that. beams: (K, 8) place of each light and its (5,) of ``beam_share``, by which the
+    samples were divided; None where all lights are isotropic.
     """
 
     bake: GeometryBake

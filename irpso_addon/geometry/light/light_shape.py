@@ -35,6 +35,6 @@ def beam_shares(domain: Domain, observation: int, texels: tuple[np.ndarray, ...]
     """
     if domain.beams is None:
         return np.ones(1, np.float32), np.ones(1, np.float32)
-    away = domain.bake.position[texels] - domain.lights[observation, :3]
-    share = beam_share(away, domain.beams[observation])
+    place, beam = np.split(domain.beams[observation], [3])
+    share = beam_share(domain.bake.position[texels] - place, beam)
     return share, np.where(share >= LEAST_SHARE, share, np.float32(1))

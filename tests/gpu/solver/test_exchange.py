@@ -56,7 +56,7 @@ def test_a_beam_lights_only_what_it_reaches():
     # sends it on everywhere. The samples are divided by the beam where it reaches.
     mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
     beam = Light((0.0, 0.0, 0.0), distant=False, axis=(0.0, 0.0, 1.0), cone=60.0, cosine=2.0).beam
-    domain = replace(cavity(mesh), beams=beam[None].astype(np.float32))
+    domain = replace(cavity(mesh), beams=np.append((0, 0, 0), beam)[None].astype(np.float32))
     found = indirect(mesh, domain, albedo, 1, rays=512)
     height = -domain.bake.normal[domain.bake.coverage][:, 2]
     reached = np.where(height > 0.5, height**2, 1.0)

@@ -52,7 +52,8 @@ def test_lights_of_a_card_are_turned_into_the_cameras_frame():
 def test_beams_of_a_card_are_turned_into_the_cameras_frame():
     lights = [Light((10, 21, 31), distant=False, axis=(0, 0.6, -0.8), cone=30.0, cosine=2.0), Light((0, 0, 1))]
     domain = domain_from_card(replace(capture(matrix=TURNED, lights=lights)[0], card_distance=1.0))
-    np.testing.assert_allclose(domain.beams, [[0.6, 0, -0.8, np.sqrt(0.75), 2], [0, 0, 0, -1, 0]], atol=1e-6)
+    spot = [*domain.lights[0, :3], 0.6, 0, -0.8, np.sqrt(0.75), 2]
+    np.testing.assert_allclose(domain.beams, [spot, [*domain.lights[1, :3], 0, 0, 0, -1, 0]], atol=1e-6)
     np.testing.assert_array_equal(subset(domain, [1]).beams, domain.beams[1:])
     assert domain_from_card(capture()[0]).beams is None
 
