@@ -15,6 +15,7 @@ import numpy as np
 
 from ..capture.types import Capture
 from ..core.errors import InputError, IrpsoError
+from ..core.interrupt import exit_code_of
 from ..core.paths import ROOT
 from ..core.steps import available_cores
 from ..gpu.versions import versions
@@ -88,7 +89,7 @@ def abort_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None]:
         if ranks.leads or not isinstance(error, KeyboardInterrupt):  # an interrupt reaches all ranks
             sys.stderr.write(f"irpso: {ranks.name}: {text}\n")
             sys.stderr.flush()
-        ranks.abort(130 if isinstance(error, KeyboardInterrupt) else getattr(error, "exit_code", 1))
+        ranks.abort(exit_code_of(error))
         raise
 
 

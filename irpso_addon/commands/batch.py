@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+import traceback
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from ..calibration.rigs.apply import apply_steps
 from ..calibration.rigs.rig import read_rig
 from ..capture.formats.toml_file import load_toml
 from ..cluster.transport import joined
-from ..core.errors import CheckpointError, InputError
+from ..core.errors import CheckpointError, InputError, IrpsoError
 from ..core.files import write_json
 from ..core.steps import run_steps
 from ..core.udim import PATTERN
@@ -128,7 +129,7 @@ def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, A
     if "shadows" in row:  # the opposite of no_shadows
         defaults = {key: value for key, value in defaults.items() if key != "no_shadows"}
     merged = {**defaults, **row}
-    card = "blend" not in merged and not str(merged.get("capture", "")).lower().endswith(".blend")
+    card = not merged.get("blend") and not str(merged.get("capture", "")).lower().endswith(".blend")
     others = (*(_OF_MESHES if card else _OF_CARDS), *(() if merged.get("asset") else _OF_ASSETS))
     return {key: value for key, value in merged.items() if key not in others or key in row}
 
@@ -212,10 +213,10 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
         _say(options, f"{job.name}: done before")
         return former
     capture = job.capture(output)
-    made_of = _photographs(former.get("words", job.listed))
+    made_of = _photographs(former["words"]) if "words" in former else None
     if job.rig is not None and capture.is_dir() and made_of != _photographs(job.listed):
         # The former state stays, to tell this again.
-        return _failed(job, f"{capture}: was made of other photographs or by another rig; delete or rename it")
+        return _failed(job, f"{capture}: may be of other photographs or another rig; delete or rename it")
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
     state = {"name": job.name, "words": list(job.listed), "state": "begun"}
@@ -236,6 +237,11 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
         raise KeyboardInterrupt(_AGAIN) from None
     except (InputError, MemoryError) as error:
         state |= _failed(job, " ".join(str(error).splitlines()))
+    except IrpsoError:  # without a GPU no job can run
+        raise
+    except Exception as error:  # noqa: BLE001  a fault of one job must not stop the others
+        traceback.print_exc()
+        state |= _failed(job, f"{type(error).__name__}: {error}")
     state["took"] = round(time.perf_counter() - started, 1)
     write_json(file, plain(state))
     if interrupted:

@@ -53,7 +53,7 @@ def run(options: Namespace) -> dict:
             return leave_with_error(ranks, options, error)
         return _planned(options, run_on_ranks(
             ranks, options, lambda: _job_of_ranks(options, ranks.leads), StepBars(silent(options)),
-            lambda run: _recovered(options, run, previewed=False),
+            lambda run: _recovered(options, run, _was_previewed(options)),
         ))  # fmt: skip
     if options.slots == EACH:
         return _each_slot(options)
@@ -77,8 +77,12 @@ def _recover(options: Namespace, job: Job) -> dict:
         )
     wanted = options.preview or (options.preview is None and seconds[0] >= _LONG_SECONDS and can_be_smaller(job))
     if options.resume:  # it wrote its preview before
-        return _recovered(options, run, was_previewed(Path(options.output) / CHECKPOINT))
+        return _recovered(options, run, _was_previewed(options))
     return _recovered(options, run, wanted and _preview(options, smaller(job), plan.work))
+
+
+def _was_previewed(options: Namespace) -> bool:
+    return options.resume and was_previewed(Path(options.output) / CHECKPOINT)
 
 
 def _check_asset(options: Namespace, job: Job) -> None:

@@ -7,8 +7,17 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from .errors import InputError, IrpsoError
+
 INTERRUPTED = 130  # the shell's own exit code for a program ended by Ctrl-C
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def exit_code_of(error: BaseException) -> int:
+    """Return the exit code of a command that ends with this error."""
+    if isinstance(error, MemoryError):
+        return InputError.exit_code
+    return INTERRUPTED if isinstance(error, KeyboardInterrupt) else getattr(error, "exit_code", IrpsoError.exit_code)
 
 
 def interrupt_on_signals() -> None:

@@ -19,6 +19,7 @@ from ..cluster.recovery import Leader, RankedRecovery, serve
 from ..cluster.transport import CollectiveError, Ranks
 from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError
+from ..core.interrupt import exit_code_of
 from ..core.optional import present
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
 from ..geometry.domain import Domain, GeometryBake, subset, with_texels
@@ -114,7 +115,7 @@ def run_on_ranks(
         return leave_with_error(ranks, options, collective.error)
     except BaseException as error:
         if leader is not None:  # the other ranks wait for an order
-            leader.end(error.exit_code if isinstance(error, IrpsoError) else 130)
+            leader.end(exit_code_of(error))
             ranks.close()
         raise
     if leader is not None:

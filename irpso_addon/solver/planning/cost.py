@@ -109,8 +109,8 @@ class Cost:
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations per texel, in all phases."""
-        return sum(phase.evaluations for phase in self.phases)
+        """Renders of all observations per texel, in all phases of all rounds."""
+        return (1 + self.rounds) * sum(phase.evaluations for phase in self.phases)
 
     @property
     def stacks(self) -> int:

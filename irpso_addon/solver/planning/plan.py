@@ -171,10 +171,11 @@ def plan_recovery(
     on_device = len(tiles) if resident else max(1, (memory.device - restored) // largest)
     host, scratch, stack_on, state_on = _storage(coverage.size, tiles, cost, memory, resident, stack_on)
     device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
+    passes = 1 if resident else (1 + cost.exchanges) * (1 + cost.rounds)
     texels = _texels(coverage)
     return Plan(
         (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,
-        0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, 1 if resident else 1 + cost.exchanges,
+        0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, passes,
         device, host, scratch, texels * cost.evaluations, texels * cost.work, memory,
     )  # fmt: skip
 

@@ -41,6 +41,12 @@ def failing(self, *arguments):
     return advance(self, *arguments)
 SequentialSwarmPhase.advance = failing
 """
+FULL = """
+from irpso_addon.commands import recover
+def full(*arguments, **options):
+    raise MemoryError("no room")
+recover.write_maps = full
+"""
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +182,18 @@ def test_a_rank_that_fails_in_the_middle_ends_the_job_and_is_named(card, tmp_pat
     assert code == 1 and reply is None
     assert re.search(r"irpso: rank 1 on \S+: RuntimeError: a driver's own words", err) and err.count("irpso: ") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_ranks_that_wait_while_rank_0_fails_end_as_it_does(card, tmp_path):
+    """130, an interrupt's code, would make a scheduler start the job again and again."""
+    (tmp_path / "sitecustomize.py").write_text(FULL)
+    noted = (
+        f'export PYTHONPATH="{mpi_maker.ROOT}:{tmp_path}"; "$@"; code=$?;'
+        f' echo $code > "{tmp_path}/code$OMPI_COMM_WORLD_RANK"; exit $code;'
+    )
+    code, _, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=noted)
+    assert code == 2 and "memory is full (no room)" in err
+    assert [(tmp_path / f"code{rank}").read_text().strip() for rank in (0, 1)] == ["2", "2"]
 
 
 def test_ranks_with_unlike_versions_of_the_program_refuse(card, tmp_path):

@@ -171,6 +171,10 @@ def test_mesh_defaults_do_not_apply_to_cards(tmp_path):
     (tmp_path / "list.toml").write_text(text, encoding="utf-8")
     card, mesh = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
     assert "--resolution" not in card.words and "--resolution" in mesh.words
+    text = '[defaults]\nblend = "b.blend"\nresolution = 64\ncrop = "1,2,3,4"\n[[job]]\ncapture = "a"\nblend = false\n'
+    (tmp_path / "list.toml").write_text(text, encoding="utf-8")
+    (card,) = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
+    assert "--resolution" not in card.words and "--crop" in card.words and "--blend" not in card.words
 
 
 def words_of(folder, *lines, head=""):
@@ -225,7 +229,21 @@ def test_a_job_with_a_rig_reads_photographs_under_its_lamps(listed, monkeypatch)
     (listed / "rigged.toml").write_text(text.replace('capture = "second"', 'capture = "first"'), encoding="utf-8")
     for _ in range(2):
         code, _, err = run_cli("batch", listed / "rigged.toml", "-o", listed / "out")
-        assert code == 2 and "one_capture: was made of other photographs" in err and len(begun) == 1
+        assert code == 2 and "one_capture: may be of other photographs" in err and len(begun) == 1
+    # Nor are those known of which the state is gone.
+    (listed / "rigged.toml").write_text(text, encoding="utf-8")
+    (listed / "out" / "one.json").unlink()
+    code, _, err = run_cli("batch", listed / "rigged.toml", "-o", listed / "out")
+    assert code == 2 and "one_capture: may be of other photographs" in err and len(begun) == 1
+
+
+def test_a_fault_of_the_program_in_one_job_does_not_stop_the_others(listed, monkeypatch):
+    def failing(options):
+        raise ZeroDivisionError("unforeseen")
+
+    monkeypatch.setattr(recover, "run", failing)
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out")
+    assert code == 2 and err.count("ZeroDivisionError: unforeseen") >= 2
 
 
 def test_a_list_can_leave_the_preview_out():

@@ -5,6 +5,7 @@ import signal
 import pytest
 
 from irpso_addon.core import interrupt
+from irpso_addon.core.errors import GpuUnavailableError, InputError
 
 
 @pytest.fixture(autouse=True)
@@ -13,6 +14,20 @@ def handlers_put_back():
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (KeyboardInterrupt(), 130),
+        (MemoryError(), 2),
+        (InputError("x"), 2),
+        (GpuUnavailableError("x"), 3),
+        (OSError(), 1),
+    ],
+)
+def test_every_error_has_its_exit_code(error, code):
+    assert interrupt.exit_code_of(error) == code
 
 
 def test_the_first_signal_is_only_noted():

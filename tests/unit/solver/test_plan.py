@@ -55,6 +55,8 @@ def test_evaluations_and_exchanges_are_counted_over_all_iterations():
     assert (wide.reach, wide.exchanges) == (3, 60)
     alone = recovery_cost(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
     assert (alone.reach, alone.exchanges) == (0, 0)
+    rounds = recovery_cost(load_model("lambert"), SWARM.replaced(interreflection_rounds=2), (), 100)
+    assert rounds.evaluations == 3 * (9 + 60)
 
 
 # ---- tiles ---------------------------------------------------------------------------------------------------------
