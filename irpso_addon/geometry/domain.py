@@ -64,7 +64,7 @@ class Domain:
     neighbours: they are read but never moved. card: whether the domain is the image itself rather than a UV square.
     seams: which texels are neighbours across UV seams; where None, as on a card, those beside a texel are. noise:
     standard deviation of the photographs' sRGB codes, as a fraction of white (capture/noise.py); 0 where their files
-    are finer than that.
+    are finer than that. unseen: the observations, by index, whose cameras see no texel of the mesh.
     """
 
     bake: GeometryBake
@@ -78,6 +78,7 @@ class Domain:
     card: bool = True
     seams: SeamMap | None = None
     noise: float = 0.0
+    unseen: tuple[int, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -143,13 +144,14 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: n
         lights=domain.lights[chosen],
         intensities=domain.intensities[chosen],
         views=domain.views[chosen],
+        unseen=tuple(np.flatnonzero(np.isin(chosen, domain.unseen)).tolist()),
     )
 
 
 def with_texels(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
     """Return a domain of other texels, whole and at the origin, with samples ``values`` (K, H, W, 4).
 
-    Lights, views and noise stay those of ``domain``.
+    Lights, views, noise and unseen stay those of ``domain``.
     """
     return with_samples(replace(domain, bake=bake, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0)), values)
 
