@@ -133,6 +133,13 @@ def test_cameras_that_are_disabled_or_not_aligned_are_named_as_such(tmp_path):
     assert found.name_of("photos/img_0001.tif", "here") == "IMG_0001"
 
 
+def test_a_slave_camera_of_a_rig_is_named_as_such(tmp_path):
+    slave = '<camera id="9" sensor_id="0" component_id="0" master_id="0" label="NIR"/>'
+    found = read_poses(metashape(tmp_path / "cameras.xml", camera=slave))
+    with pytest.raises(CaptureError, match="'NIR' is a slave camera of a multi-camera system, .* as single cameras"):
+        found.name_of("NIR.TIF", "here")
+
+
 def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
