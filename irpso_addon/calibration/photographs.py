@@ -14,8 +14,9 @@ from ..capture.errors import CaptureError
 from ..capture.formats import diligent, table
 from ..capture.formats.lists import read_lines
 from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
-from ..capture.images.exif import field_of_view, lens_of
+from ..capture.images.exif import JPEG_START, field_of_view, lens_of, open_jpeg, orientation_of, tags_of
 from ..capture.images.exr_header import is_exr
+from ..capture.images.headers import read_bytes
 from ..capture.images.heif import SUFFIXES as HEIF_SUFFIXES
 from ..capture.images.image import ImageRef, ImageStore, find_image
 from ..capture.images.linearise import Decoder
@@ -30,6 +31,8 @@ _VIDEO_SUFFIXES = (
     ".avi", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".webm", ".wmv",
 )  # fmt: skip
 CAMERA = "camera.toml"
+_JPEG_SUFFIXES = (".jpg", ".jpeg")
+_BEGINNING = 1 << 18  # bytes of a JPEG file: EXIF, at most 64 KiB, comes before profile, preview and size
 _WITHOUT_LENS = 4  # photographs read before all are taken to be without a lens in their EXIF
 _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
 _LIGHT_KEYS = (
@@ -136,15 +139,14 @@ def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str
 
     {} if the capture states the lens or has several cameras, or no file has a lens, or they differ or were cropped.
     Files without a lens, as retouching leaves them, do not count, but if the first four have none, the others are not
-    read. Pixels are not decoded: 50 JPEG files of 6 MB take 0.13 s from the file cache. Raises CaptureError where a
-    file cannot be read.
+    read. Pixels are not decoded, and of a JPEG file only the beginning is read. Raises CaptureError where a file cannot
+    be read.
     """
     if len(spec.views) != 1 or spec.views[0].lens or is_exr(spec.observations[0].image.path):
         return {}
     store, found = ImageStore(decoder), None
     for number, shot in enumerate(spec.observations):
-        width, height = store.size(shot.image)
-        data = shot.image.path.read_bytes()
+        data, (width, height) = _beginning(shot.image, store)
         if "focal_length_35mm" in lens_of(data):
             angle = field_of_view(data, width, height)
             if angle is None or found not in (None, round(angle, 4)):
@@ -153,6 +155,17 @@ def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str
         elif found is None and number == _WITHOUT_LENS - 1:
             return {}
     return {} if found is None else {"fov_degrees": found}
+
+
+def _beginning(image: ImageRef, store: ImageStore) -> tuple[bytes, tuple[int, int]]:
+    """Return a file's bytes up to its EXIF block at least, and its upright (width, height)."""
+    if image.path.suffix.lower() in _JPEG_SUFFIXES and image.path.is_file():
+        head = read_bytes(image.path, _BEGINNING)
+        if head.startswith(JPEG_START) and (picture := open_jpeg(head)) is not None:
+            width, height = picture.size
+            return head, (height, width) if orientation_of(tags_of(head)) >= 5 else (width, height)
+    size = store.size(image)
+    return read_bytes(image.path), size  # other formats may have EXIF at their end
 
 
 def calibrated_table(

@@ -158,12 +158,12 @@ def mesh_steps(
 
     rows, columns = bake.coverage.shape
     stack, noise = new_stack(len(capture.observations), rows, columns, scratch), NoiseEstimate(capture)
-    yield from _fill(stack, capture, bake, project, caster, noise)
+    unseen = yield from _fill(stack, capture, bake, project, caster, noise)
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
     domain = _domain(capture, bake, stack, views, np.eye(4), card=False, noise=(yield from noise.finishing()))
     if window is None:
         _check_seen(capture, domain, f"mesh '{mesh.name}'")
-    return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
+    return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2], unseen=unseen)
 
 
 domain_from_mesh = blocking("domain_from_mesh", mesh_steps)
@@ -193,22 +193,27 @@ def _fill(
     project: Callable[[int], Projector],
     caster: ShadowCaster | None,
     noise: NoiseEstimate,
-) -> Generator[None, None, None]:
+) -> Generator[None, None, tuple[int, ...]]:
     """Read the images into the stack, yielding before each: light by light, because images of one light share shadows.
 
-    project: camera index → Projector. A Projector holds about 50 bytes per visible texel, three times an image's 16;
-    each is made for its camera's first image and freed after the last.
+    Returns the observations, by index, whose cameras see no texel; their images are not read. project: camera index →
+    Projector. A Projector holds about 50 bytes per visible texel, three times an image's 16; each is made for its
+    camera's first image and freed after the last.
     """
     left = Counter(observation.camera for observation in capture.observations)
     projectors: dict[int, Projector] = {}
+    blind: set[int] = set()
     for light, numbers in _by_light(capture.observations).items():
         cameras = Counter(capture.observations[k].camera for k in numbers)
         for index in sorted(set(cameras) - set(projectors)):
             yield
             projectors[index] = project(index)
+            if not projectors[index].visible.any():
+                blind.add(index)
         yield from _fill_light(stack, capture, bake, projectors, caster, light, numbers, noise)
         left -= cameras
         projectors = {index: projector for index, projector in projectors.items() if left[index]}
+    return tuple(k for k, observation in enumerate(capture.observations) if observation.camera in blind)
 
 
 def _fill_light(

@@ -64,8 +64,9 @@ class Domain:
     neighbours: they are read but never moved. card: whether the domain is the image itself rather than a UV square.
     seams: which texels are neighbours across UV seams; where None, as on a card, those beside a texel are. noise:
     standard deviation of the photographs' sRGB codes, as a fraction of white (capture/noise.py); 0 where their files
-    are finer than that. beams: (K, 8) place of each light and its (5,) of ``beam_share``, by which the
-    samples were divided; None where all lights are isotropic.
+    are finer than that. beams: (K, 8) place of each light and its (5,) of ``beam_share``, by which the samples were
+    divided; None where all lights are isotropic. unseen: the observations, by index, whose cameras see no texel of the
+    mesh.
     """
 
     bake: GeometryBake
@@ -80,6 +81,7 @@ class Domain:
     seams: SeamMap | None = None
     noise: float = 0.0
     beams: np.ndarray | None = None
+    unseen: tuple[int, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -146,13 +148,14 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: n
         intensities=domain.intensities[chosen],
         views=domain.views[chosen],
         beams=None if domain.beams is None else domain.beams[chosen],
+        unseen=tuple(np.flatnonzero(np.isin(chosen, domain.unseen)).tolist()),
     )
 
 
 def with_texels(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
     """Return a domain of other texels, whole and at the origin, with samples ``values`` (K, H, W, 4).
 
-    Lights, views and noise stay those of ``domain``.
+    Lights, views, noise and unseen stay those of ``domain``.
     """
     return with_samples(replace(domain, bake=bake, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0)), values)
 

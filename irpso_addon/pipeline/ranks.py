@@ -205,7 +205,10 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
         none = window.bake.map_arrays(lambda values: values[:0, :0])
         lights_only = with_texels(window, none, np.zeros((window.observations, 0, 0, 4)))
     of_all = ranks.broadcast(lights_only)
-    whole = replace(of_all, bake=bake, seams=seams)
+    # No camera that a rank sees texels with is blind to the whole mesh.
+    own = None if window is None else set(window.unseen)
+    parts = [unseen for unseen in ranks.allgather(own) if unseen is not None]
+    whole = replace(of_all, bake=bake, seams=seams, unseen=tuple(sorted(set.intersection(*parts))))
     return Partition(whole, division.boxes, division.halo, window)
 
 

@@ -32,6 +32,7 @@ from .run import Run
 
 _NO_EXTRAS = DerivedMaps()
 _LEAST_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
+_LISTED = 6  # most names in a warning
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
@@ -90,7 +91,8 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
     job, domain = run.job, present(run.domain)
     modes = mode_warnings(maps, job.schedule.fitness.priors)
     of_lights = _light_warnings(run, domain, maps)
-    return [*limit_warnings(maps, job.fixed), *modes, *of_lights, *run.warnings, *_coverage_warnings(domain, maps)]
+    of_mesh = [*_coverage_warnings(domain, maps), *_unseen_warnings(domain, job.capture)]
+    return [*limit_warnings(maps, job.fixed), *modes, *of_lights, *run.warnings, *of_mesh]
 
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
@@ -101,6 +103,18 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     return [
         f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"
         " the cameras, and that its normals point outward"
+    ]
+
+
+def _unseen_warnings(domain: Domain, capture: Capture) -> list[str]:
+    """Return a warning of the photographs whose cameras see no texel of the mesh."""
+    if not domain.unseen:
+        return []
+    names = [f"'{capture.observations[k].name}'" for k in domain.unseen]
+    shown = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
+    return [
+        f"{len(names)} of the {len(capture.observations)} photographs show no texel of the mesh and are not used"
+        f" ({shown}): check the poses of their cameras, and the mesh's place and unit"
     ]
 
 

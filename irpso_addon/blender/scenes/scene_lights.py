@@ -15,14 +15,16 @@ from .light_units import area_intensity, point_intensity, spot_cone, spot_intens
 from .scene import world_matrix
 
 LIGHT_TYPES = ("SUN", "POINT", "SPOT", "AREA")
-# Custom property of a light: its cone in degrees (0 for none), and 1 where it falls with the cosine. No Blender light
-# has both.
+# Custom property of a light: its cone in degrees (0 for none), and the power of the cosine with which it falls (0 for
+# none). No Blender light has both. It counts as long as the light's own settings are those of ``set_light``.
 EMISSION = "irpso_emission"
-# An area light wider than this fraction of its distance is no point: a disk gives 1 % less than a point at its centre
+WIDEST_SPOT = 90.0  # degrees from the axis: the widest cone that Blender's spots have
+# A light wider than this fraction of its distance is no point: a disk gives 1 % less than a point at its centre
 # (1 / (1 + tan² of its half-angle)) and spans 11°, which blurs highlights.
 WIDEST = 0.2
 _INTENSITY = {"SUN": sun_intensity, "POINT": point_intensity, "SPOT": spot_intensity, "AREA": area_intensity}
 _EVEN = 1e-4  # largest difference of a spot's scales, which stretch its cone
+_SAME = 1e-3  # degrees: tolerance of a cone, for float32
 
 
 def light_of(obj: Any) -> Light:
@@ -49,12 +51,20 @@ def light_of(obj: Any) -> Light:
 
 def too_wide(obj: Any, place: np.ndarray) -> str:
     """Return a warning about a light too wide to act as a point, as seen from ``place`` (3,), else ""."""
-    data = obj.data
-    if data.type != "AREA":
-        return ""
-    matrix = world_matrix(obj)
-    sides = (data.size, data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else data.size)
-    width = float(max(side * np.linalg.norm(matrix[:3, axis]) for axis, side in enumerate(sides)))
+    data, matrix = obj.data, world_matrix(obj)
+    if data.type == "SUN":
+        most = 2 * math.atan(WIDEST / 2)
+        if data.angle <= most:
+            return ""
+        return (
+            f"light '{obj.name}' spans {math.degrees(data.angle):.3g}°, and is used as one direction; set its Angle to"
+            f" at most {math.degrees(most):.3g}° for sharp highlights"
+        )
+    if data.type == "AREA":
+        sides = (data.size, data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else data.size)
+        width = float(max(side * np.linalg.norm(matrix[:3, axis]) for axis, side in enumerate(sides)))
+    else:
+        width = 2 * data.shadow_soft_size  # a sphere's radius, which the object's scale does not change
     distance = float(np.linalg.norm(matrix[:3, 3] - place))
     if width <= WIDEST * distance:
         return ""
@@ -68,21 +78,23 @@ def _directed(light: Light, obj: Any, axes: np.ndarray, where: str) -> Light:
     """Return the light of a spot or an area light, which point along −z."""
     data = obj.data
     axis = tuple(map(float, -axes[:, 2] / np.linalg.norm(axes[:, 2])))
-    if EMISSION in obj:
-        cone, cosine = obj[EMISSION]
-        return replace(light, axis=axis, cone=float(cone) or None, cosine=float(cosine))
+    own_cone, cosine = map(float, obj.get(EMISSION, (0.0, 0.0)))
     if data.type == "AREA":
         if data.spread < math.pi - _EVEN:
             raise InputError(
                 f"{where} has a Spread of {math.degrees(data.spread):.0f}°, which is not supported; set it to 180°"
             )
-        return replace(light, axis=axis, cosine=1.0)
+        if not cosine:  # that of a former spot
+            return replace(light, axis=axis, cosine=1.0)
+        return replace(light, axis=axis, cone=own_cone or None, cosine=cosine)
     scales = np.linalg.norm(axes, axis=0)
     if data.use_square or np.ptp(scales) > _EVEN * scales.max():
         raise InputError(f"{where} has a cone that is not round; turn Square off, and scale it evenly")
     cone = spot_cone(data.spot_size, data.spot_blend)
     if cone <= 0:
         raise InputError(f"{where} reaches full strength nowhere; lower Blend")
+    if not cosine and cone > WIDEST_SPOT - _SAME:
+        cone = max(cone, own_cone)
     return replace(light, axis=axis, cone=cone)
 
 

@@ -12,12 +12,11 @@ from ...capture.types import Light
 from ..colour_spaces import from_rec_709
 from .light_units import area_power, point_power, spot_power, sun_strength
 from .scene import ASPECT, DISTORTION
-from .scene_lights import EMISSION
+from .scene_lights import EMISSION, WIDEST_SPOT
 
 RESOLUTION = "irpso_resolution"  # custom property of a camera: its image's size (width, height)
 _SENSOR = 36.0  # mm, Blender's own default
 _AREA_SIZE = 1e-3  # of an area light, world units: a capture knows its centre alone
-_WIDEST_SPOT = 90.0  # degrees from the axis: the widest cone that Blender's spots have
 _POWER = {"SUN": sun_strength, "POINT": point_power, "SPOT": spot_power, "AREA": area_power}
 
 
@@ -61,7 +60,7 @@ def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) ->
     data.energy = _POWER[data.type](strongest)
     _set_shape(data, light)
     # Emission that no Blender lamp has: a cone with a cosine, another power of it, a very wide cone.
-    unlike = (light.cosine and light.cone is not None) or light.cosine not in (0, 1) or (light.cone or 0) > _WIDEST_SPOT
+    unlike = (light.cosine and light.cone is not None) or light.cosine not in (0, 1) or (light.cone or 0) > WIDEST_SPOT
     _store(obj, EMISSION, (light.cone or 0.0, light.cosine) if unlike else ())
     vector = Vector(light.vector)
     backward = vector if light.distant else -Vector(light.axis or (0, 0, -1))
@@ -84,7 +83,7 @@ def _set_shape(data, light: Light) -> None:
     else:
         data.shadow_soft_size = 0.0
     if data.type == "SPOT":
-        data.spot_size, data.spot_blend, data.use_square = 2 * math.radians(min(light.cone, _WIDEST_SPOT)), 0.0, False
+        data.spot_size, data.spot_blend, data.use_square = 2 * math.radians(min(light.cone, WIDEST_SPOT)), 0.0, False
 
 
 def _store(obj, name: str, values: Sequence[float]) -> None:

@@ -11,7 +11,7 @@ from ..camera import Camera, is_rotation
 from ..errors import CaptureError
 from ..images.image import ImageRef, ImageStore
 from ..images.raw import is_raw
-from ..poses import PoseFile, moved, read_poses, similarity, upright_camera
+from ..poses import PoseFile, moved, path_parts, read_poses, similarity, upright_camera
 from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
 
@@ -30,6 +30,7 @@ class Views:
         self._poses = _poses(table, path)
         self._world = _world(table, path, self._poses)
         self._masks: dict[str, ImageRef] = {}
+        self._image_of: dict[str, str] = {}  # name of a camera of another program → the first image that it is used for
         for count, row in enumerate(rows(table, "camera", path, needed=self._poses is None), 1):
             # The table may only add a mask to a camera of another program.
             if self._poses is not None and {"name", "mask"} <= set(row) <= {"name"} | _MASK:
@@ -47,13 +48,20 @@ class Views:
         if "camera" not in row and self._poses is None:
             return 0
         wanted = text(row, "camera", where) if "camera" in row else row["image"]
-        if wanted in names:
+        if wanted in names and (self._poses is None or wanted not in self._poses.cameras):
             return names.index(wanted)
         if self._poses is None:
             raise CaptureError(
                 f"{where}: there is no camera '{wanted}'; its name must be one of {', '.join(names)}", "camera"
             )
         name = self._poses.name_of(wanted, where)
+        first = wanted if "camera" in row else self._image_of.setdefault(name, wanted)
+        if path_parts(first)[:-1] != path_parts(wanted)[:-1]:
+            raise CaptureError(
+                f"{where}: '{wanted}' and '{first}' both fit the camera '{name}' of {self._poses.path}; set camera for"
+                " each",
+                "camera",
+            )
         if name not in names:
             self.specs.append(self._posed(self._poses, name, image))
             names.append(name)

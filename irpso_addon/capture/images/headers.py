@@ -79,10 +79,11 @@ def read_header(path: Path) -> ImageHeader:
     return header
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return a file's bytes. Raises CaptureError if it is missing or unreadable."""
+def read_bytes(path: Path, most: int = -1) -> bytes:
+    """Return a file's bytes, or its first ``most``. Raises CaptureError if it is missing or unreadable."""
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read(most)
     except FileNotFoundError as error:
         raise missing(path) from error
     except OSError as error:

@@ -1,6 +1,6 @@
 """Readers of the camera files of COLMAP, Agisoft Metashape and AliceVision (Meshroom)."""
 
-from .posed import PoseFile, moved, similarity, upright_camera
+from .posed import PoseFile, moved, path_parts, similarity, upright_camera
 from .read import read_poses
 
-__all__ = ["PoseFile", "moved", "upright_camera", "read_poses", "similarity"]
+__all__ = ["PoseFile", "moved", "path_parts", "read_poses", "similarity", "upright_camera"]

@@ -29,7 +29,8 @@ _EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEODCRS", "PROJCRS", "COMPD_CS")  # WKT
 def read_metashape(path: Path) -> PoseFile:
     """Return the cameras of a Metashape XML file in the world of its exported models (scale of the chunk applied).
 
-    Disabled and unaligned cameras are unusable. Raises CaptureError if the file is damaged, or its world is a map of
+    Disabled and unaligned cameras are unusable, and slave cameras of multi-camera systems: the file gives only their
+    sensor's offset from the master camera. Raises CaptureError if the file is damaged, or its world is a map of
     the Earth.
     """
     root = _parsed(path)
@@ -56,6 +57,11 @@ def read_metashape(path: Path) -> PoseFile:
             unusable[name] = "is the name of several photographs; give them different labels in Metashape"
         elif (element.get("enabled") or "true").lower() in _NO:
             unusable[name] = "is disabled; enable it in Metashape and export again"
+        elif element.find("transform") is None and "master_id" in element.attrib:
+            unusable[name] = (
+                "is a slave camera of a multi-camera system, whose poses are not read; add the photographs to Metashape"
+                " as single cameras, align them, and export again"
+            )
         elif element.find("transform") is None:
             unusable[name] = "was not aligned; align it in Metashape and export again"
         else:

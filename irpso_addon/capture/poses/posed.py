@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from operator import eq
+from os.path import commonprefix
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
@@ -31,30 +34,36 @@ class PoseFile:
     unusable: Mapping[str, str]
 
     def name_of(self, image_name: str, where: str) -> str:
-        """Return the name of an image's camera: equal, else equal in the last part, else without suffix and case.
+        """Return the name of an image's camera: equal, else equal without case, else without suffix and case.
 
+        Folders that only one of the two names has are ignored; where both have some, these must agree from the last on.
         Raises CaptureError, beginning with ``where``, for none or several.
         """
-        names = self._matches(image_name, self.cameras)
-        if len(names) == 1:
-            return names[0]
-        if names:
+        names = self._matches(image_name)
+        if len(names) > 1:
             raise CaptureError(
                 f"{where}: '{image_name}' may be any of {_some(names)} of {self.path}; give camera its whole name",
                 "camera",
             )
-        if unusable := self._matches(image_name, self.unusable):
-            why = f"its '{unusable[0]}' {self.unusable[unusable[0]]}"
+        if names and names[0] in self.cameras:
+            return names[0]
+        if names:
+            why = f"its '{names[0]}' {self.unusable[names[0]]}"
         else:
             why = f"it has no '{image_name}'; set camera to one that it has: {_some(list(self.cameras))}"
         raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
 
-    @staticmethod
-    def _matches(image_name: str, names: Mapping[str, object]) -> list[str]:
+    def _matches(self, image_name: str) -> list[str]:
+        names = [*self.cameras, *self.unusable]
         if image_name in names:
             return [image_name]
-        for key in (_last, lambda name: _last(name).lower(), lambda name: PurePosixPath(_last(name).lower()).stem):
-            if matches := [name for name in names if key(name) == key(image_name)]:
+        # Absolute paths (AliceVision's) may be those of another computer: the folders that all share say nothing.
+        absolute = all(PureWindowsPath(name).anchor for name in names)
+        shared = len(commonprefix([path_parts(name)[:-1] for name in names])) if absolute else 0
+        for key in (tuple, _lower, lambda parts: (*_lower(parts[:-1]), PurePosixPath(parts[-1].lower()).stem)):
+            wanted = key(path_parts(image_name))
+            parts = {name: key(path_parts(name)[shared:]) for name in names}
+            if matches := [name for name in names if all(map(eq, parts[name][::-1], wanted[::-1]))]:
                 return matches
         return []
 
@@ -147,9 +156,14 @@ def _quarter_turn(camera: Camera) -> Camera:
     )  # fmt: skip
 
 
-def _last(name: str) -> str:
-    """Return the last part of a POSIX or Windows path."""
-    return PureWindowsPath(PurePosixPath(name).name).name
+@cache
+def path_parts(name: str) -> tuple[str, ...]:
+    """Return the folders and the last part of a POSIX or Windows path."""
+    return tuple(part for part in PureWindowsPath(name).parts if part != "..") or (name,)
+
+
+def _lower(parts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(part.lower() for part in parts)
 
 
 def _some(names: list[str]) -> str:

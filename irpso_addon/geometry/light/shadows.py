@@ -48,8 +48,8 @@ class ShadowCaster:
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
         offset = -np.einsum("ij,ij->i", across, corners[:, 0])
         self._planes = np.concatenate([across, offset[:, None]], axis=1)
-        self._rounding = ROUNDING * float(np.abs(corners).max())
         own = corners[: len(mesh.positions)]
+        self._rounding = ROUNDING * float(np.abs(own).max())  # of the texels: an occluder may be far larger
         self._centre = (own.min(axis=(0, 1)) + own.max(axis=(0, 1))) / 2
         self._radius = float(np.linalg.norm(own - self._centre, axis=-1).max())
         self._points = _lifted(mesh, bake)

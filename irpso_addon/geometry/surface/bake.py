@@ -89,8 +89,9 @@ def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
 def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
     """Return the nearest surface at the centre of each of a camera's pixels, back faces and occluders included.
 
-    Triangles of occluders are numbered after those of the mesh, and have their flat normals and no texture coordinates.
-    A perspective camera's near plane is at 1e-4 of the farthest depth; an orthographic one sees its full direction.
+    Triangles of occluders are numbered after those of the mesh, and have their flat normals and no texture coordinates;
+    those farther away than the whole mesh are left out. A perspective camera's near plane is at 1e-4 of the mesh's
+    farthest depth; an orthographic one sees its full direction.
     Triangles are drawn with straight edges: for a lens with distortion a camera without it is drawn, at the same scale,
     and each pixel takes that camera's nearest pixel.
     """
@@ -201,13 +202,15 @@ def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
     depth = -local[..., 2]
     w = depth if camera.perspective else np.ones_like(depth)
     plane = local[..., :2] * np.asarray(camera.scale) + w[..., None] * np.asarray(camera.centre)
-    span = max(float(np.ptp(depth)), 1e-6 * float(np.abs(depth).max()), 1e-30)
+    # What lies behind the mesh, or behind a camera with perspective, hides none of it.
+    nearest, farthest = float(depth.min()), float(depth[: len(mesh.positions)].max())
     if camera.perspective:
-        far = max(float(depth.max()), 1e-30) + 1e-3 * span
-        near = max(float(depth.min()) - 1e-3 * span, _NEAREST * far)
+        nearest, farthest = max(nearest, 0.0), max(farthest, 1e-30)
+    margin = 1e-3 * max(farthest - nearest, 1e-6 * abs(farthest), 1e-30)  # against rounding at the planes
+    near, far = nearest - margin, farthest + margin
+    if camera.perspective:
+        near = max(near, _NEAREST * far)
         clip = ((far + near) * depth - 2 * far * near) / (far - near)
     else:
-        # A margin against rounding at the planes.
-        near, far = float(depth.min()) - 1e-3 * span, float(depth.max()) + 1e-3 * span
         clip = (2 * depth - far - near) / (far - near)
     return np.concatenate([plane, clip[..., None], w[..., None]], axis=-1)

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Iterator
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import bpy
 import numpy as np
 
 from ...blender.images import decode
 from ...capture.bounds import without_bounds
+from ...capture.errors import CaptureError
+from ...capture.images.image import ImageStore
+from ...capture.inspect.damage import without_damaged
 from ...capture.spec import build_capture
 from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
-from ...core.steps import run_steps
 from ...gpu.viewport import Drawing
 from ..common import failures
 from ..common.words import iface, n_
 from ..overlay import handlers
 from ..overlay.paint import Painter
-from ..session.scene_capture import spec_steps
+from ..session.scene_capture import spec_of
 
+T = TypeVar("T")
 _PICTURE = "IRPSO Photograph"
 _MOST_PIXELS = 1600  # most pixels of the shown picture's longer side
 _PICTURES = 3  # photographs whose brightest values are shown
@@ -62,11 +66,23 @@ class Marking:
         raise NotImplementedError
 
     def radiances(self, settings, most: int) -> Iterator[np.ndarray]:
-        """Yield the linear photographs (H, W, 3) whose brightest values are shown: of one camera, at most ``most``."""
-        shots = build_capture(run_steps(spec_steps(settings)), decode).observations
-        shots = [shot for shot in shots if shot.camera == shots[0].camera]
-        for index in sorted({round(k * (len(shots) - 1) / max(most - 1, 1)) for k in range(most)}):
-            yield without_bounds(shots[index].read())[..., :3]
+        """Yield the linear photographs (H, W, 3) whose brightest values are shown: of one camera, at most ``most``.
+
+        Others are not read, unless these are damaged and the settings leave such out.
+        """
+        spec = spec_of(settings)
+        camera = spec.observations[0].camera
+        shots = tuple(replace(shot, camera=0) for shot in spec.observations if shot.camera == camera)
+        whole = replace(spec, observations=shots, views=(spec.views[camera],))
+        shown = replace(whole, observations=_spread(shots, most))
+        if settings.skip_damaged:
+            store = ImageStore(decode)
+            try:
+                shown = without_damaged(shown, store)
+            except CaptureError:
+                shown = without_damaged(whole, store)
+        for shot in _spread(build_capture(shown, decode).observations, most):
+            yield without_bounds(shot.read())[..., :3]
 
     def begin(self, context, readers: int = _PICTURES) -> set[str]:
         """Show the brightest values of some photographs and wait for the mouse."""
@@ -168,6 +184,11 @@ class Marking:
             context.window.cursor_modal_restore()
             context.workspace.status_text_set(None)
         return result
+
+
+def _spread(items: tuple[T, ...], most: int) -> tuple[T, ...]:
+    """Return at most so many items, evenly spaced from the first to the last."""
+    return tuple(items[k] for k in sorted({round(k * (len(items) - 1) / max(most - 1, 1)) for k in range(most)}))
 
 
 def _make_picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:

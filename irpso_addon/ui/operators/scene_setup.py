@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,6 +43,7 @@ from ..session.job import subject_object
 from ..session.scene_capture import spec_steps
 
 _ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12"
+_FILES = "irpso_capture_files"  # custom property beside CAPTURE: the capture's source, as its name may be another's
 _DOME = 2.0  # the dome's radius over the subject's
 _SMALL = 0.3  # the cameras' display size over the dome's radius
 
@@ -60,9 +62,9 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     spec: of the same capture. The user's objects do not change. A scene without a camera gets one and its resolution.
     ``scene_capture.capture_from_scene`` then returns the same capture, in float32 precision.
     """
-    existing = {obj[_ROLE]: obj for obj in _created(scene) if obj[CAPTURE] == capture.name}
+    existing = {obj[_ROLE]: obj for obj in _of_capture(_created(scene), capture)}
     made: list = []
-    collection = _collection(scene, capture.name)
+    collection = _collection(scene, capture)
     images = _Images()
     dome = _dome(scene, capture)
     views = []
@@ -83,7 +85,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     _remove(set(existing.values()) - set(made))
     if scene.camera is None:
         scene.camera = views[0]
-    scene[CAPTURE] = capture.name
+    scene[CAPTURE], scene[_FILES] = capture.name, str(capture.source)
     show_observation(scene, scene.irpso.view.observation)
     return lights
 
@@ -136,7 +138,8 @@ def capture_lights(scene) -> list:
     if scene.irpso.source == "SCENE":
         return photographed_lights(scene)
     lights = _created_lights(scene)
-    current = {obj[_ROLE]: obj for obj in lights if obj[CAPTURE] == scene.get(CAPTURE)}  # copies have the same role
+    wanted = scene.get(CAPTURE), scene.get(_FILES)
+    current = {obj[_ROLE]: obj for obj in lights if (obj[CAPTURE], obj.get(_FILES)) == wanted}  # copies have one role
     return [current[role] for role in sorted(current, key=natural)]
 
 
@@ -157,6 +160,13 @@ def _created_lights(scene) -> list:
     return [obj for obj in _created(scene) if obj.type == "LIGHT"]
 
 
+def _of_capture(items: Iterable, capture: Capture) -> list:
+    """Return the objects or collections made of a capture; if none, those of one of its name whose files are gone."""
+    source, named = str(capture.source), [item for item in items if item.get(CAPTURE) == capture.name]
+    own = [item for item in named if item.get(_FILES, source) == source]
+    return own or [item for item in named if not Path(item[_FILES]).exists()]
+
+
 def _object(existing: dict, made: list, role: str, name: str, kind: str, collection, capture: Capture):
     """Return the capture's object of this role, created and tagged if there is none. kind: CAMERA or a light's."""
     obj = existing.get(role)
@@ -165,17 +175,17 @@ def _object(existing: dict, made: list, role: str, name: str, kind: str, collect
         obj = bpy.data.objects.new(name, data)
         obj[CAPTURE], obj[_ROLE] = capture.name, role
         collection.objects.link(obj)
+    obj[_FILES] = str(capture.source)
     made.append(obj)
     return obj
 
 
-def _collection(scene, name: str):
-    for collection in scene.collection.children_recursive:
-        if collection.get(CAPTURE) == name:
-            return collection
-    collection = bpy.data.collections.new(f"IRPSO {name}")
-    collection[CAPTURE] = name
-    scene.collection.children.link(collection)
+def _collection(scene, capture: Capture):
+    own = _of_capture(scene.collection.children_recursive, capture)
+    collection = own[0] if own else bpy.data.collections.new(f"IRPSO {capture.name}")
+    if not own:
+        scene.collection.children.link(collection)
+    collection[CAPTURE], collection[_FILES] = capture.name, str(capture.source)
     return collection
 
 

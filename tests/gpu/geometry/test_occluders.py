@@ -23,7 +23,7 @@ from tests.oracles import geometry as oracle
 
 BALL, RADIUS = np.array([0.1, -0.05, 0.45]), 0.3
 SIZE = (64, 64)
-TABLE = oracle.plane(200.0, z=-1.0, columns=1, rows=1).positions
+TABLE, GROUND = (oracle.plane(width, z=-1.0, columns=1, rows=1).positions for width in (200.0, 2e5))
 
 
 @pytest.fixture(autouse=True)
@@ -46,7 +46,7 @@ def gap_to_ball(points, vector, distant):
     return np.linalg.norm(points + np.clip(along, 0, end)[..., None] * unit - BALL, axis=-1) - RADIUS
 
 
-@pytest.mark.parametrize("others", [(), (TABLE,)], ids=["ball", "ball and table"])
+@pytest.mark.parametrize("others", [(), (TABLE,), (GROUND,)], ids=["ball", "ball and table", "ball and ground"])
 @pytest.mark.parametrize(
     ("vector", "distant"), [((0.5, 0.3, 0.8), True), ((0.9, -0.8, 2.6), False), ((-0.4, 0.3, 0.7), False)]
 )
@@ -62,10 +62,26 @@ def test_the_shadow_of_an_occluder_is_where_geometry_has_it_however_large_the_re
     assert (weights[gap < -border] == 0).all() and (weights[gap > border] == 1).all()
 
 
-def test_a_camera_sees_nothing_behind_an_occluder():
-    mesh = floor_under_ball(TABLE)
-    place = np.array([0.3, 0.2, 4.0])
+def test_a_low_plate_shades_the_floor_beside_a_large_ground():
+    plate = oracle.plane(0.5, z=0.02, columns=1, rows=1).positions
+    mesh = replace(oracle.plane(2.0, columns=1, rows=1), occluders=np.concatenate([plate, GROUND]))
+    texels = bake.bake_uv(mesh, *SIZE)
+    caster = shadows.ShadowCaster(mesh, texels, shadows.texel_size(mesh, texels))
+    weights = caster.weights(Light((0.0, 0.0, 1.0)), np.arange(SIZE[0] * SIZE[1]))
+    edge = 0.25 - np.abs(texels.position[..., :2]).max(axis=-1).ravel()  # above 0 below the plate
+    border = 2 * 2.0 / SIZE[0]  # two texels
+    assert (edge > border).sum() > 100
+    assert (weights[edge > border] == 0).all() and (weights[edge < -border] == 1).all()
+
+
+@pytest.mark.parametrize("ground", [TABLE, GROUND], ids=["table", "ground"])
+@pytest.mark.parametrize("slant", [0.0, 0.3])  # seen at a slant, the ground reaches far beyond the subject
+def test_a_camera_sees_nothing_behind_an_occluder(ground, slant):
+    mesh = floor_under_ball(ground)
+    place = np.array([0.3, 0.2 - 4 * slant, 4.0])
     matrix = np.eye(4)
+    back = oracle.unit(np.array([0.0, -slant, 1.0]))
+    matrix[:3, :3] = np.stack([(1, 0, 0), np.cross(back, (1, 0, 0)), back], axis=1)
     matrix[:3, 3] = place
     camera = Camera.from_fov(160, 160, 40, matrix)
     texels = bake.bake_uv(mesh, *SIZE)

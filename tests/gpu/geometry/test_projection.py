@@ -12,8 +12,9 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.geometry import build
 from irpso_addon.geometry.build import domain_from_card, domain_from_mesh
-from irpso_addon.geometry.domain import GeometryBake, tile
+from irpso_addon.geometry.domain import GeometryBake, subset, tile
 from irpso_addon.geometry.surface import bake
+from irpso_addon.pipeline.result import _unseen_warnings
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.views.forward import Renderer
 from tests.oracles import geometry as oracle
@@ -84,6 +85,26 @@ def test_a_window_reads_only_the_images_that_reach_it():
     reads.clear()
     empty = domain_from_mesh(capture, mesh, 90, 120, window=(int(x), int(y), 1, 1))
     assert not reads and not empty.stack.values.any()
+
+
+def test_photographs_that_show_no_texel_are_named_and_not_read():
+    reads = []
+    mesh, capture = monkey_capture(reads)
+    assert domain_from_mesh(capture, mesh, 60, 80).unseen == ()
+    away = Camera.from_fov(150, 130, 40, looking((0, -3, 0.6), (0, -9, 0.6)))
+    others = tuple(replace(capture.observations[k], camera=2, name=f"away {k}") for k in (0, 4))
+    observations = (*capture.observations[:2], *others, *capture.observations[2:])
+    reads.clear()
+    capture = replace(capture, observations=observations, cameras=(*capture.cameras, away), masks=capture.masks[:1] * 3)
+    domain = domain_from_mesh(capture, mesh, 60, 80)
+    assert domain.unseen == (2, 3) and sorted(reads) == list(range(6))
+    shown = [layer[..., 3].any() for layer in domain.stack.layers()]
+    assert [k for k, any_sample in enumerate(shown) if not any_sample] == [2, 3]
+    assert subset(domain, [0, 3, 5]).unseen == (1,) and subset(domain, [0, 1]).unseen == ()
+    assert _unseen_warnings(domain, capture) == [
+        "2 of the 8 photographs show no texel of the mesh and are not used ('away 0', 'away 4'): check the poses of"
+        " their cameras, and the mesh's place and unit"
+    ]
 
 
 def smooth(x, y):

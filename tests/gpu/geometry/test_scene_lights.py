@@ -62,6 +62,29 @@ def test_a_light_object_can_change_its_type(scene):
         np.testing.assert_allclose(found.cone or 0, light.cone or 0, rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "expected"),
+    [
+        ("flat with a snoot", {"type": "SPOT", "spot_size": np.radians(50), "spot_blend": 0.0}, (25.0, 0)),
+        ("flash", {"type": "SPOT", "spot_size": np.pi, "spot_blend": 0.0}, (90.0, 0)),
+        ("wider than Blender's spots", {"type": "AREA", "spread": np.pi}, (None, 1)),
+        ("wider than Blender's spots", {"spot_size": np.radians(50)}, (25.0, 0)),
+        # acos((cos 90° + 0.5 (1 − cos 90°)) = acos 0.5
+        ("wider than Blender's spots", {"spot_blend": 0.5}, (60.0, 0)),
+        ("wider than Blender's spots", {"energy": 7.0}, (120.0, 0)),
+        ("flat with a snoot", {"size": 0.1}, (33.0, 1)),
+    ],
+)
+def test_a_changed_light_object_emits_as_changed(scene, name, change, expected):
+    obj = add(scene, "Lamp", bpy.data.lights.new("Lamp", "SUN"))
+    scene_objects.set_light(obj, DIRECTED[name])
+    for key, value in change.items():
+        setattr(obj.data, key, value)
+    bpy.context.view_layer.update()
+    found = scene_lights.light_of(obj)
+    assert found.cosine == expected[1] and found.cone == (expected[0] and pytest.approx(expected[0], abs=1e-4))
+
+
 def test_a_capture_with_such_lights_and_a_bent_lens_is_its_scene_again_after_saving(scene, tmp_path):
     matrix = np.array([[0.36, 0.48, -0.8, 1.5], [-0.8, 0.6, 0, -2.0], [0.48, 0.64, 0.6, 3.25], [0, 0, 0, 1]])
     camera = Camera(12, 9, (11.0, 11.5), (6.5, 4.0), matrix, True, (-0.1, 1 / 3, 0.001, -0.002))
@@ -183,3 +206,25 @@ def test_an_area_light_too_wide_for_its_distance_is_warned_of(scene, tmp_path):
     assert found.severity == "warning" and "'Softbox' is 1.4 wide, 4 from the subject" in found.message
     assert wide_lights_around(bpy.data.objects["Plane"]) == [found.message]
     assert len(scene_capture.capture_of(scene).observations) == 1
+
+
+@pytest.mark.parametrize("kind", ["POINT", "SPOT"])
+def test_a_wide_lamp_is_warned_of(scene, kind):
+    lamp = add(scene, "Bulb", bpy.data.lights.new("Bulb", kind))
+    lamp.location, lamp.scale = (1, 2, 5), (9, 9, 9)  # the scale of a sphere light does not count
+    bpy.context.view_layer.update()
+    for radius, warned in ((0.39, False), (0.41, True)):  # at 4 from the place
+        lamp.data.shadow_soft_size = radius
+        found = scene_lights.too_wide(lamp, np.array([1, 2, 1.0]))
+        assert bool(found) == warned
+    assert found.startswith("light 'Bulb' is 0.82 wide, 4 from the subject, and is used as a point; make it at most")
+
+
+def test_a_wide_sun_is_warned_of(scene):
+    sun = add(scene, "Sky", bpy.data.lights.new("Sky", "SUN"))
+    for degrees, warned in ((0.526, False), (11.4, False), (12, True)):  # 2 atan 0.1 = 11.42°
+        sun.data.angle = np.radians(degrees)
+        assert bool(found := scene_lights.too_wide(sun, np.zeros(3))) == warned
+    assert found == (
+        "light 'Sky' spans 12°, and is used as one direction; set its Angle to at most 11.4° for sharp highlights"
+    )

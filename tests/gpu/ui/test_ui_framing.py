@@ -10,9 +10,12 @@ import pytest
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.frame import find
 from irpso_addon.capture.frame.board import board_of
+from irpso_addon.capture.images import image
+from irpso_addon.capture.inspect import damage
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.ui.marks.card_marks import around
+from irpso_addon.ui.marks.marking import Marking
 from irpso_addon.ui.session import job, scene_capture
 from tests.builders.flat_scene import from_upper_left, looking_camera, seen_plane
 from tests.builders.handheld import on_board
@@ -39,6 +42,24 @@ def test_marked_corners_go_clockwise_from_the_upper_left(settings, order):
     bpy.ops.irpso.mark_card(corners=np.take(MARKS, order, axis=0).ravel())
     np.testing.assert_allclose(np.reshape(settings.corners, (4, 2)), MARKS, atol=1e-6)
     assert (settings.framing, tuple(settings.crop)) == ("CORNERS", (3, 2, 17, 11))
+
+
+@pytest.mark.parametrize("damaged", [0, 1, 3])
+def test_only_the_shown_photographs_are_read_even_where_damaged_ones_are_left_out(settings, monkeypatch, damaged):
+    shots = scene_capture.spec_of(settings).observations
+    assert len(shots) == 16
+    settings.skip_damaged = True
+    damage._sizes.clear()  # the check has read them
+    shown = [shots[0], shots[8], shots[15]]
+    for shot in shown[:damaged]:
+        shot.image.path.write_bytes(shot.image.path.read_bytes()[:-200])
+    read, load = set(), image.load_exr
+    monkeypatch.setattr(image, "load_exr", lambda path: read.add(path) or load(path))
+    pictures = list(Marking().radiances(settings, 3))
+    assert len(pictures) == (3 if damaged == 3 else 3 - damaged)
+    assert all(picture.shape == (16, 24, 3) for picture in pictures)
+    intact = [shot for shot in (shots if damaged == 3 else shown) if shot not in shown[:damaged]]
+    assert read == {shot.image.path for shot in intact}
 
 
 def test_corners_of_a_card_that_is_turned_begin_at_the_upper_left():

@@ -274,3 +274,26 @@ def test_a_card_keeps_its_relief_and_a_capture_of_the_same_name_gets_its_own(sce
     write_one(tmp_path / "second" / "photos")
     cards = [obj for obj in scene.objects if obj.type == "MESH"]
     assert len(cards) == 2 and {obj[material.TAG] for obj in cards} == {"photos", "photos.001"}
+
+
+def test_a_capture_of_the_same_name_gets_its_own_lights_and_one_that_was_moved_keeps_them(scene, tmp_path):
+    def lights():
+        return {obj.name: obj for obj in scene.objects if obj.type == "LIGHT"}
+
+    write_one(tmp_path / "first" / "photos")
+    first = lights()
+    write_one(tmp_path / "second" / "photos")
+    second = {name: obj for name, obj in lights().items() if name not in first}
+    assert len(first) == len(second) == 3 and len({obj.irpso.image for obj in lights().values()}) == 6
+    assert {obj.users_collection[0] for obj in first.values()}.isdisjoint(
+        obj.users_collection[0] for obj in second.values()
+    )
+    assert scene_setup.capture_lights(scene) == [second[name] for name in sorted(second)]
+    (tmp_path / "second").rename(tmp_path / "third")
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path / "third" / "photos"))
+    bpy.ops.irpso.create_scene()
+    assert lights() == first | second
+    assert {str(tmp_path / "third") in obj.irpso.image.filepath for obj in second.values()} == {True}
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path / "first" / "photos"))
+    bpy.ops.irpso.create_scene()
+    assert lights() == first | second and scene_setup.capture_lights(scene) == [first[name] for name in sorted(first)]

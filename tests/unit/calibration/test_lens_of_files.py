@@ -1,10 +1,12 @@
 """The lens of photographs from their EXIF, against the angles of a full-frame camera's lenses."""
 
 import math
+from pathlib import Path
 
 import pytest
 
 from irpso_addon.calibration.photographs import lens_of_files, read_photographs, with_camera
+from irpso_addon.capture.images import image
 from irpso_addon.capture.images.exif import field_of_view
 from irpso_addon.core.errors import InputError
 from tests.builders.exif import exif, jpeg
@@ -50,6 +52,26 @@ def test_photographs_of_one_lens_tell_their_camera(tmp_path):
     portrait = angle(0.6 * math.hypot(36, 24), 26)
     assert keys == {"fov_degrees": pytest.approx(portrait, abs=1e-4)}
     assert lens_of_files(with_camera(spec, keys, "EXIF"), decoder) == {}
+
+
+def test_only_the_beginning_of_a_jpeg_file_is_read(tmp_path, monkeypatch):
+    def whole(path):
+        raise AssertionError("the beginning is enough")
+
+    spec = folder_of(tmp_path, *[exif(focal_35mm=26, orientation=8)] * 2)
+    monkeypatch.setattr(Path, "read_bytes", whole)
+    monkeypatch.setattr(image, "read_header", whole)
+    assert lens_of_files(spec, decoder).keys() == {"fov_degrees"}
+
+
+def test_a_jpeg_file_with_a_large_preview_before_its_size_tells_its_lens(tmp_path):
+    preview = (b"\xff\xe2\x80\x00" + bytes(0x7FFE)) * 12  # twelve segments of 32 KiB
+    spec = folder_of(tmp_path, *[exif(focal_35mm=26)] * 2)
+    expected = lens_of_files(spec, decoder)
+    for path in tmp_path.iterdir():
+        data = path.read_bytes()
+        path.write_bytes(data.replace(b"\xff\xc2", preview + b"\xff\xc2"))
+    assert lens_of_files(spec, decoder) == expected != {}
 
 
 def test_photographs_of_two_lenses_or_none_tell_nothing(tmp_path):

@@ -138,6 +138,17 @@ def test_contradictions_to_the_cameras_file_are_reported(scan, observations, top
         read(scan, observations, top)
 
 
+def test_one_camera_is_not_taken_for_the_images_of_two_folders(scan):
+    for folder in ("a", "b"):
+        (scan / folder).mkdir()
+        write_png(scan / folder / "IMG_1.png", np.full((48, 64, 3), 90))
+    images = ['image = "a/IMG_1.png"', 'image = "b/IMG_1.png"']
+    with pytest.raises(CaptureError, match=r"observation 2: 'b/IMG_1.png' and 'a/IMG_1.png' both fit .*; set camera"):
+        read(scan, images)
+    assert len(read(scan, [images[0], images[0]]).cameras) == 1
+    assert len(read(scan, [f'{text}\ncamera = "IMG_1"' for text in images]).cameras) == 1
+
+
 def test_a_missing_cameras_file_or_a_matrix_without_one_is_reported(tmp_path):
     write_png(tmp_path / "a.png", np.full((2, 2, 3), 90))
     rest = f'[[camera]]\n[[observation]]\nimage = "a.png"\n{LIT}'

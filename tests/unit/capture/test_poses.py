@@ -133,6 +133,13 @@ def test_cameras_that_are_disabled_or_not_aligned_are_named_as_such(tmp_path):
     assert found.name_of("photos/img_0001.tif", "here") == "IMG_0001"
 
 
+def test_a_slave_camera_of_a_rig_is_named_as_such(tmp_path):
+    slave = '<camera id="9" sensor_id="0" component_id="0" master_id="0" label="NIR"/>'
+    found = read_poses(metashape(tmp_path / "cameras.xml", camera=slave))
+    with pytest.raises(CaptureError, match="'NIR' is a slave camera of a multi-camera system, .* as single cameras"):
+        found.name_of("NIR.TIF", "here")
+
+
 def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
@@ -354,3 +361,42 @@ def test_an_image_name_that_fits_several_cameras_must_be_whole(tmp_path):
     assert found.name_of("b/1.jpg", "here") == "b/1.jpg" and found.name_of("2.png", "here") == "b/2.jpg"
     with pytest.raises(CaptureError, match="'1.jpg' may be any of 'a/1.jpg', 'b/1.jpg' of .*; give camera its whole"):
         found.name_of("1.jpg", "here")
+
+
+@pytest.mark.parametrize(
+    ("names", "image", "found"),
+    [
+        (["cam2/1.jpg"], "cam1/1.jpg", None),
+        (["cam1/2.jpg", "cam2/1.jpg"], "cam1/1.jpg", None),
+        (["cam1/2.jpg", "cam2/1.jpg"], "photos/cam1/1.jpg", None),
+        (["cam1/1.jpg", "cam2/1.jpg"], "photos/cam1/1.jpg", "cam1/1.jpg"),
+        (["cam1/1.jpg", "cam2/1.jpg"], "Photos/Cam2/1.TIF", "cam2/1.jpg"),
+        (["photos/cam1/1.jpg", "photos/cam2/1.jpg"], "cam2/1.jpg", "photos/cam2/1.jpg"),
+        (["cam2\\1.jpg", "cam1\\2.jpg"], "cam1/1.jpg", None),
+        (["cam2\\1.jpg", "cam1\\2.jpg"], "cam1/2.jpg", "cam1\\2.jpg"),
+        (["1.jpg"], "cam1/1.jpg", "1.jpg"),
+        # Paths of another computer: only the folders that differ count.
+        (["/scan/1.jpg", "/scan/2.jpg"], "developed/1.exr", "/scan/1.jpg"),
+        (["/scan/cam1/2.jpg", "/scan/cam2/1.jpg"], "developed/cam1/1.exr", None),
+        (["/scan/cam1/1.jpg", "/scan/cam2/1.jpg"], "developed/cam1/1.exr", "/scan/cam1/1.jpg"),
+    ],
+)
+def test_an_image_never_has_the_camera_of_another_folders_image(tmp_path, names, image, found):
+    poses = read_poses(colmap(tmp_path, images=[f"{n} {POSE} 7 {name}" for n, name in enumerate(names, 1)]))
+    if found is not None:
+        assert poses.name_of(image, "here") == found
+        return
+    with pytest.raises(CaptureError, match=f"^here: .*it has no '{image}'; set camera"):
+        poses.name_of(image, "here")
+
+
+def test_an_image_that_fits_an_unusable_camera_as_well_has_no_other(tmp_path):
+    view = {"path": "/other/IMG_0001.JPG"}
+    found = read_poses(alicevision(tmp_path / "a.sfm", view=view))
+    assert list(found.cameras) == ["/scan/IMG_0001.JPG"]
+    with pytest.raises(CaptureError, match="it has no 'photos/IMG_0001.JPG'"):
+        found.name_of("photos/IMG_0001.JPG", "here")
+    with pytest.raises(CaptureError, match="'IMG_0001.JPG' may be any of '/scan/IMG_0001.JPG', '/other/IMG_0001.JPG'"):
+        found.name_of("IMG_0001.JPG", "here")
+    with pytest.raises(CaptureError, match="its '/other/IMG_0001.JPG' was not aligned"):
+        found.name_of("photos/other/IMG_0001.JPG", "here")
