@@ -118,8 +118,7 @@ class InterreflectionRounds(Successive):
 
     @property
     def findings(self) -> dict[str, Any]:
-        subtracted = 0 if self._samples is None else self._at
-        rounds = {"rounds": subtracted, "strength": self._strengths, "share": self._mean_share}
+        rounds = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
         unknown = {"unknown_texels": int(np.count_nonzero(self._dominated))}
         return {**self._live.findings, "interreflection": rounds | unknown}
 
