@@ -7,12 +7,18 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from ..core.files import remove_partials
-from ..core.png import encode_png
+from ..core.png import encode_png, png_software
 from ..results.maps import Maps
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.views.pictures import maps_so_far
 
 LIVE = "live.png"
+_SOFTWARE = "irpso recover --live"  # stated in the picture: a killed run leaves it, the next may replace it
+
+
+def is_live_picture(path: Path) -> bool:
+    """Return whether a run with --live wrote this file. A program that edits the picture states its own name."""
+    return png_software(path) == _SOFTWARE
 
 
 class LivePicture:
@@ -29,7 +35,7 @@ class LivePicture:
         stage = "" if progress.done else f"stage {progress.title}, "
         heading = f"{100 * progress.fraction:.0f} %, {stage}iteration {progress.iteration_in_all}"
         try:
-            encode_png(self._path, maps_so_far(maps, heading), bits=8)
+            encode_png(self._path, maps_so_far(maps, heading), bits=8, software=_SOFTWARE)
         except InputError as error:
             if not self.warnings:
                 self.warnings.append(f"no picture of the maps so far: {error}")

@@ -14,7 +14,7 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
     """Raise InputError where an object has other slots than when its mesh was read, or lacks the maps' UV map.
 
     Materials tell whether slots have moved: one that lies elsewhere now, unless the material of ``subject``, the maps'
-    own, is in its place.
+    own, is in its place. A last slot that no face had may be gone.
     """
     import bpy
 
@@ -24,7 +24,8 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
     gone, new = ({name for slot, name in enumerate(names) if slot not in kept} for names in (before, now))
     changed = [slot for slot in mesh.solved_slots if slot < min(len(before), len(now)) and slot not in kept]
     moved = any(not own[slot] and (before[slot] in new or now[slot] in gone) for slot in changed)
-    if moved or len(now) < len(before):
+    lost = len(now) < len(before) and mesh.materials.max(initial=0) >= len(now)
+    if moved or lost:
         raise InputError(
             f"the material slots of '{obj.name}' were {listed(before)} when its recovery began, and are"
             f" {listed(now) or 'none'} now; restore their order, or recover again"

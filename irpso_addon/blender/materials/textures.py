@@ -106,13 +106,21 @@ def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str, former
     return paths
 
 
+def image_files(subject: str | None = None) -> set[Path]:
+    """Return the files that the open file's images show; of a subject's maps alone, or, with None, of all images."""
+    import bpy
+
+    chosen = [i for i in bpy.data.images if subject is None or str(i.get(TAG, "")).startswith(f"{subject}/")]
+    return set().union(*map(_files, chosen))
+
+
 def _files(image: Any) -> set[Path]:
     """Return the files that an image shows; none where it is packed or None."""
     import bpy
 
     if image is None or image.packed_files or not image.filepath:
         return set()
-    path = Path(bpy.path.abspath(image.filepath)).resolve()
+    path = Path(bpy.path.abspath(image.filepath, library=image.library)).resolve()
     return {path.with_name(path.name.replace(PATTERN, str(tile.number))) for tile in image.tiles}
 
 

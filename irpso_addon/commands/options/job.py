@@ -27,7 +27,7 @@ from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import slot_names, slots_of_text
 from ...pipeline.drive import CHECKPOINT, check_every
 from ...pipeline.job import Job, LightOptions
-from ...pipeline.live import LIVE
+from ...pipeline.live import LIVE, is_live_picture
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.derived_maps import DerivedMaps, normals_of_text
 from ...results.read import read_maps
@@ -144,9 +144,10 @@ def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, s
     if path.is_dir():
         raise InputError(f"{path}: is a folder in the place of the checkpoint; choose another -o, or move it")
     if not options.resume:
-        own = path.exists() or options.dry_run  # of an interrupted run, or not written
-        if options.live and (path.parent / LIVE).exists() and not own:
-            raise InputError(f"{path.parent / LIVE}: would be replaced by --live; choose another -o, or move it")
+        live = path.parent / LIVE
+        own = path.exists() or options.dry_run or is_live_picture(live)  # of an interrupted run, or not written
+        if options.live and live.exists() and not own:
+            raise InputError(f"{live}: would be replaced by --live; choose another -o, or move it")
         return
     if not path.is_file():
         raise InputError(f"--resume: {path.parent} holds no {CHECKPOINT}; run without --resume")

@@ -17,7 +17,7 @@ from bpy.props import StringProperty
 
 from ...blender.images import decode
 from ...calibration.balls.lights import Request
-from ...calibration.job import BallRequest, calibrate_steps
+from ...calibration.job import BallRequest, calibrate_steps, written_table
 from ...calibration.photographs import lens_of_files, read_photographs, with_camera
 from ...calibration.write import write_calibration
 from ...capture.images.image import ImageStore
@@ -108,8 +108,11 @@ class OpenSample(SlicedOperator, bpy.types.Operator):
         spec = with_camera(spec, keys, "EXIF") if keys else spec  # without EXIF, an earlier table has the lens
         steps = calibrate_steps(spec, [BallRequest()], request, decode, layout.BALL_RADIUS)
         calibration = yield from map_steps(steps, lambda part: _RENDER_PART + (1 - _RENDER_PART) * part)
-        table = free_table(photographs)
-        write_calibration(calibration, table, keys)
+        text = written_table(calibration, photographs, keys).encode()
+        same = (path for path in sorted(photographs.glob("*.toml")) if path.read_bytes() == text)
+        if (table := next(same, None)) is None:  # not opened before, or the table was edited since
+            table = free_table(photographs)
+            write_calibration(calibration, table, keys)
         return table, ImageStore(decode).size(spec.observations[0].image)
 
 

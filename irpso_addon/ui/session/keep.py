@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ...blender.materials import material
+from ...blender.materials.textures import image_files
 from ...core.errors import IrpsoError
 from ...pipeline import result
 from ...pipeline.result import ResultMaps, result_maps
@@ -110,8 +113,10 @@ def _keep(context, running: session.Session) -> str:
     found = current_maps(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
     wanted = preferences.current(context)
     folder = wanted.folder()
+    _remove_undone(running, folder)
     made_material, subject = result.make_material(job, former, found, found.height, wanted.output_folder or None)
     made_material[material.ORIGIN], made_material[material.STAMP] = job.origin, running.stamp
+    running.files = image_files(job.name)
     if job.mesh is None:
         if former is None:
             put_card(subject, job.place)
@@ -122,6 +127,14 @@ def _keep(context, running: session.Session) -> str:
         "Material '{name}' on '{object}', with {count} maps {where}", name=made_material.name, object=subject.name,
         count=count, where=where,
     )  # fmt: skip
+
+
+def _remove_undone(running: session.Session, folder: Path | None) -> None:
+    """Remove what an undone Keep wrote into the folder; the maps would be written beside it under numbered names."""
+    for path in running.files - image_files():
+        if folder is not None and path.parent == folder.resolve():
+            with suppress(OSError):
+                path.unlink()
 
 
 def _show(context, card, new: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
@@ -44,6 +45,7 @@ class Session:
     current step, for the panel. history: (iteration, mean error) pairs. error: the last mean error, a fraction of
     white. seconds: search time. longest_stall_s: the longest tick. warnings: of a finished recovery, except that a
     parameter has two modes, which needs its confidence. failure: the error that ended the session, "" for none.
+    files: those of the kept maps, which an undo leaves on the disk.
 
     data: results of the previous run, for reuse. changed: called with the session for every redraw and by ``close``.
     """
@@ -58,6 +60,7 @@ class Session:
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
         self.warnings: tuple[str, ...] = ()
+        self.files: set[Path] = set()
         self.seconds = 0.0
         self.longest_stall_s = 0.0
         self.closed = False

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from irpso_addon.blender import images as blender_images
 from irpso_addon.cluster.transport import Ranks
@@ -140,6 +141,31 @@ def test_a_live_picture_replaces_none_of_the_users(recovered, tmp_path):
     assert run_cli(*words, "--dry-run")[0] == 0 and mine.read_bytes() == b"mine"
     (tmp_path / "checkpoint.npz").write_bytes(b"of an interrupted run")
     assert run_cli(*words, "--iterations", 1, "--quiet")[0] == 0 and not mine.exists()
+
+
+def test_a_live_picture_of_a_killed_run_without_a_checkpoint_is_replaced(recovered, tmp_path, monkeypatch):
+    from irpso_addon.pipeline import live
+
+    _, out, _ = recovered("lambert")
+    folder, pictures = tmp_path / "out", []
+    show = live.LivePicture.show
+
+    def shown(self, maps):
+        show(self, maps)
+        pictures.append(self._path.read_bytes())
+
+    monkeypatch.setattr(live.LivePicture, "show", shown)
+    words = ["recover", out.parent / "lambert", "--model", "lambert", "--live", "--iterations", 1, "--quiet"]
+    assert run_cli(*words, "-o", folder)[0] == 0
+    left = tmp_path / "next" / "live.png"
+    left.parent.mkdir()
+    left.write_bytes(pictures[0])
+    with Image.open(left) as picture:
+        assert picture.text == {"Software": "irpso recover --live"}
+        picture.save(tmp_path / "edited.png")
+    assert run_cli(*words, "-o", left.parent)[0] == 0 and not left.exists()
+    left.write_bytes((tmp_path / "edited.png").read_bytes())
+    assert run_cli(*words, "-o", left.parent)[0] == 2 and left.exists()
 
 
 def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):

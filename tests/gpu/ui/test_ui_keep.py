@@ -22,6 +22,7 @@ def recovered(session_of_card):
     bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects, *bpy.data.libraries])
     session_of_card.history.clear()
     session_of_card.probes.clear()
+    session_of_card.files.clear()
     return session_of_card
 
 
@@ -109,6 +110,32 @@ def test_maps_go_into_the_folder_of_the_preferences(recovered, tmp_path, monkeyp
     bpy.ops.irpso.keep()
     assert sorted(path.name for path in (tmp_path / "maps").iterdir()) == [f"IRPSO_leaf_{name}.png" for name in MAPS]
     assert all(bpy.data.images[f"IRPSO leaf {name}"].packed_file is None for name in MAPS)
+
+
+def test_keep_after_an_undone_keep_replaces_its_files_and_no_others(recovered, tmp_path, monkeypatch):
+    from irpso_addon.ui.properties import preferences
+
+    folder = tmp_path / "maps"
+    wanted = preferences.PreferenceValues(output_folder=str(folder))
+    monkeypatch.setattr(preferences, "current", lambda context: wanted)
+    own = {f"IRPSO_leaf_{name}.png" for name in MAPS}
+    bpy.ops.irpso.keep()
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])  # as an undo does
+    bpy.ops.irpso.keep()
+    assert {path.name for path in folder.iterdir()} == own
+
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])
+    shown = bpy.data.images.load(str(folder / "IRPSO_leaf_normal.png"))  # the user's image shows this one
+    (folder / "IRPSO_leaf_normal.png").write_bytes(b"shown")
+    bpy.ops.irpso.keep()
+    assert {path.name for path in folder.iterdir()} == own | {"IRPSO_leaf_normal_1.png"}
+    assert Path(shown.filepath).read_bytes() == b"shown"
+
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])
+    recovered.files.clear()  # another recovery
+    former = {path: path.read_bytes() for path in folder.iterdir()}
+    bpy.ops.irpso.keep()
+    assert {path: path.read_bytes() for path in former} == former
 
 
 def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made(recovered, tmp_path, monkeypatch):

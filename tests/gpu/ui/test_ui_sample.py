@@ -43,7 +43,11 @@ def test_the_sample_is_rendered_once_and_opens_with_its_lights_and_its_tile(monk
     taken = [photograph.stat().st_mtime_ns for photograph in photographs]
     assert bpy.ops.irpso.open_sample(folder=str(folder)) == {"FINISHED"}
     assert [photograph.stat().st_mtime_ns for photograph in photographs] == taken
-    assert settings.capture_path.endswith("capture_1.toml")
+    table = folder / "photographs" / "capture.toml"
+    assert settings.capture_path == str(table) and list(table.parent.glob("*.toml")) == [table]
+    table.write_text(edited := f"{table.read_text()}# mine\n")
+    assert bpy.ops.irpso.open_sample(folder=str(folder)) == {"FINISHED"}
+    assert settings.capture_path.endswith("capture_1.toml") and table.read_text() == edited
 
 
 def test_a_folder_with_other_files_is_refused_in_the_words_of_the_command(monkeypatch, tmp_path):

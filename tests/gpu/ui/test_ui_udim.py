@@ -113,6 +113,24 @@ def test_only_the_active_slot_is_recovered_and_replaced(settings):
         session.end()
 
 
+def test_a_last_slot_that_no_face_has_may_be_removed_before_keep(settings):
+    from irpso_addon.ui.session import session
+
+    thing = settings.object
+    thing.data.materials.append(bpy.data.materials.new("unused"))
+    settings.slots, thing.active_material_index = "ACTIVE", 1
+    session.begin(make_job()).run()
+    try:
+        thing.data.materials.pop()
+        assert bpy.ops.irpso.keep() == {"FINISHED"}
+        assert [slot.material.name for slot in thing.material_slots] == ["Skin", "IRPSO Two Cloth"]
+        thing.data.materials.pop(index=0)  # Blender gives the faces behind it the slot before theirs
+        with pytest.raises(RuntimeError, match="1 'Cloth', 2 'unused' when .* began, and are 0 'IRPSO Two Cloth' now"):
+            bpy.ops.irpso.keep()
+    finally:
+        session.end()
+
+
 def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_path):
     from irpso_addon.ui.session import session
 
