@@ -25,6 +25,7 @@ def save_card(path: Path, field: tuple[float, float, float, float]) -> None:
     scene = bpy.data.scenes.new(CARD)
     made = smooth_mesh(scene, CARD, places, np.arange(4)[None], uv)
     mesh = made.data
+    scene.view_layers[0].update()  # Blender 5.2.3 crashes where it writes a scene that was never updated
     try:
         with quiet_operator():
             bpy.data.libraries.write(str(path), {scene}, fake_user=True)
