@@ -264,7 +264,7 @@ class Run:
     def _surroundings(self) -> Surroundings | None:
         """Return the ``Surroundings`` of interreflection; None for a schedule without its rounds."""
         job, settings = self.job, self.job.schedule.interreflection
-        if settings.rounds == 0:
+        if settings.estimates(job.mesh is not None) == 0:
             return None
         fineness = settings.resolution, settings.rays
         if job.mesh is not None:

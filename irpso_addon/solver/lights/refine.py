@@ -245,9 +245,9 @@ def check(intensities: bool, refine_degrees: float) -> None:
 
 def sample_schedule(schedule: Schedule | None = None) -> Schedule:
     """Return a schedule, by default ``standard``, for texels without neighbours and lights that may be wrong."""
-    return (schedule or load_schedule("standard")).replaced(
+    return (schedule or load_schedule("standard")).without_rounds().replaced(
         c3=0.0, neighbour_every=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0, levels=1,
-        interreflection_rounds=0, prefit_indirect_share=0.0,
+        prefit_indirect_share=0.0,
     )  # fmt: skip
 
 

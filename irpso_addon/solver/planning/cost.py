@@ -77,8 +77,9 @@ class Cost:
     """Per-texel cost of a recovery.
 
     observations: fitted ones. observed: fitted and held out. components: of the model. compute: passes are compute
-    dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives. rounds: of
-    interreflection, over at most ``elements`` elements with ``rays`` rays each. work: per texel, as in ``work_of``.
+    dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives.
+    recoveries: in turn, without those of matte rounds, which take little. rounds: of interreflection, over at most
+    ``elements`` elements with ``rays`` rays each. work: per texel, as in ``work_of``.
     """
 
     observations: int
@@ -87,6 +88,7 @@ class Cost:
     phases: tuple[PhaseCost, ...]
     compute: bool = False
     alternatives: int = 0
+    recoveries: int = 1
     rounds: int = 0
     elements: int = 0
     rays: int = 0
@@ -110,7 +112,7 @@ class Cost:
     @property
     def evaluations(self) -> int:
         """Renders of all observations per texel, in all phases of all rounds."""
-        return (1 + self.rounds) * sum(phase.evaluations for phase in self.phases)
+        return self.recoveries * sum(phase.evaluations for phase in self.phases)
 
     @property
     def stacks(self) -> int:
@@ -138,6 +140,7 @@ def recovery_cost(
     observations: int,
     held_out: int = 0,
     compute: bool = False,
+    on_mesh: bool = False,
 ) -> Cost:
     """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError."""
     stages = resolve(schedule, model, set(fixed), observations - held_out)
@@ -145,11 +148,13 @@ def recovery_cost(
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
-    exchange = (light.rounds, light.resolution**2, light.rays) if light.rounds else (0, 0, 0)
+    rounds = light.estimates(on_mesh)
+    exchange = (rounds, light.resolution**2, light.rays) if rounds else (0, 0, 0)
     counts = observations - held_out, observations, model.components
-    work = (1 + light.rounds) * sum(sum(work_of(stage, model, schedule, counts[0])) for stage in stages)
+    recoveries = 1 + light.rounds
+    work = recoveries * sum(sum(work_of(stage, model, schedule, counts[0])) for stage in stages)
     work *= 1 + OVERHEAD / counts[0]
-    return Cost(*counts, phases, compute, -(-numbers // 4), *exchange, work)
+    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *exchange, work)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

@@ -171,7 +171,7 @@ def plan_recovery(
     on_device = len(tiles) if resident else max(1, (memory.device - restored) // largest)
     host, scratch, stack_on, state_on = _storage(coverage.size, tiles, cost, memory, resident, stack_on)
     device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
-    passes = 1 if resident else (1 + cost.exchanges) * (1 + cost.rounds)
+    passes = 1 if resident else (1 + cost.exchanges) * cost.recoveries
     texels = _texels(coverage)
     return Plan(
         (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,

@@ -57,7 +57,7 @@ def make_plan(
     device = context.describe()
     free = context.free_device_memory()
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
-    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
+    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment", mesh is not None)
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
     allowed = machine_memory(memory, str(device["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
@@ -106,8 +106,8 @@ def planned_recovery(
     if not untiled(plan):
         folder = scratch if plan.state_on == "scratch" else None
         solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
-    if surroundings is None:
-        return solve(*settings, prepared=prepared)
+    if surroundings is None:  # of a card, which has no matte rounds
+        return solve(domain, model, schedule.without_rounds(), seed, fixed, entry, prepared=prepared)
     folder = scratch if plan.stack_on == "scratch" else None
     return InterreflectionRounds(*settings, surroundings, prepared, folder, solve)
 

@@ -77,6 +77,10 @@ class Schedule:
         own = {name: getattr(self, name) for name in SETTINGS if name in _TOP_KEYS}
         return {**named, **own, _ITERATIONS: max((stage.iterations for stage in self.stages), default=0)}
 
+    def without_rounds(self) -> Schedule:
+        """Return a copy without rounds of interreflection."""
+        return self.replaced(interreflection_rounds=0, interreflection_matte_rounds=0)
+
     def replaced(self, **changes: Any) -> Schedule:
         """Return a checked copy with other settings: names of Swarm, Fitness or Schedule fields. Raises InputError.
 
@@ -123,8 +127,9 @@ def refuse_levels(schedule: Schedule) -> None:
 
 def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
     """Raise InputError where a schedule has rounds of interreflection that cannot be made."""
-    if schedule.interreflection.rounds:
-        raise InputError(f"interreflection_rounds = {schedule.interreflection.rounds}: {why}; {remedy}, or set it to 0")
+    for name in ("rounds", "matte_rounds"):
+        if count := getattr(schedule.interreflection, name):
+            raise InputError(f"interreflection_{name} = {count}: {why}; {remedy}, or set it to 0")
 
 
 # Groups with defaults. A preset sets only what differs; without a group's table its phase does not run.

@@ -44,11 +44,13 @@ def _make_odd(self: ScheduleSettings, context: Any) -> None:
 
 
 def _has_rounds(self: ScheduleSettings) -> bool:
-    return self.interreflection_rounds > 0
+    return self.interreflection_rounds > 0 or self.interreflection_matte_rounds > 0
 
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:
     self.interreflection_rounds = _shipped(_ROUNDS_PRESET).interreflection.rounds if on else 0
+    if not on:
+        self.interreflection_matte_rounds = 0
 
 
 class ScheduleSettings(bpy.types.PropertyGroup):
