@@ -37,7 +37,7 @@ $(OUT)/demo/capture/capture.toml: $(OUT)/demo/sample/README.txt
 $(OUT)/demo/sample/README.txt: | environment
 	$(RUN) -m irpso_addon sample -o $(OUT)/demo/sample
 
-paper: environment ## the paper's experiment at full size; QUICK=1 in small, in two minutes
+paper: environment ## the paper's experiment at full size; QUICK=1 in small, in less than three minutes
 	$(RUN) -m irpso_addon demo $(if $(QUICK),--quick) -o $(OUT)/paper
 
 doctor: environment ## what GPU there is, and what the program will use of it

@@ -25,7 +25,8 @@ vec3 direct_radiance(ivec2 element, vec3 toward, vec3 throughput)
     Frame f = frame_at(element);
     vec3 intensity;
     vec3 l = light_at(f, u_observation, intensity);
-    return lit * intensity * min(throughput * reflectance(estimate_at(element), l, to_local(f, toward)), vec3(MAX_RADIANCE));
+    vec3 reflected = throughput * reflectance(estimate_at(element), l, to_local(f, toward));
+    return lit * intensity * min(reflected, vec3(MAX_RADIANCE));
 }
 
 // Returns the throughput: the factor from the radiance along a ray (l) to radiance toward v.

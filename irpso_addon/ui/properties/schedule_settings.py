@@ -163,7 +163,7 @@ def _declare() -> None:
         "interreflection": BoolProperty(
             name="Interreflection", get=_has_rounds, set=_switch_rounds,
             description="Find the light that the subject throws on itself, as in a bowl or a fold, subtract it"
-            " from the photographs, and recover again. This takes three to six times as long. Not possible"
+            " from the photographs, and recover again. This takes three to seven times as long. Not possible"
             " with Levels above 1",
         ),
         **declared,
