@@ -38,3 +38,9 @@ def without_indirect(bowl):
 def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT, **options):
     """Return the rounds of interreflection over a bowl (domain, surroundings)."""
     return InterreflectionRounds(bowl[0], model, schedule, 1, fixed, "fragment", bowl[1], **options)
+
+
+def errors(maps):
+    """Return the mean error of the normals in degrees, and the base colour's mean over the true one."""
+    tilt = np.degrees(np.arccos(np.clip(maps.values["normal"][maps.covered][:, 2], -1, 1)))
+    return tilt.mean(), maps.values["base_color"][maps.covered].mean(axis=0) / ALBEDO

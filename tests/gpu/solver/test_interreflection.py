@@ -22,7 +22,7 @@ from irpso_addon.solver.views.indirect import IndirectLight
 from tests.builders.cavity import cap_card, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
-from tests.builders.rounds import ALBEDO, LAMBERT, ROUNDS, SINGLE, matt_bowl, rounds_of, without_indirect
+from tests.builders.rounds import ALBEDO, LAMBERT, ROUNDS, SINGLE, errors, matt_bowl, rounds_of, without_indirect
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +43,6 @@ def whole(bowl):
     return run()
 
 
-def errors(maps):
-    """Return the mean error of the normals in degrees, and the base colour's mean over the true one."""
-    tilt = np.degrees(np.arccos(np.clip(maps.values["normal"][maps.covered][:, 2], -1, 1)))
-    return tilt.mean(), maps.values["base_color"][maps.covered].mean(axis=0) / ALBEDO
-
-
 def test_rounds_find_the_normals_and_the_colour_of_a_bowl(bowl, whole):
     with Recovery(bowl[0], LAMBERT, SINGLE, 1, entry="fragment") as recovery:
         recovery.step()
@@ -56,39 +50,6 @@ def test_rounds_find_the_normals_and_the_colour_of_a_bowl(bowl, whole):
     assert tilt > 3 and colour[0] > 1.15  # what it is about
     tilt, colour = errors(whole[0])
     assert tilt < 1 and abs(colour - 1).max() < 0.03
-
-
-def test_matte_rounds_find_them_with_one_recovery(bowl):
-    schedule = SINGLE.replaced(interreflection_matte_rounds=2, interreflection_bounces=6)
-    recovered = []
-
-    def solve(*arguments, **more):
-        recovered.append(arguments[2:5:2])
-        return Recovery(*arguments, **more)
-
-    with rounds_of(bowl, schedule, solve=solve) as recovery:
-        recovery.step()
-        maps, progress = recovery.maps(), recovery.progress
-    assert [bool(schedule.prefit.iterations) for schedule, _ in recovered] == [False, False, True]
-    tilt, colour = errors(maps)
-    assert tilt < 1 and abs(colour - 1).max() < 0.03
-    with Recovery(bowl[0], LAMBERT, SINGLE, 1, entry="fragment") as alone:
-        alone.step()
-        assert progress.evaluations < 1.2 * alone.progress.evaluations
-    recovered.clear()
-    with rounds_of(bowl, schedule, model=load_model("metallic_roughness"), solve=solve):
-        assert sorted(recovered[0][1]) == ["metallic", "normal", "roughness", "specular"]
-
-
-def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
-    schedule = SINGLE.replaced(interreflection_matte_rounds=2)
-    domain, camera, _ = cap_card(ALBEDO, dome_lights(24, 50.0))
-    card = domain, CardSurroundings(camera, "normal", ray_caster, 40, 64)
-    for subject, fixed in ((bowl, {"base_color": np.float32(ALBEDO)}), (card, {})):
-        with rounds_of(subject, schedule, fixed) as recovery:
-            stages = recovery.progress.stages
-        with Recovery(subject[0], LAMBERT, SINGLE, 1, fixed, entry="fragment") as alone:
-            assert stages == alone.progress.stages
 
 
 def test_the_maps_tell_the_light_of_photographs_that_they_were_not_found_from(bowl):

@@ -59,6 +59,13 @@ def test_rounds_in_tiles_find_the_maps_of_the_whole(bowl, whole, turns, tmp_path
         assert recovery.findings == whole[2]
 
 
+def test_matte_rounds_in_tiles_find_the_maps_of_the_whole(bowl):
+    schedule = SINGLE.replaced(interreflection_matte_rounds=1)
+    with rounds_of(bowl, schedule) as recovery, in_tiles(bowl, schedule=schedule) as tiled:
+        assert tiled.step() == recovery.step()
+        assert all_bits_of(tiled.maps()) == all_bits_of(recovery.maps())
+
+
 def test_tiles_begin_with_the_materials_of_the_round_before(bowl):
     # Its roughness is searched: where the swarms begin shows in the maps. Lambert is solved in closed form.
     schedule = ROUNDS.replaced(iterations=2, prefit_iterations=2, materials_rounds=0, prior_rounds=0, surface_rounds=0,
