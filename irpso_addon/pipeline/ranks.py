@@ -30,7 +30,8 @@ from ..solver.engine.interreflection import InterreflectionRounds
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
-from ..solver.planning.planning import covered_texels, uv_borders
+from ..solver.planning.plan import within_limits
+from ..solver.planning.planning import covered_texels, device_limits, uv_borders
 from .job import Job
 from .run import READ, Run, in_solver_frames
 
@@ -172,13 +173,15 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
     height, width = coverage.shape
     borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))
-    return split(coverage, cost, ranks.size, borders)
+    limits = device_limits(context.free_device_memory())
+    return split(coverage, within_limits(cost, coverage, limits), ranks.size, borders)
 
 
 def _check_fits(ranks: Ranks, job: Job, division: Split, sharing: int, gathers: bool) -> None:
     """Raise InputError where memory is too small. gathers: whether checkpoints gather all state on rank 0."""
-    memory = machine_memory(job.memory, str(context.describe()["renderer"]), context.free_device_memory())
-    check_fits(division, ranks, memory, sharing)
+    free = context.free_device_memory()
+    memory = machine_memory(job.memory, str(context.describe()["renderer"]), free)
+    check_fits(division, ranks, memory, device_limits(free), sharing)
     if ranks.leads and gathers:
         check_gathered(division, memory)
 

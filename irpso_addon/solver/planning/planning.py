@@ -54,17 +54,22 @@ def make_plan(
     memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on:
     place of a sample stack that has been read, or None. mesh: of the texels; its seams need memory too.
     """
-    device = context.describe()
     free = context.free_device_memory()
-    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
+    limits = device_limits(free)
     cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
-    allowed = machine_memory(memory, str(device["renderer"]), free, held)
+    allowed = machine_memory(memory, str(context.describe()["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):
         refuse_levels(schedule)
     return plan
+
+
+def device_limits(free: int | None) -> Limits:
+    """Return the limits of this GPU's textures. free: bytes that the driver reports, or None."""
+    device = context.describe()
+    return Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
 
 
 def uv_borders(mesh: MeshData, shape: tuple[int, ...]) -> Borders:
