@@ -12,7 +12,7 @@ from ..geometry.domain import Domain
 from ..solver.engine.halo import Box
 from ..solver.planning.cost import Cost
 from ..solver.planning.memory import Memory, amount
-from ..solver.planning.plan import Borders, Limits, Tile, divided, fits_textures, tile_of
+from ..solver.planning.plan import BAKE, PREPARED, Borders, Limits, Tile, divided, fits_textures, stack_bytes, tile_of
 from .transport import Ranks
 
 
@@ -41,12 +41,24 @@ class Split:
         boxes = [(tile.x0, tile.y0, tile.width, tile.height) for tile in self.tiles]
         return (*boxes, *[None] * (self.ranks - len(boxes)))
 
+    @property
+    def geometry(self) -> int:
+        """Bytes of the geometry of the whole domain, which every rank holds."""
+        return BAKE * self.shape[0] * self.shape[1]
+
+    def host(self, tile: Tile) -> int:
+        """Return the host bytes of a tile's rank: its samples and solved state, and the geometry of the whole."""
+        _, _, width, height = around(self.shape, (tile.x0, tile.y0, tile.width, tile.height), self.halo)
+        samples = self.cost.stacks * stack_bytes(self.cost, width * height)
+        return self.geometry + PREPARED * width * height + samples + tile.host
+
     def as_dict(self) -> dict[str, Any]:
         """Return the split as plain data."""
         return {
             "shape": list(self.shape), "ranks": self.ranks, "halo": self.halo,
             "observations": self.cost.observations,
-            "tiles": [vars(tile) for tile in self.tiles], "texels": sum(tile.texels for tile in self.tiles),
+            "tiles": [vars(tile) | {"host": self.host(tile)} for tile in self.tiles],
+            "texels": sum(tile.texels for tile in self.tiles),
             "checkpoint": self.state,
         }  # fmt: skip
 
@@ -60,7 +72,7 @@ class Split:
             f"ranks         {self.ranks}" + (f", {idle} of them without texels" if idle else ""),
             f"texels        {min(texels)} to {max(texels)} to a rank, and a halo of {self.halo} around them",
             f"device        {amount(max(tile.device for tile in self.tiles))} at most",
-            f"host          {amount(max(tile.host for tile in self.tiles))} at most, beside the geometry of the whole",
+            f"host          {amount(max(map(self.host, self.tiles)))} at most, {amount(self.geometry)} of it geometry",
             f"checkpoint    {amount(self.state)}, gathered on rank 0",
         ]
 
@@ -107,9 +119,10 @@ def check_gathered(division: Split, memory: Memory) -> None:
 
 
 def check_fits(division: Split, ranks: Ranks, memory: Memory, limits: Limits, sharing: int) -> None:
-    """Raise InputError where this rank's texels do not fit its device.
+    """Raise InputError where this rank's texels do not fit its device or its part of the main memory.
 
-    memory: of each of this machine's devices. limits: of this rank's. sharing: how many ranks have this one's device.
+    memory: of each of this machine's devices, and the main memory of all its ranks. limits: of this rank's textures.
+    sharing: how many ranks have this one's device.
     """
     if ranks.rank >= len(division.tiles):
         return
@@ -126,4 +139,12 @@ def check_fits(division: Split, ranks: Ranks, memory: Memory, limits: Limits, sh
             f"{tile.texels} texels with a halo of {division.halo} need a texture that exceeds this GPU's limits"
             f" ({limits.side} texels a side, {amount(limits.texture)}); start more ranks, or lower the number of"
             " observations or the number of particles"
+        )
+    busy = min(ranks.locals, len(division.tiles))
+    if division.host(tile) > memory.host // busy:
+        raise InputError(
+            f"{tile.texels} texels with a halo of {division.halo} take {amount(division.host(tile))} of main memory,"
+            f" where there are {amount(memory.host // busy)} for each of {busy} ranks on this machine"
+            f" ({memory.host_from}); start fewer ranks on each machine and more machines, or state the memory with"
+            " --memory host=…"
         )

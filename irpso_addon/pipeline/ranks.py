@@ -152,7 +152,7 @@ def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worke
     # Rank 0 splits the geometry itself: devices may differ in texels at a border.
     surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
     division = ranks.broadcast(ranks.agreed(lambda: _split(ranks, job, surface)))
-    ranks.agreed(lambda: _check_fits(ranks, job, division, sharing, options.checkpoint_every is not None))
+    ranks.agreed(lambda: _check_fits(ranks, options, job, division, sharing))
     if options.dry_run:
         return None, division
     partition = _partition(ranks, job, division, present(surface))
@@ -177,12 +177,13 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     return split(coverage, within_limits(cost, coverage, limits), ranks.size, borders)
 
 
-def _check_fits(ranks: Ranks, job: Job, division: Split, sharing: int, gathers: bool) -> None:
-    """Raise InputError where memory is too small. gathers: whether checkpoints gather all state on rank 0."""
+def _check_fits(ranks: Ranks, options: Namespace, job: Job, division: Split, sharing: int) -> None:
+    """Raise InputError where memory is too small."""
     free = context.free_device_memory()
-    memory = machine_memory(job.memory, str(context.describe()["renderer"]), free)
+    held = 0 if options.dry_run else ranks.locals * division.geometry  # every rank has made it
+    memory = machine_memory(job.memory, str(context.describe()["renderer"]), free, held)
     check_fits(division, ranks, memory, device_limits(free), sharing)
-    if ranks.leads and gathers:
+    if ranks.leads and options.checkpoint_every is not None:
         check_gathered(division, memory)
 
 

@@ -13,10 +13,10 @@ from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
-_BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
+BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
 _EXCHANGED = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
 _RAY = 104  # host bytes per ray while an exchange is made (measured)
-_PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
+PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
 _TEXTURE, _SHARE = 1 << 30, 8  # bytes of one texture that software GL allows; divisor of a large device memory
 _MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
@@ -337,7 +337,7 @@ def _storage(
     stack = cost.stacks * stack_bytes(cost, texels)
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
-    needed = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
+    needed = _PREPARING + (BAKE + PREPARED) * texels + maps + max(tile.host for tile in tiles)
     if cost.rounds:
         needed += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]

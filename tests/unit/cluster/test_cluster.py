@@ -79,6 +79,22 @@ def test_a_rank_whose_samples_exceed_one_texture_says_so():
         check_fits(found, FakeRanks([]), memory, Limits(side=255), sharing=1)
 
 
+def test_a_rank_counts_its_window_of_all_photographs_and_the_whole_geometry():
+    schedule, sizes = load_schedule("swarm"), {}
+    for rounds in (0, 1):
+        lit = schedule.replaced(interreflection_rounds=rounds)
+        found = split(np.ones((256, 256), bool), recovery_cost(load_model("lambert"), lit, (), 15, held_out=3), 2)
+        sizes[rounds] = found.host(found.tiles[1])
+    window = 256 * (128 + NEED.reach)
+    assert sizes[1] - sizes[0] == 16 * 15 * window  # a second stack, held-out photographs included
+    plain = split(np.ones((256, 256), bool), recovery_cost(load_model("lambert"), schedule, (), 15, held_out=3), 2)
+    assert sizes[0] - plain.tiles[1].host == 65 * 256 * 256 + (28 + 16 * 15) * window
+    least = 2 * max(map(plain.host, plain.tiles))
+    check_fits(plain, FakeRanks([]), Memory(1 << 40, least), Limits(), sharing=1)
+    with pytest.raises(InputError, match="of main memory, .* for each of 2 ranks on this machine"):
+        check_fits(plain, FakeRanks([]), Memory(1 << 40, least - 2), Limits(), sharing=1)
+
+
 def test_rank_0_alone_holds_rays():
     lit = recovery_cost(load_model("lambert"), load_schedule("swarm").replaced(interreflection_rounds=1), (), 12)
     plain, found = (split(np.ones((256, 256), bool), each, 4) for each in (NEED, lit))
