@@ -14,9 +14,9 @@ from ...geometry.domain import Domain
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..settings.levels import level_schedules
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
-from .reconfigure import warm_started
 from .recovery import Recovery
 from .successive import Successive
 
@@ -103,20 +103,6 @@ class Pyramid(Successive):
             for measured in (maps.confidence, maps.alternatives)
         )
         return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
-
-
-def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
-    """Return the schedules of the levels, coarsest first; finer ones start from earlier estimates and are shorter."""
-    first = schedule.replaced(levels=1)
-    part = schedule.level_iterations
-    stages = tuple(replace(stage, iterations=_shortened(stage.iterations, part)) for stage in first.stages)
-    prefit = replace(first.prefit, iterations=_shortened(first.prefit.iterations, part))
-    finer = replace(warm_started(first.replaced(prefit=prefit)), stages=stages)
-    return (first, *[finer] * (schedule.levels - 1))
-
-
-def _shortened(iterations: int, part: float) -> int:
-    return max(1, round(part * iterations)) if iterations else 0
 
 
 def _sizes(

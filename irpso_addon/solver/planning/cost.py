@@ -12,6 +12,7 @@ from ..kernels.encoding import blocks_of
 from ..kernels.refinement import PROPAGATION_REACH, renders
 from ..phases import neighbour_test, separation
 from ..phases.swarm import particle_count, reach_at
+from ..settings.levels import level_schedules
 from ..settings.resolve import (
     Resolved,
     ResolvedIndirect,
@@ -147,8 +148,11 @@ def recovery_cost(
     light = schedule.interreflection
     exchange = (light.rounds, light.resolution**2, light.rays) if light.rounds else (0, 0, 0)
     counts = observations - held_out, observations, model.components
-    work = (1 + light.rounds) * sum(sum(work_of(stage, model, schedule, counts[0])) for stage in stages)
-    work *= 1 + OVERHEAD / counts[0]
+    work = 0.0
+    for halvings, level in enumerate(reversed(level_schedules(schedule))):
+        phases_of = resolve(level, model, set(fixed), counts[0])
+        work += sum(sum(work_of(stage, model, level, counts[0])) for stage in phases_of) / 4**halvings
+    work *= (1 + light.rounds) * (1 + OVERHEAD / counts[0])
     return Cost(*counts, phases, compute, -(-numbers // 4), *exchange, work)
 
 

@@ -24,11 +24,22 @@ from ..engine.engine import RecoveryEngine
 from ..engine.interreflection import InterreflectionRounds
 from ..engine.recovery import Recovery
 from ..engine.tiled import TiledRecovery
-from ..settings.schedule import Schedule, refuse_levels
+from ..settings.levels import refuse_levels
+from ..settings.schedule import Schedule
 from ..state.prepare import Prepared
 from .cost import recovery_cost
-from .memory import machine_memory
-from .plan import Borders, Limits, Plan, largest_texture, plan_recovery, stack_bytes
+from .memory import amount, machine_memory
+from .plan import (
+    Borders,
+    Limits,
+    Plan,
+    fits_textures,
+    largest_texture,
+    plan_recovery,
+    stack_bytes,
+    tile_of,
+    within_limits,
+)
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
@@ -62,7 +73,14 @@ def make_plan(
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):
-        refuse_levels(schedule)
+        whole = tile_of(coverage, (0, 0, *plan.shape[::-1]), within_limits(cost, coverage, limits), borders)
+        if fits_textures(whole, cost, limits):
+            refuse_levels(schedule)
+        refuse_levels(
+            schedule,
+            f"the domain exceeds this GPU's textures ({limits.side} texels a side, {amount(limits.texture)})",
+            "choose fewer photographs, or a smaller --scale or --resolution",
+        )
     return plan
 
 

@@ -57,6 +57,12 @@ def test_evaluations_and_exchanges_are_counted_over_all_iterations():
     assert (alone.reach, alone.exchanges) == (0, 0)
 
 
+def test_the_work_of_levels_is_that_of_ever_smaller_maps():
+    work = {n: recovery_cost(load_model("lambert"), SWARM.replaced(levels=n), (), 100).work for n in (1, 3)}
+    # Nine particles are placed and searched for 60 iterations; finer levels have 0.4 of these.
+    assert work[3] / work[1] == pytest.approx((69 / 16 + 33 / 4 + 33) / 69)
+
+
 # ---- tiles ---------------------------------------------------------------------------------------------------------
 
 
