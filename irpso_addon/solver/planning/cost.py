@@ -79,7 +79,8 @@ class Cost:
 
     observations: fitted ones. observed: fitted and held out. components: of the model. compute: passes are compute
     dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives. rounds: of
-    interreflection, over at most ``elements`` elements with ``rays`` rays each. work: per texel, as in ``work_of``.
+    interreflection, over at most ``elements`` elements with ``rays`` rays each. levels: map sizes, of which each
+    coarse one has samples of its own. work: per texel, as in ``work_of``.
     """
 
     observations: int
@@ -91,6 +92,7 @@ class Cost:
     rounds: int = 0
     elements: int = 0
     rays: int = 0
+    levels: int = 1
     work: float = 0.0
 
     @property
@@ -153,7 +155,7 @@ def recovery_cost(
         phases_of = resolve(level, model, set(fixed), counts[0])
         work += sum(sum(work_of(stage, model, level, counts[0])) for stage in phases_of) / 4**halvings
     work *= (1 + light.rounds) * (1 + OVERHEAD / counts[0])
-    return Cost(*counts, phases, compute, -(-numbers // 4), *exchange, work)
+    return Cost(*counts, phases, compute, -(-numbers // 4), *exchange, schedule.levels, work)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

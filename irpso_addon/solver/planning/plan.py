@@ -334,7 +334,8 @@ def _storage(
 
     texels: number of texels of the domain, covered or not.
     """
-    stack = cost.stacks * stack_bytes(cost, texels)
+    coarse = sum(-(-texels // 4**halvings) for halvings in range(1, cost.levels))
+    stack = cost.stacks * stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
     needed = _PREPARING + (BAKE + PREPARED) * texels + maps + max(tile.host for tile in tiles)

@@ -123,16 +123,16 @@ def planned_recovery(
     interreflection.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
+    stack_scratch = scratch if plan.stack_on == "scratch" else None
     if schedule.levels > 1 and untiled(plan):
-        return Pyramid(*settings)
+        return Pyramid(*settings, stack_scratch)
     solve: Callable[..., RecoveryEngine] = Recovery
     if not untiled(plan):
         folder = scratch if plan.state_on == "scratch" else None
         solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
     if surroundings is None:
         return solve(*settings, prepared=prepared)
-    folder = scratch if plan.stack_on == "scratch" else None
-    return InterreflectionRounds(*settings, surroundings, prepared, folder, solve)
+    return InterreflectionRounds(*settings, surroundings, prepared, stack_scratch, solve)
 
 
 def untiled(plan: Plan) -> bool:

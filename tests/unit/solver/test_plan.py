@@ -208,6 +208,20 @@ def test_no_more_rays_are_counted_than_texels_have():
         plan_recovery(np.ones((256, 256), bool), cost, PLENTY, Limits(texture=(1 << 30) - 1))
 
 
+def test_levels_hold_the_samples_of_every_coarse_map():
+    plans = {
+        n: plan_recovery(
+            disc(64, 30),
+            recovery_cost(load_model("lambert"), SWARM.replaced(levels=n), (), 100, held_out=10),
+            PLENTY,
+            stack_on="scratch",
+        )
+        for n in (1, 3)
+    }
+    assert plans[3].scratch - plans[1].scratch == 16 * 90 * (32 * 32 + 16 * 16)
+    assert plans[3].host == plans[1].host
+
+
 def test_an_existing_stack_stays_where_it_is():
     assert plan_recovery(disc(64, 30), cost_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
 
