@@ -15,18 +15,19 @@ _LINE_EVERY, _LINE_SECONDS = 0.1, 60  # part of the work, and seconds, from line
 class ProgressBar:
     """Bar and time left: one updated line on a terminal, elsewhere a line per minute.
 
-    tenths: without a terminal also a line per tenth of the work.
+    tenths: without a terminal also a line per tenth of the work. extrapolated: whether the bar estimates the time left
+    where ``show`` gets none.
     """
 
-    def __init__(self, label: str, quiet: bool = False, tenths: bool = True):
-        self._label, self._quiet, self._tenths = label, quiet, tenths
+    def __init__(self, label: str, quiet: bool = False, tenths: bool = True, extrapolated: bool = True):
+        self._label, self._quiet, self._tenths, self._extrapolated = label, quiet, tenths, extrapolated
         self._start = self._written = time.perf_counter()
         self._first: tuple[float, float] | None = None
         self._shown = -1.0
         self._terminal = sys.stderr.isatty()
 
     def show(self, fraction: float, detail: str = "", left: float | None = None) -> None:
-        """Show that ``fraction`` (0…1) of the work is done. left: seconds; None to extrapolate."""
+        """Show that ``fraction`` (0…1) of the work is done. left: seconds; None where unknown."""
         now = time.perf_counter()
         self._first = self._first or (now, fraction)
         tenth = self._tenths and (fraction >= self._shown + _LINE_EVERY or fraction >= 1)
@@ -61,7 +62,7 @@ class ProgressBar:
         start, first = self._first or (now, fraction)
         if fraction >= 1:
             return f"  {now - self._start:.1f} s"
-        if left is None and fraction <= first:
+        if left is None and (fraction <= first or not self._extrapolated):
             return ""
         left = (now - start) * (1 - fraction) / (fraction - first) if left is None else left
         return f"  {int(left // 60)}:{int(left % 60):02d} left"

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from ..capture.bounds import bounded, weight_and_clipped
 from .domain import Domain, GeometryBake, with_texels
+from .samples import new_stack
 from .seams.seams import SeamMap, seam_map
 
 _SHORT = 1e-6  # length of a mean of unit vectors; shorter means have no direction, as on two sides of a thin wall
@@ -19,18 +21,23 @@ _OTHER_ISLAND = 1e-6  # weight of another island's coarse texel: matters only wh
 _NEAR, _FAR = 0.75, 0.25  # bilinear weights: a texel's centre lies a quarter of a coarse texel off its cell's
 
 
-def coarser(domain: Domain) -> Domain:
+def coarser(domain: Domain, scratch: Path | None = None) -> Domain:
     """Return the domain at half the size, rounded up: radiance averaged by weight, the rest over covered texels.
 
     A sample's weight is the mean of its texels' weights. Where all of these are clipped, it is a lower bound, else the
-    clipped ones do not count. Raises ValueError for a tile with a halo.
+    clipped ones do not count. scratch: folder of a mapped file for the samples, None for memory. Raises ValueError for
+    a tile with a halo.
     """
     if any(domain.halo):
         raise ValueError("a tile with a halo has no coarser domain: its cells would differ from the whole domain's")
     x, y = domain.origin
-    stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack.layers()])
+    bake = _coarser_bake(domain.bake)
+    height, width = bake.coverage.shape
+    stack = new_stack(domain.observations, height, width, scratch)
+    for observation, layer in enumerate(domain.stack.layers()):
+        stack.put(observation, _coarser_layer(layer, domain.bake.coverage))
     seams = None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage)
-    return replace(with_texels(domain, _coarser_bake(domain.bake), stack, seams), origin=(x // 2, y // 2))
+    return replace(with_texels(domain, bake, stack.values, seams), origin=(x // 2, y // 2))
 
 
 def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool = False) -> np.ndarray:

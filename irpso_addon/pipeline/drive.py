@@ -66,7 +66,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         saver.before = float(notes.pop(_ELAPSED, 0.0))
         notes.pop(_PREVIEWED, None)
         history.take(notes)
-    bar, time_left = ProgressBar("recover", quiet), TimeLeft()
+    bar, time_left = ProgressBar("recover", quiet, extrapolated=False), TimeLeft()
     iterations = 1
     with delayed_signals() as interrupted:
         progress = recovery.progress

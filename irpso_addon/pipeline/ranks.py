@@ -31,7 +31,8 @@ from ..solver.engine.interreflection import InterreflectionRounds
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
-from ..solver.planning.planning import covered_texels, uv_borders
+from ..solver.planning.plan import within_limits
+from ..solver.planning.planning import covered_texels, device_limits, uv_borders
 from .job import Job
 from .run import READ, Run, in_solver_frames
 
@@ -153,7 +154,7 @@ def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worke
     # Rank 0 splits the geometry itself: devices may differ in texels at a border.
     surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
     division = ranks.broadcast(ranks.agreed(lambda: _split(ranks, job, surface)))
-    ranks.agreed(lambda: _check_fits(ranks, job, division, sharing, options.checkpoint_every is not None))
+    ranks.agreed(lambda: _check_fits(ranks, options, job, division, sharing))
     if options.dry_run:
         return None, division
     partition = _partition(ranks, job, division, present(surface))
@@ -174,14 +175,17 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
     height, width = coverage.shape
     borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))
-    return split(coverage, cost, ranks.size, borders)
+    limits = device_limits(context.free_device_memory())
+    return split(coverage, within_limits(cost, coverage, limits), ranks.size, borders)
 
 
-def _check_fits(ranks: Ranks, job: Job, division: Split, sharing: int, gathers: bool) -> None:
-    """Raise InputError where memory is too small. gathers: whether checkpoints gather all state on rank 0."""
-    memory = machine_memory(job.memory, str(context.describe()["renderer"]), context.free_device_memory())
-    check_fits(division, ranks, memory, sharing)
-    if ranks.leads and gathers:
+def _check_fits(ranks: Ranks, options: Namespace, job: Job, division: Split, sharing: int) -> None:
+    """Raise InputError where memory is too small."""
+    free = context.free_device_memory()
+    held = 0 if options.dry_run else ranks.locals * division.geometry  # every rank has made it
+    memory = machine_memory(job.memory, str(context.describe()["renderer"]), free, held)
+    check_fits(division, ranks, memory, device_limits(free), sharing)
+    if ranks.leads and options.checkpoint_every is not None:
         check_gathered(division, memory)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,9 +15,9 @@ from ...geometry.domain import Domain
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..settings.levels import level_schedules
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
-from .reconfigure import warm_started
 from .recovery import Recovery
 from .successive import Successive
 
@@ -27,7 +28,8 @@ class Pyramid(Successive):
     """A ``RecoveryEngine`` over ``levels`` sizes of a domain. With one level it is a Recovery.
 
     schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that finer levels
-    run. Arguments and errors are as for Recovery; a domain with a halo raises ValueError.
+    run. scratch: folder of a file for the coarse samples, None for memory. Other arguments and errors are as for
+    Recovery; a domain with a halo raises ValueError.
     """
 
     def __init__(
@@ -38,9 +40,10 @@ class Pyramid(Successive):
         seed: int = 0,
         fixed: Mapping[str, np.ndarray] | None = None,
         entry: EntryChoice = "auto",
+        scratch: Path | None = None,
     ):
         super().__init__(domain, model, schedule, seed, fixed, entry, level_schedules(schedule))
-        self._domains, self._fixed = _sizes(domain, model, self.fixed, schedule.levels)
+        self._domains, self._fixed = _sizes(domain, model, self.fixed, schedule.levels, scratch)
         self._count()
         self._live = self._begin(None)
 
@@ -105,28 +108,14 @@ class Pyramid(Successive):
         return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
 
 
-def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
-    """Return the schedules of the levels, coarsest first; finer ones start from earlier estimates and are shorter."""
-    first = schedule.replaced(levels=1)
-    part = schedule.level_iterations
-    stages = tuple(replace(stage, iterations=_shortened(stage.iterations, part)) for stage in first.stages)
-    prefit = replace(first.prefit, iterations=_shortened(first.prefit.iterations, part))
-    finer = replace(warm_started(first.replaced(prefit=prefit)), stages=stages)
-    return (first, *[finer] * (schedule.levels - 1))
-
-
-def _shortened(iterations: int, part: float) -> int:
-    return max(1, round(part * iterations)) if iterations else 0
-
-
 def _sizes(
-    domain: Domain, model: ReflectanceModel, fixed: dict[str, np.ndarray], levels: int
+    domain: Domain, model: ReflectanceModel, fixed: dict[str, np.ndarray], levels: int, scratch: Path | None
 ) -> tuple[list[Domain], list[dict[str, np.ndarray]]]:
     """Return the domains and the fixed maps of all levels, coarsest first."""
     domains, maps = [domain], [fixed]
     for _ in range(levels - 1):
         fine = domains[0]
-        coarse = coarser(fine)
+        coarse = coarser(fine, scratch)
         values = {n: coarser_map(fine, coarse, value, model.parameter(n).is_normal) for n, value in maps[0].items()}
         domains.insert(0, coarse)
         maps.insert(0, values)

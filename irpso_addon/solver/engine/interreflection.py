@@ -20,12 +20,12 @@ from ...geometry.samples import SampleStack
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..settings.levels import warm_started
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
 from ..views.indirect import IndirectLight
 from .engine import RecoveryEngine
-from .reconfigure import warm_started
 from .recovery import Recovery
 from .successive import Successive
 

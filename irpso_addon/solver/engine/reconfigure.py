@@ -20,10 +20,6 @@ from ..state import prepare
 from ..state.prepare import Prepared
 from ..state.textures import DomainTextures, Estimates
 
-# A factor on the preset's spread around the seed and on its first speeds, where the seed is an earlier result: with
-# 300 iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
-NARROWER = 0.3
-
 
 @dataclass
 class Begin:
@@ -92,14 +88,6 @@ def reusable(
         phase_continues = _settings_of(before, old[running]) == _settings_of(after, stages[index])
         swarms = None if phase_continues else _same_swarms(phase, model, before, after, stages[index])
     return Reuse(index, phase_continues, swarms, not _samples_differ(before.fitness, after.fitness))
-
-
-def warm_started(schedule: Schedule) -> Schedule:
-    """Return a schedule whose swarms begin around the current estimates, closer than around a first guess."""
-    swarm = schedule.swarm
-    return schedule.replaced(
-        seed="given", seed_spread=NARROWER * swarm.seed_spread, start_speed=NARROWER * swarm.start_speed
-    )
 
 
 def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> int:

@@ -26,6 +26,7 @@ from ..phases.prefit import FITNESS, AcceptanceTest
 from ..phases.separation import SEPARATION
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
+from ..settings.levels import warm_started
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
@@ -37,7 +38,7 @@ from .confidence import deviation_pass
 from .diagnostics import Diagnostics
 from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
-from .reconfigure import Begin, first_begin, reusable, samples_of, warm_started
+from .reconfigure import Begin, first_begin, reusable, samples_of
 from .watch import Note
 
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold

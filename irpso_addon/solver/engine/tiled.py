@@ -15,7 +15,8 @@ from ...gpu import context
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..settings.schedule import Schedule, refuse_levels
+from ..settings.levels import refuse_levels
+from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.checkpoint import NEVER, Checkpoint
 from ..state.layout import TexelLayout, joined, numbered

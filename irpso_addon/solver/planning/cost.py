@@ -12,6 +12,7 @@ from ..kernels.encoding import blocks_of
 from ..kernels.refinement import PROPAGATION_REACH, renders
 from ..phases import neighbour_test, separation
 from ..phases.swarm import particle_count, reach_at
+from ..settings.levels import level_schedules
 from ..settings.resolve import (
     Resolved,
     ResolvedIndirect,
@@ -79,7 +80,8 @@ class Cost:
     observations: fitted ones. observed: fitted and held out. components: of the model. compute: passes are compute
     dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives.
     recoveries: in turn, without those of matte rounds, which take little. rounds: of interreflection, over at most
-    ``elements`` elements with ``rays`` rays each. work: per texel, as in ``work_of``.
+    ``elements`` elements with ``rays`` rays each. levels: map sizes, of which each coarse one has samples of its own.
+    work: per texel, as in ``work_of``.
     """
 
     observations: int
@@ -92,6 +94,7 @@ class Cost:
     rounds: int = 0
     elements: int = 0
     rays: int = 0
+    levels: int = 1
     work: float = 0.0
 
     @property
@@ -152,9 +155,12 @@ def recovery_cost(
     exchange = (rounds, light.resolution**2, light.rays) if rounds else (0, 0, 0)
     counts = observations - held_out, observations, model.components
     recoveries = 1 + light.rounds
-    work = recoveries * sum(sum(work_of(stage, model, schedule, counts[0])) for stage in stages)
-    work *= 1 + OVERHEAD / counts[0]
-    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *exchange, work)
+    work = 0.0
+    for halvings, level in enumerate(reversed(level_schedules(schedule))):
+        phases_of = resolve(level, model, set(fixed), counts[0])
+        work += sum(sum(work_of(stage, model, level, counts[0])) for stage in phases_of) / 4**halvings
+    work *= recoveries * (1 + OVERHEAD / counts[0])
+    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *exchange, schedule.levels, work)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

@@ -13,10 +13,10 @@ from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
-_BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
+BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
 _EXCHANGED = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
 _RAY = 104  # host bytes per ray while an exchange is made (measured)
-_PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
+PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
 _TEXTURE, _SHARE = 1 << 30, 8  # bytes of one texture that software GL allows; divisor of a large device memory
 _MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
@@ -57,8 +57,9 @@ def largest_texture(free: int | None) -> int:
 class Tile:
     """Texels [x0, x0 + width) × [y0, y0 + height) of the domain, with their number and bytes.
 
-    texels: its own covered ones. device, host: bytes while it is solved, halo included. restored: bytes of its state;
-    two copies of it are on the device when its turn starts.
+    texels: its own covered ones. solved: these, its halo's, and ghosts. window: (H, W) of its rectangle with halo and
+    border of seams. device, host: bytes while it is solved. restored: bytes of its state; two copies of it are on
+    the device when its turn starts.
     """
 
     x0: int
@@ -66,9 +67,16 @@ class Tile:
     width: int
     height: int
     texels: int
+    solved: int
+    window: tuple[int, int]
     device: int
     host: int
     restored: int
+
+    @property
+    def device_in_turns(self) -> int:
+        """Bytes on the device while its state is restored."""
+        return self.device + self.restored
 
 
 @dataclass(frozen=True)
@@ -149,18 +157,7 @@ def plan_recovery(
     tiles. stack_on: place of a stack that has been read, or None. borders: of a mesh, whose seams need memory too.
     Raises InputError, with the setting's name, where even small tiles do not fit or no texel is covered.
     """
-    if cost.observations > limits.layers:
-        raise InputError(
-            f"{cost.observations} observations exceed this GPU's textures of {limits.layers} layers; hold some out"
-        )
-    if not coverage.any():
-        raise InputError("no texel is covered; raise the resolution or check the mask")
-    cost = replace(cost, elements=min(cost.elements, _texels(coverage)))
-    if FLOAT4 * cost.elements * cost.rays > limits.texture:
-        raise InputError(
-            f"interreflection: {cost.elements} elements of {cost.rays} rays exceed this GPU's textures of"
-            f" {amount(limits.texture)}; lower interreflection_resolution or interreflection_rays"
-        )
+    cost = within_limits(cost, coverage, limits)
     whole = (0, 0, coverage.shape[1], coverage.shape[0])
     fits = _fits(coverage, whole, cost, memory, limits, borders)
     boxes = [whole] if fits else _cut(coverage, cost, memory, limits, borders)
@@ -178,6 +175,26 @@ def plan_recovery(
         0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, passes,
         device, host, scratch, texels * cost.evaluations, texels * cost.work, memory,
     )  # fmt: skip
+
+
+def within_limits(cost: Cost, coverage: np.ndarray, limits: Limits) -> Cost:
+    """Return the cost with no more elements than covered texels, (H, W) bool. Raises InputError.
+
+    Errors: more observations or rays than a texture takes, no covered texel.
+    """
+    if cost.observations > limits.layers:
+        raise InputError(
+            f"{cost.observations} observations exceed this GPU's textures of {limits.layers} layers; hold some out"
+        )
+    if not coverage.any():
+        raise InputError("no texel is covered; raise the resolution or check the mask")
+    cost = replace(cost, elements=min(cost.elements, _texels(coverage)))
+    if FLOAT4 * cost.elements * cost.rays > limits.texture:
+        raise InputError(
+            f"interreflection: {cost.elements} elements of {cost.rays} rays exceed this GPU's textures of"
+            f" {amount(limits.texture)}; lower interreflection_resolution or interreflection_rays"
+        )
+    return cost
 
 
 def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
@@ -218,25 +235,21 @@ def _window(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 def tile_of(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> Tile:
     """Return a box of the covered texels, (H, W) bool, as a tile."""
-    texels, device, host = _tile_sizes(coverage, box, cost, borders)
     own = coverage[_window(box, 0, coverage.shape)]
-    return Tile(*box, _texels(own), device, host, restored_bytes(texels, cost))
-
-
-def _tile_sizes(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> tuple[int, int, int]:
-    """Return the number of texels of a tile with halo and ghosts, and its bytes on the device and on the host."""
     part = coverage[_window(box, cost.reach, coverage.shape)]
     texels, seams = _texels(part), 0
+    border = 0 if borders is None else 2 * SEAM_REACH
+    window = (part.shape[0] + border, part.shape[1] + border)
     if borders is not None:
         border_length = borders.length_in(box, cost.reach)
         ghosts = int(border_length * (cost.reach if cost.reach <= LARGEST_SEARCHED_HALO else SEAM_REACH))
         texels += min(ghosts, _texels(coverage) - texels)
-        bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.
         places = _grid_places(texels)
         layers = -(-int(border_length * SEAM_REACH) // places)
-        seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
-    return texels, device_bytes(texels, part.size, cost) + seams, host_bytes(texels, part.size, cost) + seams
+        seams = FLOAT4 * (window[0] * window[1] + layers * places) - FLOAT2 * part.size
+    device, host = (count(texels, part.size, cost) + seams for count in (device_bytes, host_bytes))
+    return Tile(*box, _texels(own), texels, window, device, host, restored_bytes(texels, cost))
 
 
 def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
@@ -248,7 +261,7 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            needs = {box: _device_in_turns(*_tile_sizes(coverage, box, cost, borders)[:2], cost) for box in small}
+            needs = {box: tile_of(coverage, box, cost, borders).device_in_turns for box in small}
             box = max(small, key=needs.__getitem__)
             rays = ", or interreflection_rays" if cost.rays else ""
             raise InputError(
@@ -294,25 +307,19 @@ def _fits(
     borders: Borders | None,
     in_turns: bool = False,
 ) -> bool:
-    texels, device, _ = _tile_sizes(coverage, box, cost, borders)
-    device = _device_in_turns(texels, device, cost) if in_turns else device
-    shape = coverage[_window(box, cost.reach, coverage.shape)].shape
-    border = 0 if borders is None else 2 * SEAM_REACH
-    return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), cost, limits)
+    tile = tile_of(coverage, box, cost, borders)
+    device = tile.device_in_turns if in_turns else tile.device
+    return device <= memory.device and fits_textures(tile, cost, limits)
 
 
-def _device_in_turns(texels: int, device: int, cost: Cost) -> int:
-    """Return the bytes of a tile on the device while its state is restored."""
-    return device + restored_bytes(texels, cost)
-
-
-def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limits) -> bool:
-    """Return whether every texture is within the device's limits. shape: of the window, with its border."""
-    places = _grid_places(texels)
+def fits_textures(tile: Tile, cost: Cost, limits: Limits) -> bool:
+    """Return whether every texture of a tile is within the device's limits."""
+    places = _grid_places(tile.solved)
     side = int(np.ceil(np.sqrt(places)))
-    height, width = shape if texels == shape[0] * shape[1] else (side, side)  # Packing leaves a full window as it is
+    full = tile.solved == tile.window[0] * tile.window[1]  # Packing leaves a full window as it is
+    height, width = tile.window if full else (side, side)
     tiles = max(phase.atlas for phase in cost.phases)
-    if max(*shape, side) > limits.side or places * FLOAT4 * cost.observations > limits.texture:
+    if max(*tile.window, side) > limits.side or places * FLOAT4 * cost.observations > limits.texture:
         return False
     try:
         atlas = plan_atlas(width, height, tiles, limits.side)
@@ -328,10 +335,11 @@ def _storage(
 
     texels: number of texels of the domain, covered or not.
     """
-    stack = cost.stacks * stack_bytes(cost, texels)
+    coarse = sum(-(-texels // 4**halvings) for halvings in range(1, cost.levels))
+    stack = cost.stacks * stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
-    needed = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
+    needed = _PREPARING + (BAKE + PREPARED) * texels + maps + max(tile.host for tile in tiles)
     if cost.rounds:
         needed += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]

@@ -24,11 +24,22 @@ from ..engine.engine import RecoveryEngine
 from ..engine.interreflection import InterreflectionRounds
 from ..engine.recovery import Recovery
 from ..engine.tiled import TiledRecovery
-from ..settings.schedule import Schedule, refuse_levels
+from ..settings.levels import refuse_levels
+from ..settings.schedule import Schedule
 from ..state.prepare import Prepared
 from .cost import recovery_cost
-from .memory import machine_memory
-from .plan import Borders, Limits, Plan, largest_texture, plan_recovery, stack_bytes
+from .memory import amount, machine_memory
+from .plan import (
+    Borders,
+    Limits,
+    Plan,
+    fits_textures,
+    largest_texture,
+    plan_recovery,
+    stack_bytes,
+    tile_of,
+    within_limits,
+)
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
@@ -54,17 +65,29 @@ def make_plan(
     memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on:
     place of a sample stack that has been read, or None. mesh: of the texels; its seams need memory too.
     """
-    device = context.describe()
     free = context.free_device_memory()
-    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
+    limits = device_limits(free)
     cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment", mesh is not None)
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
-    allowed = machine_memory(memory, str(device["renderer"]), free, held)
+    allowed = machine_memory(memory, str(context.describe()["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):
-        refuse_levels(schedule)
+        whole = tile_of(coverage, (0, 0, *plan.shape[::-1]), within_limits(cost, coverage, limits), borders)
+        if fits_textures(whole, cost, limits):
+            refuse_levels(schedule)
+        refuse_levels(
+            schedule,
+            f"the domain exceeds this GPU's textures ({limits.side} texels a side, {amount(limits.texture)})",
+            "choose fewer photographs, or a smaller --scale or --resolution",
+        )
     return plan
+
+
+def device_limits(free: int | None) -> Limits:
+    """Return the limits of this GPU's textures. free: bytes that the driver reports, or None."""
+    device = context.describe()
+    return Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
 
 
 def uv_borders(mesh: MeshData, shape: tuple[int, ...]) -> Borders:
@@ -100,16 +123,16 @@ def planned_recovery(
     interreflection.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
+    stack_scratch = scratch if plan.stack_on == "scratch" else None
     if schedule.levels > 1 and untiled(plan):
-        return Pyramid(*settings)
+        return Pyramid(*settings, stack_scratch)
     solve: Callable[..., RecoveryEngine] = Recovery
     if not untiled(plan):
         folder = scratch if plan.state_on == "scratch" else None
         solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
     if surroundings is None:  # of a card, which has no matte rounds
         return solve(domain, model, schedule.without_rounds(), seed, fixed, entry, prepared=prepared)
-    folder = scratch if plan.stack_on == "scratch" else None
-    return InterreflectionRounds(*settings, surroundings, prepared, folder, solve)
+    return InterreflectionRounds(*settings, surroundings, prepared, stack_scratch, solve)
 
 
 def untiled(plan: Plan) -> bool:

@@ -116,15 +116,6 @@ class Schedule:
         return result
 
 
-def refuse_levels(schedule: Schedule) -> None:
-    """Raise InputError where a schedule of several levels would have to be solved in tiles."""
-    if schedule.levels > 1:
-        raise InputError(
-            f"levels = {schedule.levels}: the domain does not fit in memory at once, and tiles are not solved coarse to"
-            " fine; set levels = 1, or allow more with --memory"
-        )
-
-
 def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
     """Raise InputError where a schedule has rounds of interreflection that cannot be made."""
     for name in ("rounds", "matte_rounds"):

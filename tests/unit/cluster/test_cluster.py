@@ -19,6 +19,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.halo import overlap_of, place_of
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.planning.plan import Limits
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import make_domain
 
@@ -61,10 +62,44 @@ def test_ranks_without_texels_have_no_box():
 def test_a_rank_whose_texels_do_not_fit_its_share_of_the_device_says_so():
     found = split(np.ones((256, 256), bool), NEED, 2)
     size = found.tiles[0].device
-    check_fits(found, FakeRanks([]), Memory(2 * size, 1 << 30), sharing=2)
-    check_fits(found, FakeRanks([]), Memory(size, 1 << 30), sharing=1)
+    check_fits(found, FakeRanks([]), Memory(2 * size, 1 << 30), Limits(), sharing=2)
+    check_fits(found, FakeRanks([]), Memory(size, 1 << 30), Limits(), sharing=1)
     with pytest.raises(InputError, match="start more ranks on more machines"):
-        check_fits(found, FakeRanks([]), Memory(2 * size - 2, 1 << 30), sharing=2)
+        check_fits(found, FakeRanks([]), Memory(2 * size - 2, 1 << 30), Limits(), sharing=2)
+
+
+def test_a_rank_whose_samples_exceed_one_texture_says_so():
+    found = split(np.ones((256, 256), bool), NEED, 2)
+    window = 256 * (128 + NEED.reach)
+    memory = Memory(1 << 40, 1 << 40)
+    check_fits(found, FakeRanks([]), memory, Limits(), sharing=1)
+    with pytest.raises(InputError, match="exceeds this GPU's limits .* start more ranks"):
+        check_fits(found, FakeRanks([]), memory, Limits(texture=16 * window * 12 - 1), sharing=1)
+    with pytest.raises(InputError, match="255 texels a side"):
+        check_fits(found, FakeRanks([]), memory, Limits(side=255), sharing=1)
+
+
+def test_a_rank_counts_its_window_of_all_photographs_and_the_whole_geometry():
+    schedule, sizes = load_schedule("swarm"), {}
+    for rounds in (0, 1):
+        lit = schedule.replaced(interreflection_rounds=rounds)
+        found = split(np.ones((256, 256), bool), recovery_cost(load_model("lambert"), lit, (), 15, held_out=3), 2)
+        sizes[rounds] = found.host(found.tiles[1])
+    window = 256 * (128 + NEED.reach)
+    assert sizes[1] - sizes[0] == 16 * 15 * window  # a second stack, held-out photographs included
+    plain = split(np.ones((256, 256), bool), recovery_cost(load_model("lambert"), schedule, (), 15, held_out=3), 2)
+    assert sizes[0] - plain.tiles[1].host == 65 * 256 * 256 + (28 + 16 * 15) * window
+    least = 2 * max(map(plain.host, plain.tiles))
+    check_fits(plain, FakeRanks([]), Memory(1 << 40, least), Limits(), sharing=1)
+    with pytest.raises(InputError, match="of main memory, .* for each of 2 ranks on this machine"):
+        check_fits(plain, FakeRanks([]), Memory(1 << 40, least - 2), Limits(), sharing=1)
+
+
+def test_rank_0_alone_holds_rays():
+    lit = recovery_cost(load_model("lambert"), load_schedule("swarm").replaced(interreflection_rounds=1), (), 12)
+    plain, found = (split(np.ones((256, 256), bool), each, 4) for each in (NEED, lit))
+    more = [tile.device - other.device for tile, other in zip(found.tiles, plain.tiles, strict=True)]
+    assert more == [16 * lit.elements * lit.rays, 0, 0, 0]
 
 
 def test_a_checkpoint_too_large_for_rank_0_is_refused_before_gathering():

@@ -7,6 +7,7 @@ import pytest
 
 from irpso_addon.geometry.coarsen import coarser, coarser_map, finer_map
 from irpso_addon.geometry.domain import tile
+from irpso_addon.geometry.samples import place_of
 from tests.builders.domains import make_domain, unit
 from tests.oracles.swarm import frames
 
@@ -126,3 +127,10 @@ def test_maps_go_up_bilinearly_between_solvable_texels_only():
             weight = max(0.0, 1 - away[0]) * max(0.0, 1 - away[1]) * solvable
             total, weights = total + (weight * values[r, c] if weight else 0), weights + weight
         np.testing.assert_allclose(found[y, x], total / weights if weights else -7.0, atol=1e-6)
+
+
+def test_coarse_samples_lie_in_a_scratch_file_where_the_plan_says_so(tmp_path):
+    domain = make_domain(7, 9)
+    stacks = [coarser(domain, folder).stack for folder in (None, tmp_path)]
+    assert [place_of(stack) for stack in stacks] == ["memory", "scratch"]
+    np.testing.assert_array_equal(stacks[0].values, stacks[1].values)

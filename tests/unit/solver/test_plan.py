@@ -59,6 +59,12 @@ def test_evaluations_and_exchanges_are_counted_over_all_iterations():
     assert rounds.evaluations == 3 * (9 + 60)
 
 
+def test_the_work_of_levels_is_that_of_ever_smaller_maps():
+    work = {n: recovery_cost(load_model("lambert"), SWARM.replaced(levels=n), (), 100).work for n in (1, 3)}
+    # Nine particles are placed and searched for 60 iterations; finer levels have 0.4 of these.
+    assert work[3] / work[1] == pytest.approx((69 / 16 + 33 / 4 + 33) / 69)
+
+
 # ---- tiles ---------------------------------------------------------------------------------------------------------
 
 
@@ -202,6 +208,20 @@ def test_no_more_rays_are_counted_than_texels_have():
     assert plan.device == device_bytes(128, 128, cost_of(10)) + 128 * 1024 * 16
     with pytest.raises(InputError, match="65536 elements of 1024 rays exceed .* lower interreflection_resolution"):
         plan_recovery(np.ones((256, 256), bool), cost, PLENTY, Limits(texture=(1 << 30) - 1))
+
+
+def test_levels_hold_the_samples_of_every_coarse_map():
+    plans = {
+        n: plan_recovery(
+            disc(64, 30),
+            recovery_cost(load_model("lambert"), SWARM.replaced(levels=n), (), 100, held_out=10),
+            PLENTY,
+            stack_on="scratch",
+        )
+        for n in (1, 3)
+    }
+    assert plans[3].scratch - plans[1].scratch == 16 * 90 * (32 * 32 + 16 * 16)
+    assert plans[3].host == plans[1].host
 
 
 def test_an_existing_stack_stays_where_it_is():
