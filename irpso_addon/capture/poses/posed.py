@@ -36,7 +36,8 @@ class PoseFile:
     def name_of(self, image_name: str, where: str) -> str:
         """Return the name of an image's camera: equal, else equal without case, else without suffix and case.
 
-        Folders that only one of the two names has are ignored; where both have some, these must agree from the last on.
+        Folders that only one of the two names has, or that all cameras share, are ignored; others must agree from the
+        last on.
         Raises CaptureError, beginning with ``where``, for none or several.
         """
         names = self._matches(image_name)
@@ -57,9 +58,8 @@ class PoseFile:
         names = [*self.cameras, *self.unusable]
         if image_name in names:
             return [image_name]
-        # Absolute paths (AliceVision's) may be those of another computer: the folders that all share say nothing.
-        absolute = all(PureWindowsPath(name).anchor for name in names)
-        shared = len(commonprefix([path_parts(name)[:-1] for name in names])) if absolute else 0
+        # The folders that all share say nothing: the photographs may have moved, or been developed, since.
+        shared = len(commonprefix([path_parts(name)[:-1] for name in names]))
         for key in (tuple, _lower, lambda parts: (*_lower(parts[:-1]), PurePosixPath(parts[-1].lower()).stem)):
             wanted = key(path_parts(image_name))
             parts = {name: key(path_parts(name)[shared:]) for name in names}

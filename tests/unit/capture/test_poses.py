@@ -366,7 +366,7 @@ def test_an_image_name_that_fits_several_cameras_must_be_whole(tmp_path):
 @pytest.mark.parametrize(
     ("names", "image", "found"),
     [
-        (["cam2/1.jpg"], "cam1/1.jpg", None),
+        (["images/1.jpg", "images/2.jpg"], "developed/1.exr", "images/1.jpg"),
         (["cam1/2.jpg", "cam2/1.jpg"], "cam1/1.jpg", None),
         (["cam1/2.jpg", "cam2/1.jpg"], "photos/cam1/1.jpg", None),
         (["cam1/1.jpg", "cam2/1.jpg"], "photos/cam1/1.jpg", "cam1/1.jpg"),
