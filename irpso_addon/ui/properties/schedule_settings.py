@@ -44,7 +44,8 @@ def _make_odd(self: ScheduleSettings, context: Any) -> None:
 
 
 def _has_rounds(self: ScheduleSettings) -> bool:
-    return self.interreflection_rounds > 0 or self.interreflection_matte_rounds > 0
+    matte = self.id_data.irpso.subject == "MESH" and self.interreflection_matte_rounds > 0
+    return self.interreflection_rounds > 0 or matte
 
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:

@@ -143,6 +143,16 @@ def test_the_switch_of_interreflection_sets_the_rounds_of_the_thorough_preset():
     assert settings().interreflection
 
 
+def test_matte_rounds_count_on_meshes_alone_and_go_off_with_the_switch():
+    settings().interreflection_matte_rounds = 1
+    bpy.context.scene.irpso.subject = "CARD"
+    assert not settings().interreflection
+    bpy.context.scene.irpso.subject = "MESH"
+    assert settings().interreflection
+    settings().interreflection = False
+    assert settings().interreflection_matte_rounds == settings().interreflection_rounds == 0
+
+
 def test_an_own_preset_holds_its_schedules_name_and_what_differs_and_comes_back(user_folder):
     settings().preset = "swarm"
     settings().delta, settings().particles = 0.07, 24
