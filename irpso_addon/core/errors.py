@@ -1,8 +1,14 @@
 """The program's exceptions. Each message names the fault, its place and the remedy."""
 
 import re
+from collections.abc import Sequence
 
 _SOURCE_LINE = re.compile(r"(\S+\.glsl:\d+(?::\d+)?):\s*(?:error:\s*)?(.+)", re.IGNORECASE)
+
+
+def some(names: Sequence[str], most: int = 6) -> str:
+    """Return the first names of a list as words of a message."""
+    return ", ".join(f"'{name}'" for name in names[:most]) + (", …" if len(names) > most else "")
 
 
 class IrpsoError(Exception):

@@ -13,7 +13,7 @@ from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
 from ..blender.materials.surface_check import check_surface
 from ..capture.types import Capture
-from ..core.errors import InputError
+from ..core.errors import InputError, some
 from ..core.optional import present
 from ..geometry.domain import Domain, subset
 from ..geometry.relief.height import Height
@@ -32,7 +32,6 @@ from .run import Run
 
 _NO_EXTRAS = DerivedMaps()
 _LEAST_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
-_LISTED = 6  # most names in a warning
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
@@ -110,11 +109,10 @@ def _unseen_warnings(domain: Domain, capture: Capture) -> list[str]:
     """Return a warning of the photographs whose cameras see no texel of the mesh."""
     if not domain.unseen:
         return []
-    names = [f"'{capture.observations[k].name}'" for k in domain.unseen]
-    shown = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
+    names = [capture.observations[k].name for k in domain.unseen]
     return [
         f"{len(names)} of the {len(capture.observations)} photographs show no texel of the mesh and are not used"
-        f" ({shown}): check the poses of their cameras, and the mesh's place and unit"
+        f" ({some(names)}): check the poses of their cameras, and the mesh's place and unit"
     ]
 
 

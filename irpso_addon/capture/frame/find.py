@@ -51,6 +51,11 @@ class DetectedCorners:
         return f"{points}, {by} in {self.photographs} of {self.read} photographs"
 
 
+def evenly_spaced(number: int, most: int) -> list[int]:
+    """Return at most so many of 0 … number − 1, evenly spaced from the first to the last."""
+    return sorted({round(k * (number - 1) / max(most - 1, 1)) for k in range(most)})
+
+
 def corner_steps(capture: Capture) -> Generator[float, None, DetectedCorners]:
     """Return the corners of the flat subject of one camera: the field of a marker board, or the dominant rectangle.
 
@@ -61,8 +66,7 @@ def corner_steps(capture: Capture) -> Generator[float, None, DetectedCorners]:
         raise CaptureError(
             f"corners auto: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", "corners"
         )
-    last = len(capture.observations) - 1
-    numbers = sorted({round(k * last / (_PICTURES - 1)) for k in range(_PICTURES)})
+    numbers = evenly_spaced(len(capture.observations), _PICTURES)
     pictures = []
     for done, number in enumerate(numbers):
         yield _READ * done / len(numbers)

@@ -11,12 +11,12 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
+from ...core.errors import some
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
 
 # EXIF orientation (2.3, tag 274) → quarter turns clockwise from the stored to the upright image; the others mirror.
 _TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
-_LISTED = 6  # most names in an error
 _SIZE = 0.75  # pixels: tolerance of a scaled image's height, for rounding
 _BACK = np.diag([1.0, -1.0, -1.0])  # y down and z away, as in computer vision, to y up and z toward the viewer
 
@@ -43,7 +43,7 @@ class PoseFile:
         names = self._matches(image_name)
         if len(names) > 1:
             raise CaptureError(
-                f"{where}: '{image_name}' may be any of {_some(names)} of {self.path}; give camera its whole name",
+                f"{where}: '{image_name}' may be any of {some(names)} of {self.path}; give camera its whole name",
                 "camera",
             )
         if names and names[0] in self.cameras:
@@ -51,7 +51,7 @@ class PoseFile:
         if names:
             why = f"its '{names[0]}' {self.unusable[names[0]]}"
         else:
-            why = f"it has no '{image_name}'; set camera to one that it has: {_some(list(self.cameras))}"
+            why = f"it has no '{image_name}'; set camera to one that it has: {some(list(self.cameras))}"
         raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
 
     def _matches(self, image_name: str) -> list[str]:
@@ -164,7 +164,3 @@ def path_parts(name: str) -> tuple[str, ...]:
 
 def _lower(parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(part.lower() for part in parts)
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names[:_LISTED]) + (", …" if len(names) > _LISTED else "")

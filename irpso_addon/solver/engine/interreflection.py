@@ -120,13 +120,14 @@ class InterreflectionRounds(Successive):
                 "after subtracting the light that the subject throws on itself, the maps fit the photographs worse than"
                 f" before (mean error {last:.2g}, {full[0]:.2g}); set interreflection_rounds=0"
             )
-        metallic = [p.name for p in self.model.parameters if p.socket == "Metallic"]
-        metal = max(((maps.values[name][self.domain.solvable] > 0.5).mean() for name in metallic), default=0.0)
-        if self._matte and not full and metal > _MOST_METAL:
-            lines.append(
-                f"{metal:.0%} of the surface is metal, whose light matte rounds do not know; set"
-                " interreflection_rounds=1"
-            )
+        if self.schedule.interreflection.rounds == 0:  # matte rounds alone
+            for name in (p.name for p in self.model.parameters if p.socket == "Metallic"):
+                metal = (maps.values[name][self.domain.solvable] > 0.5).mean()
+                if metal > _MOST_METAL:
+                    lines.append(
+                        f"{metal:.0%} of the surface is metal, whose light matte rounds do not know; set"
+                        " interreflection_rounds=1"
+                    )
         return tuple(lines)
 
     @property

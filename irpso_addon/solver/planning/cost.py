@@ -146,20 +146,20 @@ def recovery_cost(
     on_mesh: bool = False,
 ) -> Cost:
     """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError."""
-    stages = resolve(schedule, model, set(fixed), observations - held_out)
-    phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
+    fitted = observations - held_out
+    levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
+    phases = tuple(phase_cost(stage, model, schedule) for stage in levels[0][1])
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates(on_mesh)
     exchange = (rounds, light.resolution**2, light.rays) if rounds else (0, 0, 0)
-    counts = observations - held_out, observations, model.components
+    counts = fitted, observations, model.components
     recoveries = 1 + light.rounds
     work = 0.0
-    for halvings, level in enumerate(reversed(level_schedules(schedule))):
-        phases_of = resolve(level, model, set(fixed), counts[0])
-        work += sum(sum(work_of(stage, model, level, counts[0])) for stage in phases_of) / 4**halvings
-    work *= recoveries * (1 + OVERHEAD / counts[0])
+    for halvings, (level, stages) in enumerate(reversed(levels)):
+        work += sum(sum(work_of(stage, model, level, fitted)) for stage in stages) / 4**halvings
+    work *= recoveries * (1 + OVERHEAD / fitted)
     return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *exchange, schedule.levels, work)
 
 

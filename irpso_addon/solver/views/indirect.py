@@ -78,16 +78,25 @@ class IndirectLight:
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in rays]))
         self._inputs["u_received"], *self._targets = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(3))
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
-        shares, divisors = zip(*(beam_shares(domain, k, self._places) for k in range(domain.observations)), strict=True)
+        places = self._places
+        shares, divisors = zip(*(beam_shares(domain, k, places) for k in range(domain.observations)), strict=True)
         self._lit = exchange.lit * np.stack(shares)  # (K, E) fraction of each light's axial intensity
         self._divisors = np.stack(divisors)
 
     def at_texels(self, observation: int, radiance: np.ndarray) -> np.ndarray:
         """Return (T, 3) float32: the radiance of elements (E, 3), interpolated to the covered texels, row by row."""
-        divisor = beam_shares(self._domain, observation, np.nonzero(self.covered))[1][:, None]
         if self._detail is None:
-            return self.exchange.at_texels(radiance) / divisor
-        return self.exchange.at_texels(radiance / self._albedo) * (self._detail / divisor)
+            light = self.exchange.at_texels(radiance)
+        else:
+            light = self.exchange.at_texels(radiance / self._albedo) * self._detail
+        if self._domain.beams is None:
+            return light
+        return light / beam_shares(self._domain, observation, self._covered_places)[1][:, None]
+
+    @cached_property
+    def _covered_places(self) -> tuple[np.ndarray, ...]:
+        """Rows and columns of the covered texels."""
+        return np.nonzero(self.covered)
 
     @cached_property
     def shown(self) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from ...blender.images import decode
 from ...capture.bounds import without_bounds
 from ...capture.errors import CaptureError
+from ...capture.frame.find import evenly_spaced
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import without_damaged
 from ...capture.spec import build_capture
@@ -188,7 +189,7 @@ class Marking:
 
 def _spread(items: tuple[T, ...], most: int) -> tuple[T, ...]:
     """Return at most so many items, evenly spaced from the first to the last."""
-    return tuple(items[k] for k in sorted({round(k * (len(items) - 1) / max(most - 1, 1)) for k in range(most)}))
+    return tuple(items[k] for k in evenly_spaced(len(items), most))
 
 
 def _make_picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:

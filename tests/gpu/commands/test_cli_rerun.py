@@ -72,18 +72,24 @@ def test_an_interrupted_recovery_resumes_to_the_same_maps_bit_for_bit(recovered,
         assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
 
-def test_a_live_picture_shows_the_current_maps_until_the_result_exists(recovered, tmp_path, monkeypatch):
+def live_pictures(monkeypatch, read):
+    """Return a list that gets what ``read`` returns of the file of every live picture of a run."""
     from irpso_addon.pipeline import live
 
-    _, out, _ = recovered("lambert")
-    folder, seen = tmp_path / "out", []
-    show = live.LivePicture.show
+    show, seen = live.LivePicture.show, []
 
     def shown(self, maps):
         show(self, maps)
-        seen.append(blender_images.decode(folder / "live.png").values[..., :3])
+        seen.append(read(self._path))
 
     monkeypatch.setattr(live.LivePicture, "show", shown)
+    return seen
+
+
+def test_a_live_picture_shows_the_current_maps_until_the_result_exists(recovered, tmp_path, monkeypatch):
+    _, out, _ = recovered("lambert")
+    folder = tmp_path / "out"
+    seen = live_pictures(monkeypatch, lambda path: blender_images.decode(path).values[..., :3])
     options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 120, "--json", "-o", folder]
     assert run_cli(*options, "--live")[0] == 0
     assert len(seen) >= 40 and not (folder / "live.png").exists()
@@ -144,17 +150,8 @@ def test_a_live_picture_replaces_none_of_the_users(recovered, tmp_path):
 
 
 def test_a_live_picture_of_a_killed_run_without_a_checkpoint_is_replaced(recovered, tmp_path, monkeypatch):
-    from irpso_addon.pipeline import live
-
     _, out, _ = recovered("lambert")
-    folder, pictures = tmp_path / "out", []
-    show = live.LivePicture.show
-
-    def shown(self, maps):
-        show(self, maps)
-        pictures.append(self._path.read_bytes())
-
-    monkeypatch.setattr(live.LivePicture, "show", shown)
+    folder, pictures = tmp_path / "out", live_pictures(monkeypatch, Path.read_bytes)
     words = ["recover", out.parent / "lambert", "--model", "lambert", "--live", "--iterations", 1, "--quiet"]
     assert run_cli(*words, "-o", folder)[0] == 0
     left = tmp_path / "next" / "live.png"
