@@ -77,7 +77,8 @@ class Body:
             self.mesh, domain.bake, domain.lights, ray_caster(self.mesh), settings.resolution, settings.rays
         )
         with closing(IndirectLight(domain, run_steps(steps), model, maps, domain.solvable, bounces)) as light:
-            return np.stack([light.at_texels(k, light.of_elements(k)[0]) for k in range(domain.observations)])
+            radiance, _ = run_steps(light.of_elements())
+            return np.stack([light.at_texels(k, of_elements) for k, of_elements in enumerate(radiance)])
 
     def baked(self, samples: int) -> np.ndarray:
         """Return (40, T, 3), the light that Cycles bakes with the true material; the lights are distant."""

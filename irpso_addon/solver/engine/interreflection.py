@@ -149,12 +149,11 @@ class InterreflectionRounds(Successive):
     def indirect_in(self, domain: Domain) -> Generator[None, None, Callable[[int], np.ndarray | float]]:
         if self._at == 0 or self._samples is None:
             return lambda observation: 0.0
-        number, radiance = self._at - 1, []  # the round whose light was subtracted before the current recovery
+        number = self._at - 1  # the round whose light was subtracted before the current recovery
         light = yield from self._lighting(replace(domain, solvable=self.domain.solvable), self._bases[number])
         with closing(light):
-            for observation in range(domain.observations):
-                radiance.append(self._strengths[number] * light.of_elements(observation)[0])
-                yield
+            radiance, _ = yield from light.of_elements()
+            radiance *= self._strengths[number]
 
         def indirect(observation: int) -> np.ndarray:
             result = np.zeros((*domain.shape, 3), np.float32)
@@ -299,14 +298,7 @@ class InterreflectionRounds(Successive):
         first, relaxation = len(self._bases) == 1, 1.0 if self._known_shape else _RELAXATION
         with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
             exchange, covered = light.exchange, light.covered
-            radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
-            direct, indirect = np.zeros((2, len(exchange.texels)))
-            counted = light.seen | ~light.seen.any(axis=0)  # all, for an element that no photograph shows
-            for observation in range(domain.observations):
-                radiance[observation], own = light.of_elements(observation)
-                direct += counted[observation] * own
-                indirect += counted[observation] * radiance[observation].mean(axis=-1)
-                yield
+            radiance, direct = yield from light.of_elements()
             strength = light.strength(radiance)
             self._strengths.append(strength)
             if strength * radiance.mean() < _LEAST_SHARE * light.shown.mean():
@@ -329,7 +321,10 @@ class InterreflectionRounds(Successive):
             share[covered] = np.divide(subtracted, shown, out=np.zeros_like(subtracted), where=shown > 0)
             self._set_share(share)
             if self._known_shape:
-                part = strength * indirect / np.maximum(strength * indirect + direct, 1e-12)
+                counted = light.seen | ~light.seen.any(axis=0)  # all, for an element that no photograph shows
+                own = (counted * direct).sum(axis=0, dtype=np.float64)
+                indirect = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
+                part = indirect / np.maximum(indirect + own, 1e-12)
                 self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > _MOST_INDIRECT
                 self._dominated &= domain.solvable
                 for name, value in light.materials.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from ...geometry.light.exchange import Exchange
 from ...geometry.light.light_shape import beam_shares
 from ...gpu import context, textures
 from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import exchange_pass
+from ..kernels.kernels import EXCHANGED, exchange_pass
 from ..state.prepare import light_vectors
 from ..state.textures import observation_defines
 from .forward import render_inputs
@@ -29,7 +29,7 @@ _MOST_STRENGTH = 30.0
 # lobe sends the same light. In a glazed mouth, of roughness 0.15, it lowers the normal error from 2.6 to 2.1°.
 _LEAST_ROUGHNESS = 0.3
 _MOST_NOISE = 3.0  # factor between a dark sample and the median of all; beyond it a lamp reaches the sample
-_BRANCHES = 8  # rays followed from the element that a ray hits, in the pass to the camera
+_BRANCHES = 4  # rays followed from the element that a ray hits, in the pass to the camera
 
 
 class IndirectLight:
@@ -60,27 +60,31 @@ class IndirectLight:
         self._shape = -(-count // columns), columns
         self.materials = self._materials(model, values, known)
         least = _least_values(model)
-        lighting = {
+        wide = {
             name: np.maximum(value, np.float32(least[name])) if name in least else value
             for name, value in self.materials.items()
         }
         albedo = next((p.name for p in model.parameters if p.is_albedo), None)
         self._detail: np.ndarray | None = None  # (T, 3) albedo of the covered texels
         if albedo is not None:
-            self._albedo = lighting[albedo]
+            self._albedo = wide[albedo]
             own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
             self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.map_arrays(lambda flat: self._grid(_flat(flat)[exchange.texels]))
-        materials = {name: self._grid(value) for name, value in lighting.items()}
-        self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
-        rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
-        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in rays]))
-        self._inputs["u_received"], *self._targets = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(3))
+        materials = {name: self._grid(value) for name, value in wide.items()}
+        self._groups = _of_one_view(domain.views)
+        columns = np.concatenate([np.pad(group, (0, EXCHANGED - len(group)), "edge") for group in self._groups])
+        lighting = domain.lights[columns], domain.intensities[columns], domain.views[columns]
+        self._inputs = render_inputs(bake, model, materials, *lighting)
+        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in _hits_first(exchange)]))
+        self._unlit, *self._targets = (
+            [textures.empty(*self._shape[::-1], value=0.0) for _ in range(EXCHANGED)] for _ in range(3)
+        )
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
         places = self._places
         shares, divisors = zip(*(beam_shares(domain, k, places) for k in range(domain.observations)), strict=True)
-        self._lit = exchange.lit * np.stack(shares)  # (K, E) fraction of each light's axial intensity
+        self._lit = exchange.lit * np.float32(shares)  # (K, E) fraction of each light's axial intensity
         self._divisors = np.stack(divisors)
 
     def at_texels(self, observation: int, radiance: np.ndarray) -> np.ndarray:
@@ -141,32 +145,45 @@ class IndirectLight:
         near = (ratio >= middle / _MOST_NOISE) & (ratio <= middle * _MOST_NOISE)
         return min(weighted_median(ratio[near], np.sqrt(shown[near] * predicted[near])), _MOST_STRENGTH)
 
-    def of_elements(self, observation: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (E, 3) float32: the indirect radiance of the elements in one observation.
+    def of_elements(self) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
+        """Yield often; return (K, E, 3) float32: the indirect radiance of the elements in each observation.
 
-        And (E,): the direct radiance of the same materials, mean of the channels.
+        And (K, E): the direct radiance of the same materials, mean of the channels.
         """
-        lit = self._grid(self._lit[observation])
-        inputs = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
-        received, (target, other) = inputs["u_received"], self._targets
+        count = len(self.exchange.texels)
+        indirect, direct = np.empty((*self._lit.shape, 3), np.float32), np.empty(self._lit.shape, np.float32)
+        for number, group in enumerate(self._groups):
+            lit = np.zeros((count, EXCHANGED), np.float32)
+            lit[:, : len(group)] = self._lit[group].T
+            inputs = {**self._inputs, "u_lit": textures.upload(self._grid(lit))}
+            for observation, texture in zip(group, self._exchanged(number, inputs), strict=False):
+                radiance = textures.download(texture).reshape(-1, 4)[:count]
+                indirect[observation], direct[observation] = radiance[:, :3], radiance[:, 3]
+            yield
+        return indirect, direct
+
+    def _exchanged(self, number: int, inputs: Mapping[str, textures.Texture]) -> list[textures.Texture]:
+        """Return a texture for each observation of a group: indirect radiance, and direct in alpha."""
+        received, (target, other) = self._unlit, self._targets
         constants = {
-            "u_observation": observation, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
+            "u_observation": number * EXCHANGED, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
         }  # fmt: skip
         branches = _BRANCHES if self._bounces > 1 else 0  # with branches the last pass computes two bounces
         passes = self._bounces - bool(branches)
         for left in reversed(range(passes)):
             last = left == 0
             bounce = {"u_to_camera": int(last), "u_branches": branches if last else 0}
-            self._pass.run([target], {**inputs, "u_received": received}, constants | bounce)
+            before = {f"u_received_{i}": texture for i, texture in enumerate(received)}
+            self._pass.run(target, {**inputs, **before}, constants | bounce)
             received, target, other = target, other, target
-        result = textures.download(received).reshape(-1, 4)[: len(self.exchange.texels)]
-        return result[:, :3], result[:, 3]
+        return received
 
     def close(self) -> None:
         """Free shader and textures."""
         self._pass.close()
         self._inputs.clear()
         self._targets.clear()
+        self._unlit.clear()
 
     def _grid(self, values: np.ndarray) -> np.ndarray:
         """Return (h, w, …): the grid of elements (E, …), with zeros at the end."""
@@ -197,6 +214,24 @@ class IndirectLight:
             squared = ((places[part, None] - places[others]) ** 2).sum(axis=-1)
             nearest[part] = others[squared.argmin(axis=1)] if len(part) else part
         return nearest
+
+
+def _of_one_view(views: np.ndarray) -> list[np.ndarray]:
+    """Return the numbers of observations with views (K, 4), at most EXCHANGED together and of one view."""
+    of_views, camera = np.unique(views, axis=0, return_inverse=True)
+    cameras = [np.flatnonzero(camera.ravel() == number) for number in range(len(of_views))]
+    return [own[at : at + EXCHANGED] for own in cameras for at in range(0, len(own), EXCHANGED)]
+
+
+def _hits_first(exchange: Exchange) -> np.ndarray:
+    """Return (R + 1, E, 4) float32: directions and hit elements, hits first, and a layer with their number."""
+    hit = exchange.hits >= 0
+    order = np.argsort(~hit, axis=0, kind="stable")
+    rays = np.zeros((len(order) + 1, len(exchange.texels), 4), np.float32)
+    rays[:-1, :, :3] = np.take_along_axis(exchange.directions, order[..., None], axis=0)
+    rays[:-1, :, 3] = np.take_along_axis(exchange.hits, order, axis=0)
+    rays[-1, :, 0] = hit.sum(axis=0)
+    return rays
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

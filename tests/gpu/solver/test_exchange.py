@@ -9,6 +9,7 @@ import pytest
 from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.capture.types import Light
 from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.domain import domain_of
 from irpso_addon.geometry.light.exchange import exchange_steps
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.views.indirect import IndirectLight
@@ -30,7 +31,7 @@ def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
     maps = maps_of(domain, base_color=albedo, **{name: (value,) for name, value in numbers.items()})
     exchange = exchange_of(mesh, domain, rays=rays)
     with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
-        return light.at_texels(0, light.of_elements(0)[0])
+        return light.at_texels(0, run_steps(light.of_elements())[0][0])
 
 
 @pytest.mark.parametrize("bounces", [1, 2, 4])
@@ -48,7 +49,7 @@ def test_elements_say_what_the_light_itself_makes_them_send():
     domain = cavity(mesh)
     maps = maps_of(domain, base_color=albedo)
     with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
-        np.testing.assert_allclose(light.of_elements(0)[1], albedo.mean(), rtol=0.02)
+        np.testing.assert_allclose(run_steps(light.of_elements())[1][0], albedo.mean(), rtol=0.02)
 
 
 def test_a_beam_lights_only_what_it_reaches():
@@ -65,10 +66,33 @@ def test_a_beam_lights_only_what_it_reaches():
     np.testing.assert_allclose((found * reached[:, None]).mean(axis=0), wanted, rtol=0.01)
 
 
-def test_half_a_sphere_keeps_half_of_it():
+@pytest.mark.parametrize("bounces", [1, 2, 3])
+def test_half_a_sphere_keeps_half_of_it_at_every_bounce(bounces):
     mesh = cavity_mesh(opening=0.0)
-    found = indirect(mesh, cavity(mesh), (0.6, 0.6, 0.6), 1, rays=256)
-    np.testing.assert_allclose(found.mean(), 0.5 * 0.6**2, rtol=0.01)
+    found = indirect(mesh, cavity(mesh), (0.6, 0.6, 0.6), bounces, rays=256)
+    wanted = sum(0.5**i * 0.6 ** (i + 1) for i in range(1, bounces + 1))
+    np.testing.assert_allclose(found.mean(), wanted, rtol=0.01)
+
+
+def test_observations_of_several_cameras_are_each_as_if_alone():
+    mesh, model = cavity_mesh(opening=0.0), load_model("metallic_roughness")
+    domain = cavity(mesh)
+    places, rng = np.array([(0.2, 0.1, -0.3), (0.0, 0.3, 0.1), (-0.4, 0.0, 0.0)]), np.random.default_rng(3)
+    lights = np.hstack([rng.uniform(-0.4, 0.4, (7, 3)), np.ones((7, 1))]).astype(np.float32)
+    views = np.hstack([places[[0, 1, 0, 2, 0, 0, 0]], np.ones((7, 1))]).astype(np.float32)
+    colours = rng.uniform(0.5, 1, (7, 3)).astype(np.float32)
+    maps = maps_of(domain, base_color=ALBEDO, roughness=(0.4,), metallic=(1.0,), specular=(0.5,))
+
+    def radiances(chosen):
+        stack = np.ones((len(chosen), *domain.shape, 4), np.float32)
+        own = domain_of(domain.bake, stack, lights[chosen], colours[chosen], views[chosen], card=False)
+        with closing(IndirectLight(own, exchange_of(mesh, own), model, maps, own.solvable, 3)) as light:
+            return run_steps(light.of_elements())
+
+    together = radiances(range(7))
+    for k in range(7):
+        for all_of_them, alone in zip(together, radiances([k]), strict=True):
+            np.testing.assert_allclose(all_of_them[k], alone[0], rtol=1e-3, atol=1e-6)
 
 
 def sent_on_in_a_sphere(material, bounces, steps=48):

@@ -149,7 +149,7 @@ def test_neither_noise_nor_lamps_that_reach_dark_places_change_the_strength(bowl
         recovery.step()
         light = run_steps(recovery._lighting(domain, recovery._bases[-1]))
     with closing(light):
-        radiance = np.stack([light.of_elements(k)[0] for k in range(domain.observations)])
+        radiance, _ = run_steps(light.of_elements())
         wanted, rng = light.strength(radiance), np.random.default_rng(1)
         noise = np.exp(rng.normal(-0.5 * 0.5**2, 0.5, radiance.shape[:2]))[..., None]  # with a mean of 1
         assert light.strength(radiance * noise) == pytest.approx(wanted, rel=0.05)
