@@ -27,6 +27,11 @@ class LightOptions:
     degrees: float = 0.0
 
 
+def possible_schedule(schedule: Schedule, shadowed_mesh: bool) -> Schedule:
+    """Return a schedule without the matte rounds that are not possible. shadowed_mesh: with predicted shadows."""
+    return schedule if shadowed_mesh and schedule.levels == 1 else schedule.without_matte_rounds()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """One recovery and all its settings, checked.
@@ -59,6 +64,13 @@ class Job:
     resumed: Path | None = None
     source: tuple[Any, ...] | None = None
     warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "schedule", self.possible(self.schedule))
+
+    def possible(self, schedule: Schedule) -> Schedule:
+        """Return a schedule as the job runs it: matte rounds need a mesh that casts shadows, solved at one size."""
+        return possible_schedule(schedule, self.mesh is not None and self.shadows)
 
     @property
     def fitted(self) -> range:

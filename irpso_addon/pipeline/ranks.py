@@ -71,8 +71,7 @@ class RankedRun(Run):
         yield from ()
         job, solve = self.job, partial(RankedRecovery, self._leader)
         surroundings = self._surroundings()
-        schedule = job.schedule.without_rounds() if surroundings is None else job.schedule
-        settings = subset(domain, job.fitted), job.model, schedule, job.seed, self.fixed, job.entry
+        settings = subset(domain, job.fitted), job.model, job.schedule, job.seed, self.fixed, job.entry
         if surroundings is None:
             self.recovery = solve(*settings)
         else:
@@ -171,7 +170,7 @@ def _surface(job: Job) -> Surface:
 
 def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
-    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment", job.mesh is not None)
+    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment")
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
     height, width = coverage.shape
     borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))

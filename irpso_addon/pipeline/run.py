@@ -170,6 +170,7 @@ class Run:
 
     def change(self, schedule: Schedule) -> None:
         """Continue with another schedule from the current state. Raises InputError; then nothing has changed."""
+        schedule = self.job.possible(schedule)
         if schedule.levels != self.job.schedule.levels:
             raise InputError(
                 f"Levels: a running recovery has {self.job.schedule.levels}; set Levels back to this, or stop"
@@ -264,7 +265,7 @@ class Run:
     def _surroundings(self) -> Surroundings | None:
         """Return the ``Surroundings`` of interreflection; None for a schedule without its rounds."""
         job, settings = self.job, self.job.schedule.interreflection
-        if settings.estimates(job.mesh is not None) == 0:
+        if settings.estimates == 0:
             return None
         fineness = settings.resolution, settings.rays
         if job.mesh is not None:

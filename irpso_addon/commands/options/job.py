@@ -26,7 +26,7 @@ from ...core.udim import ONE_SQUARE
 from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import slot_names, slots_of_text
 from ...pipeline.drive import CHECKPOINT, check_every
-from ...pipeline.job import Job, LightOptions
+from ...pipeline.job import Job, LightOptions, possible_schedule
 from ...pipeline.live import LIVE, is_live_picture
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.derived_maps import DerivedMaps, normals_of_text
@@ -71,8 +71,9 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
     if options.memory:
         parse_memory(options.memory)
     _check_mesh_options(options)
-    _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
     subject, mesh, name = subject_of(options, opened)
+    schedule = possible_schedule(schedule, mesh is not None and options.shadows)
+    _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
     derived_maps_of(options).check(model)
     fixed = fixed_from_options(options.fixed, model, tiles)

@@ -143,7 +143,6 @@ def recovery_cost(
     observations: int,
     held_out: int = 0,
     compute: bool = False,
-    on_mesh: bool = False,
 ) -> Cost:
     """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError."""
     fitted = observations - held_out
@@ -152,7 +151,7 @@ def recovery_cost(
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
-    rounds = light.estimates(on_mesh)
+    rounds = light.estimates
     exchange = (rounds, light.resolution**2, light.rays) if rounds else (0, 0, 0)
     counts = fitted, observations, model.components
     recoveries = 1 + light.rounds

@@ -67,7 +67,7 @@ def make_plan(
     """
     free = context.free_device_memory()
     limits = device_limits(free)
-    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment", mesh is not None)
+    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
     allowed = machine_memory(memory, str(context.describe()["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
@@ -130,8 +130,8 @@ def planned_recovery(
     if not untiled(plan):
         folder = scratch if plan.state_on == "scratch" else None
         solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
-    if surroundings is None:  # of a card, which has no matte rounds
-        return solve(domain, model, schedule.without_rounds(), seed, fixed, entry, prepared=prepared)
+    if surroundings is None:
+        return solve(*settings, prepared=prepared)
     return InterreflectionRounds(*settings, surroundings, prepared, stack_scratch, solve)
 
 

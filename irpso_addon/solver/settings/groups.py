@@ -375,8 +375,9 @@ class Interreflection:
         " maps are recovered again. More takes longer; 0 is off", 0, soft_max=4,
     )  # fmt: skip
     matte_rounds: int = setting(
-        "Matte Rounds", "On a mesh: rounds before the first recovery, which take the surfaces for matte and find their"
-        " base colors alone. They are short. Where there is metal, set Rounds as well. 0 is off", 0, soft_max=4,
+        "Matte Rounds", "On a mesh with predicted shadows: rounds before the first recovery that take the surfaces for"
+        " matte and find their base colors alone. They are short. Where surfaces are not matte, a full round follows."
+        " 0 is off", 0, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
         "Resolution", "Largest number of surface elements along the longer side of the maps; light is exchanged"
@@ -395,9 +396,10 @@ class Interreflection:
         "Bounces", "Largest number of bounces of the light between surfaces", 3, least=1, most=16, soft_max=8
     )
 
-    def estimates(self, on_mesh: bool) -> int:
-        """Return how many times the light is estimated: matte rounds need a known shape."""
-        return self.rounds + self.matte_rounds * on_mesh
+    @property
+    def estimates(self) -> int:
+        """How many times the light is estimated."""
+        return self.rounds + self.matte_rounds
 
 
 @dataclass(frozen=True)

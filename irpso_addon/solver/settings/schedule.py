@@ -79,7 +79,11 @@ class Schedule:
 
     def without_rounds(self) -> Schedule:
         """Return a copy without rounds of interreflection."""
-        return self.replaced(interreflection_rounds=0, interreflection_matte_rounds=0)
+        return self.replaced(interreflection_rounds=0).without_matte_rounds()
+
+    def without_matte_rounds(self) -> Schedule:
+        """Return a copy without matte rounds, for a subject whose shape is not known."""
+        return self.replaced(interreflection_matte_rounds=0)
 
     def replaced(self, **changes: Any) -> Schedule:
         """Return a checked copy with other settings: names of Swarm, Fitness or Schedule fields. Raises InputError.
@@ -118,9 +122,8 @@ class Schedule:
 
 def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
     """Raise InputError where a schedule has rounds of interreflection that cannot be made."""
-    for name in ("rounds", "matte_rounds"):
-        if count := getattr(schedule.interreflection, name):
-            raise InputError(f"interreflection_{name} = {count}: {why}; {remedy}, or set it to 0")
+    if count := schedule.interreflection.rounds:
+        raise InputError(f"interreflection_rounds = {count}: {why}; {remedy}, or set it to 0")
 
 
 # Groups with defaults. A preset sets only what differs; without a group's table its phase does not run.

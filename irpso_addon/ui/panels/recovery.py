@@ -79,9 +79,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
     column = layout.column(align=True)
     column.scale_y = 0.9
-    job = running.job
-    rounds = job.schedule.interreflection.estimates(job.mesh is not None)
-    lines = 3 if rounds else 2  # a fixed number, so that buttons do not move
+    lines = 3 if running.job.schedule.interreflection.estimates else 2  # a fixed number, so that buttons do not move
     drawing.fact(column, context, "Now", iface(title[:1].upper() + title[1:]), lines)
     if progress is not None:
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")

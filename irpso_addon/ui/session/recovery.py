@@ -216,7 +216,7 @@ class Session:
         """
         if self.state != "paused" and not self.stopped:
             return
-        if schedule is not None and schedule != self.job.schedule:
+        if schedule is not None and self.job.possible(schedule) != self.job.schedule:
             self._replace_schedule(schedule)
         self.state = self._state_before_pause
         self._notify()

@@ -56,16 +56,28 @@ def test_a_run_resumes_in_and_after_matte_rounds(bowl, tmp_path):
             assert bits_of(recovery.maps()) == whole
 
 
-def test_matte_rounds_alone_say_that_they_do_not_know_metal(bowl):
-    model, schedule = load_model("metallic_roughness"), SINGLE.replaced(interreflection_matte_rounds=1)
-    for metallic, warned in ((1.0, True), (0.0, False)):
-        fixed = {"metallic": np.float32([metallic])}
-        with rounds_of(bowl, schedule, fixed, model) as recovery:
+def test_a_full_round_follows_where_surfaces_are_not_matte(tmp_path):
+    matte, shiny = matt_bowl(), matt_bowl()
+    quarter = shiny[0].solvable & (np.arange(shiny[0].shape[1]) < shiny[0].shape[1] // 4)
+    shiny[0].stack.values[:, quarter, :3] *= np.resize([3, 0], len(shiny[0].stack.values))[:, None, None]  # as lobes do
+    schedule = SINGLE.replaced(interreflection_matte_rounds=1)
+    found = []
+    for bowl, rounds in ((matte, 0), (shiny, 0), (shiny, 1)):
+        with rounds_of(bowl, schedule.replaced(interreflection_rounds=rounds)) as recovery:
             recovery.step()
-            assert any("is metal" in line for line in recovery.warnings) == warned
-    with rounds_of(bowl, schedule.replaced(interreflection_rounds=1), fixed, model) as recovery:
-        recovery.step()
-        assert not any("is metal" in line for line in recovery.warnings)
+            found.append((recovery._at, recovery.progress.stages, bits_of(recovery.maps())))
+    assert [at for at, *_ in found] == [1, 2, 2]
+    assert found[1] == found[2]
+    with rounds_of(shiny, schedule) as recovery:
+        for number in range(3):
+            while recovery._at < number:
+                recovery.step(2)
+            recovery.save(tmp_path / f"{number}.npz")
+    for number in range(3):
+        with rounds_of(shiny, schedule) as recovery:
+            recovery.load(tmp_path / f"{number}.npz")
+            recovery.step()
+            assert bits_of(recovery.maps()) == found[1][-1]
 
 
 def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
