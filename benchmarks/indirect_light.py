@@ -78,7 +78,8 @@ class Body:
         )
         with closing(IndirectLight(domain, run_steps(steps), model, maps, domain.solvable, bounces)) as light:
             radiance, _ = run_steps(light.of_elements())
-            return np.stack([light.at_texels(k, of_elements) for k, of_elements in enumerate(radiance)])
+            samples, covered = light.samples(radiance), np.nonzero(light.covered)
+            return np.stack([samples.at(k, *covered) for k in range(domain.observations)])
 
     def baked(self, samples: int) -> np.ndarray:
         """Return (40, T, 3), the light that Cycles bakes with the true material; the lights are distant."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
+from ..geometry.samples import SampleStack
 from ..solver.engine.halo import Part
 from .worker import Orders, Worker
 
@@ -15,7 +15,7 @@ class RankedStack:
     """A ``SampleStack`` (geometry/samples.py) over all ranks: each read gathers from them.
 
     orders: the ``Leader``. observations: their numbers on the ranks. part: the window of the domain. second: whether
-    the stack is the one that ``zeros_like`` makes, not the photographs.
+    the stack is the one that ``kept`` fills, not the photographs.
     """
 
     def __init__(self, orders: Orders, observations: Sequence[int] | np.ndarray, part: Part, second: bool = False):
@@ -35,13 +35,12 @@ class RankedStack:
     def layers(self) -> Iterator[np.ndarray]:
         return map(self.layer, range(len(self.observations)))
 
-    def zeros_like(self, scratch: Path | None = None) -> RankedStack:
+    def kept(self, derived: SampleStack) -> RankedStack:
+        """Copy a stack that is computed from this one to the second stack of the ranks, layer by layer."""
         self._orders.ask(Worker.make_second)
+        for number, layer in zip(self.observations.tolist(), derived.layers(), strict=True):
+            self._orders.scatter(Worker.put, (number, layer))
         return RankedStack(self._orders, self.observations, self._part, second=True)
-
-    def put(self, observation: int, layer: np.ndarray) -> None:
-        self._last = None
-        self._orders.scatter(Worker.put, (int(self.observations[observation]), layer, self.second))
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         down, across = (side.start for side in self._part)

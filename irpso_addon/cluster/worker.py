@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.optional import present
 from ..geometry.domain import Domain, subset, tile, with_lights
-from ..geometry.samples import SampleStack
+from ..geometry.samples import ArrayStack, SampleStack, new_stack
 from ..gpu import context
 from ..gpu.kernel import Entry
 from ..reflectance.model import ReflectanceModel
@@ -62,7 +62,7 @@ class Worker:
         self._pool: TilePool | None = None  # of this rank's single tile
         self._driver: LockStep | None = None
         self._progress: Progress
-        self._second: SampleStack | None = None  # of this rank's window
+        self._second: ArrayStack | None = None  # of this rank's window
         self._guess: dict[str, np.ndarray] | None = None  # on this window, for the next ``begin``
         self.partition = partition
         lit = self.lit(range(partition.whole.observations))
@@ -76,17 +76,17 @@ class Worker:
         self.partition = replace(partition, whole=with_lights(partition.whole, lights, intensities), window=window)
 
     def make_second(self) -> None:
-        """Make a second sample stack, of zeros."""
-        self._second = None  # freed first
+        """Make a second sample stack, of zeros, unless there is one."""
         photographs = self._stack(second=False)
-        self._second = None if photographs is None else photographs.zeros_like()
+        if self._second is None and photographs is not None:
+            self._second = new_stack(*photographs.shape)
 
-    def put(self, change: tuple[int, np.ndarray, bool] | None) -> None:
-        """Replace the samples of one observation; rank 0 passes (number, (H, W, 4), second), the others None."""
-        observation, second = self.ranks.broadcast(change and (change[0], change[2]))
-        part, stack = self._scattered(change and {"layer": change[1]}), self._stack(second)
-        if part is not None and stack is not None:
-            stack.put(observation, part["layer"])
+    def put(self, change: tuple[int, np.ndarray] | None) -> None:
+        """Replace the second stack's samples of one observation; rank 0 passes (number, (H, W, 4)), the others None."""
+        observation = self.ranks.broadcast(change and change[0])
+        part = self._scattered(change and {"layer": change[1]})
+        if part is not None and self._second is not None:
+            self._second.put(observation, part["layer"])
 
     def take_guess(self, guess: Mapping[str, np.ndarray] | None) -> None:
         """Set the initial maps of the next recovery, name → (H, W, components); rank 0 passes them."""

@@ -33,14 +33,8 @@ class SampleStack(Protocol):
     def layers(self) -> Iterator[np.ndarray]:
         """Yield the samples of every observation, as ``layer`` returns them."""
 
-    def zeros_like(self, scratch: Path | None = None) -> SampleStack:
-        """Return a stack of zeros with this shape and kind of store, to be filled by ``put``.
-
-        scratch: folder of a mapped file, None for memory; a stack over ranks ignores it.
-        """
-
-    def put(self, observation: int, layer: np.ndarray) -> None:
-        """Replace the samples of one observation by (H, W, 4)."""
+    def kept(self, derived: SampleStack) -> SampleStack:
+        """Return a stack that is computed from this one as it is to be read: itself, or a copy on all ranks."""
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (K, N, 4) the samples at N texels; not to be written to."""
@@ -80,9 +74,9 @@ class ArrayStack:
         """Yield the samples of every observation."""
         return iter(self.values)
 
-    def zeros_like(self, scratch: Path | None = None) -> ArrayStack:
-        """Return a stack of zeros with this shape, in memory or mapped from a file in the folder ``scratch``."""
-        return new_stack(*self.shape, scratch)
+    def kept(self, derived: SampleStack) -> SampleStack:
+        """Return a stack that is computed from this one."""
+        return derived
 
     def put(self, observation: int, layer: np.ndarray) -> None:
         """Replace the samples of one observation by (H, W, 4)."""

@@ -15,8 +15,8 @@ from tests.builders.command_line import dome_lights
 
 LAMBERT = load_model("lambert")
 ALBEDO = (0.8, 0.5, 0.3)
-ROUNDS = load_schedule("standard").replaced(interreflection_rounds=2, interreflection_bounces=6)
-SINGLE = ROUNDS.replaced(interreflection_rounds=0)
+SINGLE = load_schedule("standard").without_rounds().replaced(interreflection_bounces=6)
+ROUNDS = SINGLE.replaced(interreflection_rounds=2)
 
 
 def matt_bowl():

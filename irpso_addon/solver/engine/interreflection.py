@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from ..settings.levels import warm_started
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
+from ..views.direct import DirectStack
 from ..views.indirect import IndirectLight
 from .engine import RecoveryEngine
 from .recovery import Recovery
@@ -58,9 +58,9 @@ class InterreflectionRounds(Successive):
     model's defaults; where these do not explain the photographs, a full round follows in any case. Without notable
     indirect light the maps are those of a Recovery.
 
-    surroundings: surfaces that send the light. prepared: from ``prepare``, of the original photographs. scratch: folder
-    of the second sample stack, None for memory. solve: creates one recovery from the arguments of ``Recovery``: domain,
-    model, schedule, seed, fixed, entry, and one of prepared and guess. The others are as for Recovery.
+    surroundings: surfaces that send the light. prepared: from ``prepare``, of the original photographs. solve: creates
+    one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, and one of prepared
+    and guess. The others are as for Recovery.
     """
 
     def __init__(
@@ -73,7 +73,6 @@ class InterreflectionRounds(Successive):
         entry: EntryChoice,
         surroundings: Surroundings,
         prepared: Prepared | None = None,
-        scratch: Path | None = None,
         solve: Callable[..., RecoveryEngine] = Recovery,
     ):
         free = any(not p.is_normal and p.name not in (fixed or {}) for p in model.parameters)
@@ -83,7 +82,7 @@ class InterreflectionRounds(Successive):
         self._full = schedule.interreflection.rounds
         self._warm = self._known_shape  # whether the last recovery starts from earlier estimates
         super().__init__(domain, model, schedule, seed, fixed, entry, self._schedules_of(schedule))
-        self._surroundings, self._scratch, self._solve = surroundings, scratch, solve
+        self._surroundings, self._solve = surroundings, solve
         self._dominated = np.zeros(domain.shape, bool)  # texels whose light is mostly indirect
         self._substitutes: dict[str, np.ndarray] = {}  # maps for these texels
         self._samples: SampleStack | None = None  # without indirect light
@@ -149,11 +148,11 @@ class InterreflectionRounds(Successive):
         light = yield from self._lighting(replace(domain, solvable=self.domain.solvable), self._bases[number])
         with closing(light):
             radiance, _ = yield from light.of_elements()
-            radiance *= self._strengths[number]
+            samples = light.samples(self._strengths[number] * radiance)
 
         def indirect(observation: int) -> np.ndarray:
             result = np.zeros((*domain.shape, 3), np.float32)
-            result[light.covered] = light.at_texels(observation, radiance[observation])
+            result[light.covered] = samples.at(observation, *np.nonzero(light.covered))
             return result
 
         return indirect
@@ -323,14 +322,13 @@ class InterreflectionRounds(Successive):
                 if first:
                     self._set_share(np.zeros(domain.shape))
                 return None
-            samples = self._samples = self._samples or domain.stack.zeros_like(self._scratch)
+            indirect = light.samples(strength * radiance)
+            before = None if self._known_shape else self._samples
+            samples = domain.stack.kept(DirectStack(domain.stack, indirect, before, relaxation))
+            self._samples = samples
             subtracted, shown = np.zeros((2, int(covered.sum())))
-            for observation, (layer, of_elements) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
-                sample = (layer if first else samples.layer(observation)).copy()
-                light_of_texels = strength * light.at_texels(observation, of_elements)
-                remaining = np.maximum(layer[covered, :3] - light_of_texels, 0)
-                sample[covered, :3] += relaxation * (remaining - sample[covered, :3])
-                samples.put(observation, sample)
+            for observation, layer in enumerate(domain.stack.layers()):
+                light_of_texels = indirect.at(observation, *np.nonzero(covered))
                 seen = layer[covered, 3] > 0
                 subtracted += seen * light_of_texels.mean(axis=-1)
                 shown += seen * layer[covered, :3].mean(axis=-1)
@@ -341,8 +339,8 @@ class InterreflectionRounds(Successive):
             if self._known_shape:
                 counted = light.seen | ~light.seen.any(axis=0)  # all, for an element that no photograph shows
                 own = (counted * direct).sum(axis=0, dtype=np.float64)
-                indirect = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
-                part = indirect / np.maximum(indirect + own, 1e-12)
+                others = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
+                part = others / np.maximum(others + own, 1e-12)
                 self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > _MOST_INDIRECT
                 self._dominated &= domain.solvable
                 for name, value in light.materials.items():

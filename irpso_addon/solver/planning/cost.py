@@ -119,7 +119,7 @@ class Cost:
 
     @property
     def stacks(self) -> int:
-        """Number of sample stacks on the host: the second has no indirect light."""
+        """Number of sample stacks on a rank: the second has no indirect light."""
         return 2 if self.rounds else 1
 
     @property

@@ -15,6 +15,7 @@ from .memory import Memory, amount
 
 BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
 _EXCHANGED = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
+_INDIRECT = 48  # host bytes per texel of a round's light: number 4, elements 16, weights 16, albedo 12
 _RAY = 104  # host bytes per ray while an exchange is made (measured)
 PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
@@ -336,12 +337,13 @@ def _storage(
     texels: number of texels of the domain, covered or not.
     """
     coarse = sum(-(-texels // 4**halvings) for halvings in range(1, cost.levels))
-    stack = cost.stacks * stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
+    stack = stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
     needed = _PREPARING + (BAKE + PREPARED) * texels + maps + max(tile.host for tile in tiles)
     if cost.rounds:
-        needed += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
+        needed += (_EXCHANGED + (_INDIRECT + FLOAT * (cost.components + 1)) * cost.rounds) * texels
+        needed += (_RAY * cost.rays + 3 * FLOAT * cost.observations * cost.rounds) * cost.elements
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
     for places in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
         scratch = stack * (places[0] == "scratch") + state * (places[1] == "scratch")

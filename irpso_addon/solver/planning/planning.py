@@ -132,7 +132,7 @@ def planned_recovery(
         solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
     if surroundings is None:
         return solve(*settings, prepared=prepared)
-    return InterreflectionRounds(*settings, surroundings, prepared, stack_scratch, solve)
+    return InterreflectionRounds(*settings, surroundings, prepared, solve)
 
 
 def untiled(plan: Plan) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -154,13 +153,9 @@ class SeparatedStack:
         """Yield the samples of every observation."""
         return (self.layer(observation) for observation in range(self.shape[0]))
 
-    def zeros_like(self, scratch: Path | None = None) -> SampleStack:
-        """Return a stack of zeros of its shape, in a store of its kind."""
-        return self.domain.stack.zeros_like(scratch)
-
-    def put(self, observation: int, layer: np.ndarray) -> None:
-        """Raise TypeError: the stack is a read-only view."""
-        raise TypeError("the direct light of samples cannot be written to")
+    def kept(self, derived: SampleStack) -> SampleStack:
+        """As SampleStack."""
+        return self.domain.stack.kept(derived)
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (K, N, 4): the samples at N texels."""

@@ -17,6 +17,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels.kernels import EXCHANGED, exchange_pass
 from ..state.prepare import light_vectors
 from ..state.textures import observation_defines
+from .direct import IndirectSamples
 from .forward import render_inputs
 
 _CHUNK = 1 << 22  # distances between elements, computed at a time
@@ -39,8 +40,7 @@ class IndirectLight:
     → (H, W, components). known: (H, W) bool, where the maps determine the material; other elements get the material of
     the nearest known one. Elements that are not solvable have the mesh's own normal. materials: of the E elements,
     parameter name → (E, components); the light is computed with wider lobes. covered: (H, W) bool, the texels of
-    ``at_texels``. Radiances of elements are as photographed; those of texels are as their samples, which are divided by
-    the beams of the lights.
+    ``samples``. Radiances of elements are as photographed.
     """
 
     def __init__(
@@ -87,20 +87,11 @@ class IndirectLight:
         self._lit = exchange.lit * np.float32(shares)  # (K, E) fraction of each light's axial intensity
         self._divisors = np.stack(divisors)
 
-    def at_texels(self, observation: int, radiance: np.ndarray) -> np.ndarray:
-        """Return (T, 3) float32: the radiance of elements (E, 3), interpolated to the covered texels, row by row."""
-        if self._detail is None:
-            light = self.exchange.at_texels(radiance)
-        else:
-            light = self.exchange.at_texels(radiance / self._albedo) * self._detail
-        if self._domain.beams is None:
-            return light
-        return light / beam_shares(self._domain, observation, self._covered_places)[1][:, None]
-
-    @cached_property
-    def _covered_places(self) -> tuple[np.ndarray, ...]:
-        """Rows and columns of the covered texels."""
-        return np.nonzero(self.covered)
+    def samples(self, radiance: np.ndarray) -> IndirectSamples:
+        """Return the samples of the texels under radiances (K, E, 3) of the elements."""
+        of_elements = radiance if self._detail is None else radiance / self._albedo
+        beamed = None if self._domain.beams is None else self._domain
+        return IndirectSamples(self.covered, self.exchange, of_elements, self._detail, beamed)
 
     @cached_property
     def shown(self) -> np.ndarray:

@@ -31,7 +31,7 @@ def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
     maps = maps_of(domain, base_color=albedo, **{name: (value,) for name, value in numbers.items()})
     exchange = exchange_of(mesh, domain, rays=rays)
     with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
-        return light.at_texels(0, run_steps(light.of_elements())[0][0])
+        return light.samples(run_steps(light.of_elements())[0]).at(0, *np.nonzero(light.covered))
 
 
 @pytest.mark.parametrize("bounces", [1, 2, 4])

@@ -40,7 +40,7 @@ def in_tiles(bowl, scratch=None, **options):
     """Return the rounds in tiles; with a folder for files they take turns."""
     reach = recovery_cost(LAMBERT, SINGLE, (), bowl[0].observations).reach
     tiles = {"boxes": BOXES, "halo": reach, "on_device": scratch and 1, "scratch": scratch}
-    return rounds_of(bowl, scratch=scratch, solve=partial(TiledRecovery, **tiles), **options)
+    return rounds_of(bowl, solve=partial(TiledRecovery, **tiles), **options)
 
 
 def all_bits_of(maps):

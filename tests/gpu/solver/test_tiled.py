@@ -312,7 +312,7 @@ PLANNED += [("standard", "cook_torrance_two_lobe", "compute")]
 
 @pytest.mark.parametrize(("preset", "model", "entry"), PLANNED)
 def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, device):
-    model, schedule = load_model(model), load_schedule(preset).replaced(iterations=2, cycles=1)
+    model, schedule = load_model(model), load_schedule(preset).without_rounds().replaced(iterations=2, cycles=1)
     domain, _ = subject(20, 20, holes=False, observations=12)
     domain = masked(domain, np.indices(domain.shape)[0] < 15)
     with Recovery(domain, model, schedule, 1, entry=entry) as recovery:
@@ -328,7 +328,7 @@ def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, dev
 @pytest.mark.parametrize("preset, budget", [("swarm", 3 << 20), ("standard", 7 << 19)])
 def test_swapped_tiles_take_at_most_the_planned_bytes(preset, budget, device):
     domain, _ = subject(40, 40, holes=False, observations=12)
-    schedule = load_schedule(preset).replaced(iterations=6)
+    schedule = load_schedule(preset).without_rounds().replaced(iterations=6)
     cost = recovery_cost(LAMBERT, schedule, (), 12)
     plan = plan_recovery(domain.solvable, cost, Memory(budget, 4 << 30), Limits(texture=150_000))
     assert len(plan.tiles) > plan.on_device > 1

@@ -15,6 +15,7 @@ from irpso_addon.cluster.transport import CollectiveError, Ranks, joined
 from irpso_addon.cluster.worker import Worker
 from irpso_addon.core.errors import GpuUnavailableError, InputError
 from irpso_addon.geometry.domain import subset, tile
+from irpso_addon.geometry.samples import ArrayStack, new_stack
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.halo import overlap_of, place_of
 from irpso_addon.solver.planning.cost import recovery_cost
@@ -145,7 +146,7 @@ def test_distributed_samples_read_like_those_in_memory():
     def ask(order, *arguments):
         asked.append(order)
         if order is Worker.make_second:
-            return stacks.append(stack.zeros_like())
+            return stacks.append(new_stack(*stack.shape))
         *arguments, second = arguments
         read = stacks[second]
         if order is Worker.layer:
@@ -156,9 +157,9 @@ def test_distributed_samples_read_like_those_in_memory():
         return read.texels(rows, columns)[observations]
 
     def scatter(order, value):
-        observation, layer, second = value
+        observation, layer = value
         assert order is Worker.put
-        stacks[second].put(observation, layer)
+        stacks[1].put(observation, layer)
 
     shared = RankedStack(SimpleNamespace(ask=ask, scatter=scatter), range(7), (slice(0, 6), slice(0, 5)))
     texels = np.array([0, 5, 2]), np.array([4, 0, 2])
@@ -174,9 +175,8 @@ def test_distributed_samples_read_like_those_in_memory():
     some = np.array([1, 0]), np.array([2, 1])
     np.testing.assert_array_equal(part.stack.texels(*some), wanted.stack.texels(*some))
     fitted = shared.subset(np.array([2, 5]))
-    second = fitted.zeros_like()
-    assert second.shape == fitted.shape and not second.layer(1).any()
-    second.put(1, 0.5 * stack.layer(5))
+    second = fitted.kept(ArrayStack(0.5 * stack.values[[2, 5]]))
+    assert second.shape == fitted.shape
     np.testing.assert_array_equal(second.layer(1), 0.5 * stack.layer(5))
     np.testing.assert_array_equal(second.texels(*texels)[1], 0.5 * stack.texels(*texels)[5])
     np.testing.assert_array_equal(second.lit(domain.bake.coverage), stack.subset([5]).lit(domain.bake.coverage))

@@ -185,7 +185,7 @@ def test_observations_held_out_lie_in_the_stack_but_not_on_the_device():
     assert (plain.observations, held.observations) == (100, 90)
 
 
-def test_rounds_of_interreflection_hold_a_second_stack_their_maps_and_their_rays():
+def test_rounds_of_interreflection_hold_their_light_their_maps_and_their_rays():
     covered = disc(64, 30)
     light = {"interreflection_resolution": 16, "interreflection_rays": 32}
     plans = {}
@@ -195,10 +195,11 @@ def test_rounds_of_interreflection_hold_a_second_stack_their_maps_and_their_rays
     rays = 16 * 16 * 32
     assert plans[1].device - plans[0].device == plans[3].device - plans[0].device == rays * 16
     maps = 64 * 64 * (6 + 1) * 4  # lambert's six components, and whether they explain the photographs
-    assert plans[3].host - plans[1].host == 2 * maps
-    second = 64 * 64 * 100 * 16
-    # Elements and weights around a texel are 32 bytes, directions and elements of a ray 16.
-    assert plans[1].host - plans[0].host > second + maps + 32 * 64 * 64 + 16 * rays
+    # Number, elements, weights and albedo of a texel are 48 bytes, directions and elements of a ray 16.
+    light = 64 * 64 * 48 + 16 * 16 * 100 * 3 * 4
+    assert plans[3].host - plans[1].host == 2 * (maps + light)
+    assert plans[1].host - plans[0].host > maps + light + 16 * rays
+    assert plans[1].host - plans[0].host < 64 * 64 * 100 * 16  # less than a second stack
 
 
 def test_no_more_rays_are_counted_than_texels_have():
