@@ -39,17 +39,22 @@ _WIDEST = 0.999 * np.pi / 2  # radians: a larger deviation marks an undetermined
 _CACHE = report.CACHE.parent / "hollows"
 _ORACLE = "oracle"
 _STANDARD, _THOROUGH = (("--preset", preset) for preset in ("standard", "thorough"))
-_NO_SHADOW = "--set", "prefit_indirect_shadow=0"
-_RUNS = {"standard": _STANDARD, "thorough": _THOROUGH, _ORACLE: _STANDARD}  # name → arguments
+_NO_MATTE, _NO_SHADOW = (
+    ("--set", setting) for setting in ("interreflection_matte_rounds=0", "prefit_indirect_shadow=0")
+)
+_WITHOUT = (*_STANDARD, *_NO_MATTE)
+_RUNS = {"without": _WITHOUT, "standard": _STANDARD, "thorough": _THOROUGH, _ORACLE: _WITHOUT}  # name → arguments
 _PARTS = {
-    "standard, `prefit_indirect_shadow=0`": (*_STANDARD, *_NO_SHADOW),
+    "without, `prefit_indirect_shadow=0`": (*_WITHOUT, *_NO_SHADOW),
+    "without": _WITHOUT,
     "standard": _STANDARD,
+    "standard, 2 matte rounds": (*_STANDARD, "--set", "interreflection_matte_rounds=2"),
     "thorough, 1 round": (*_THOROUGH, "--set", "interreflection_rounds=1"),
-    "thorough, 2 rounds": (*_THOROUGH, "--set", "interreflection_rounds=2"),
     "thorough": _THOROUGH,
+    "thorough, no matte round": (*_THOROUGH, *_NO_MATTE),
     "thorough, 1 bounce": (*_THOROUGH, "--set", "interreflection_bounces=1"),
     "thorough, `prefit_indirect_shadow=0`": (*_THOROUGH, *_NO_SHADOW),
-    _ORACLE: _STANDARD,
+    _ORACLE: _WITHOUT,
 }
 _IN_PARTS = ("bowl, 0.6", "bowl, metal paint", "cloth")
 _FEW_BOUNCES = (1, 2)
@@ -151,22 +156,23 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"Bodies of one material, their meshes known, rendered by Cycles ({side} pixels, {samples} samples) with 8"
         f" bounces under 40 lights, one camera; maps of {texels} × {texels} texels. *Standard* and *thorough* are"
-        " recovered from these pictures by these presets, without and with rounds of interreflection; *oracle* by"
-        " *standard* from pictures without bounces. Cells: standard → thorough (oracle). *Removed*: the share of the"
-        " error above the oracle's that *thorough* removes; – where *standard* is as good as the oracle. *Inside* owes"
-        " more than 5 % of its light to the rest of the body. *Unknown*: texels whose normal the maps call unknown; the"
-        " errors of normals are means over those that all three know. Base colour: mean absolute error, relative.",
+        " recovered from these pictures by these presets, with a matte round and with full rounds of interreflection,"
+        " *without* by *standard* without rounds; *oracle* as *without*, from pictures without bounces. Cells: without"
+        " → standard → thorough (oracle). *Removed*: the shares of the error above the oracle's that *standard* and"
+        " *thorough* remove; – where *without* is as good as the oracle. *Inside* owes more than 5 % of its light to"
+        " the rest of the body. *Unknown*: texels whose normal the maps call unknown; the errors of normals are means"
+        " over those that all four know. Base colour: mean absolute error, relative.",
         "",
         *_table("body", ((row["body"], row) for row in data["rows"])),
         "## Fewer bounces",
         "",
-        "The first body, rendered with fewer bounces. The transport of *thorough* has 3 all the same.",
+        "The first body, rendered with fewer bounces. The transport of the presets has 3 all the same.",
         "",
         *_table("bounces", ((row["bounces"], row) for row in data["few"])),
         "## The parts of the presets",
         "",
-        "Standard has no rounds, thorough 3, with 3 bounces of transport. Normals: over texels that all runs know."
-        " Base colour: mean signed error.",
+        "Standard has a matte round, and a full one where the surface is not matte; thorough has a matte one and 3 full"
+        " ones, with 3 bounces of transport. Normals: over texels that all runs know. Base colour: mean signed error.",
         "",
         *_parts(data["parts"]),
     ]
@@ -180,28 +186,30 @@ def _table(head: str, rows: Iterable[tuple[Any, dict[str, Any]]]) -> list[str]:
         groups.setdefault((title, row["where"]), {})[row["run"]] = row
     lines = []
     for (title, where), runs in groups.items():
-        three = [runs[run] for run in _RUNS]
-        mean, p95 = ([row["normal"][key] for row in three] for key in ("mean", "p95"))
+        four = [runs[run] for run in _RUNS]
+        mean, p95 = ([row["normal"][key] for row in four] for key in ("mean", "p95"))
         percent, unknown, seconds = (
-            [scale * row[key] for row in three] for key, scale in (("color", 100), ("unknown", 100), ("seconds", 1))
+            [scale * row[key] for row in four] for key, scale in (("color", 100), ("unknown", 100), ("seconds", 1))
         )
         lines.append([
-            title, where, three[0]["texels"], _cell(unknown, 0), _cell(mean, 2), _removed(mean, 0.1), _cell(p95, 1),
+            title, where, four[0]["texels"], _cell(unknown, 0), _cell(mean, 2), _removed(mean, 0.1), _cell(p95, 1),
             _cell(percent, 1), _removed(percent, 1.0),
-            *(_cell([row[key] for row in three], 3) for key in ("roughness", "metallic")), _cell(seconds, 0),
+            *(_cell([row[key] for row in four], 3) for key in ("roughness", "metallic")), _cell(seconds, 0),
         ])  # fmt: skip
     return report.table(heads, lines)
 
 
 def _cell(values: list[float], digits: int) -> str:
-    before, after, oracle = (f"{value:.{digits}f}" for value in values)
-    return f"{before} → {after} ({oracle})"
+    *runs, oracle = (f"{value:.{digits}f}" for value in values)
+    return f"{' → '.join(runs)} ({oracle})"
 
 
 def _removed(values: list[float], least: float) -> str:
-    """Return (first − second) / (first − third) of the errors, in %, if first − third is at least ``least``."""
-    before, after, oracle = values
-    return f"{100 * (before - after) / (before - oracle):.0f} %" if before - oracle >= least else "–"
+    """Return (first − one) / (first − last) of the errors between, in %, if first − last is at least ``least``."""
+    before, *after, oracle = values
+    if before - oracle < least:
+        return "–"
+    return ", ".join(f"{100 * (before - one) / (before - oracle):.0f} %" for one in after)
 
 
 def _parts(rows: list[dict[str, Any]]) -> list[str]:

@@ -19,7 +19,7 @@ from ...solver.settings.setting import Setting
 from ..common.file_paths import absolute
 
 FIRST = "standard"  # the preset of a new scene
-_ROUNDS_PRESET = "thorough"  # the preset with the number of rounds that the switch Interreflection sets
+_ROUNDS_PRESETS = {"MESH": "standard", "CARD": "thorough"}  # with the rounds that the switch Interreflection sets
 _OPEN_OFFSET = 1e-6  # added to an open lower limit, because Blender's limits are closed
 _DIGITS = 6  # largest number of decimals that Blender shows
 # Beginnings of names in scenes and presets saved before format 2 of presets (docs/presets.md) → the present ones.
@@ -49,9 +49,11 @@ def _has_rounds(self: ScheduleSettings) -> bool:
 
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:
-    self.interreflection_rounds = _shipped(_ROUNDS_PRESET).interreflection.rounds if on else 0
-    if not on:
-        self.interreflection_matte_rounds = 0
+    subject = self.id_data.irpso.subject
+    light = _shipped(_ROUNDS_PRESETS[subject]).interreflection
+    self.interreflection_rounds = light.rounds * on
+    if subject == "MESH":
+        self.interreflection_matte_rounds = light.matte_rounds * on
 
 
 class ScheduleSettings(bpy.types.PropertyGroup):

@@ -132,7 +132,7 @@ def test_settings_that_contradict_each_other_are_refused_with_what_to_do():
         schedule()
 
 
-def test_the_switch_of_interreflection_sets_the_rounds_of_the_thorough_preset():
+def test_on_a_card_the_switch_of_interreflection_sets_the_rounds_of_the_thorough_preset():
     rounds = irpso_addon.load_schedule("thorough").interreflection.rounds
     assert rounds > 0 and not settings().interreflection
     settings().interreflection = True
@@ -144,13 +144,15 @@ def test_the_switch_of_interreflection_sets_the_rounds_of_the_thorough_preset():
 
 
 def test_matte_rounds_count_on_meshes_alone_and_go_off_with_the_switch():
-    settings().interreflection_matte_rounds = 1
+    assert settings().interreflection_matte_rounds == 1
     bpy.context.scene.irpso.subject = "CARD"
     assert not settings().interreflection
     bpy.context.scene.irpso.subject = "MESH"
     assert settings().interreflection
     settings().interreflection = False
     assert settings().interreflection_matte_rounds == settings().interreflection_rounds == 0
+    settings().interreflection = True
+    assert schedule() == irpso_addon.load_schedule("standard")
 
 
 def test_an_own_preset_holds_its_schedules_name_and_what_differs_and_comes_back(user_folder):
