@@ -44,8 +44,9 @@ def _make_odd(self: ScheduleSettings, context: Any) -> None:
 
 
 def _has_rounds(self: ScheduleSettings) -> bool:
-    matte = self.id_data.irpso.subject == "MESH" and self.interreflection_matte_rounds > 0
-    return self.interreflection_rounds > 0 or matte
+    settings = self.id_data.irpso
+    matte = settings.subject == "MESH" and settings.shadows and self.levels == 1
+    return self.interreflection_rounds > 0 or (matte and self.interreflection_matte_rounds > 0)
 
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:
@@ -165,9 +166,9 @@ def _declare() -> None:
         "own_text": StringProperty(description="The text of its file"),
         "interreflection": BoolProperty(
             name="Interreflection", get=_has_rounds, set=_switch_rounds,
-            description="Find the light that the subject throws on itself, as in a bowl or a fold, subtract it"
-            " from the photographs, and recover again. This takes three to seven times as long. Not possible"
-            " with Levels above 1",
+            description="Find the light that the subject throws on itself, as in a bowl or a fold, and subtract it"
+            " from the photographs. A mesh takes up to twice as long, a card up to four times. Not possible with Levels"
+            " above 1",
         ),
         **declared,
     }  # fmt: skip

@@ -149,6 +149,11 @@ def test_matte_rounds_count_on_meshes_alone_and_go_off_with_the_switch():
     assert not settings().interreflection
     bpy.context.scene.irpso.subject = "MESH"
     assert settings().interreflection
+    bpy.context.scene.irpso.shadows = False
+    assert not settings().interreflection
+    bpy.context.scene.irpso.shadows, settings().levels = True, 2
+    assert not settings().interreflection
+    settings().levels = 1
     settings().interreflection = False
     assert settings().interreflection_matte_rounds == settings().interreflection_rounds == 0
     settings().interreflection = True
