@@ -8,6 +8,7 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
+from irpso_addon.pipeline.job import possible_schedule
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.synchronous_swarm import MAX_PARTICLES
 from irpso_addon.solver.phases.swarm import particle_count
@@ -211,3 +212,12 @@ def test_a_disabled_part_is_refused_with_the_setting_to_use(part, value):
 def test_an_acceptance_delta_of_0_is_refused():
     with pytest.raises(InputError, match="prefit_acceptance_delta must be above 0"):
         load_schedule("standard").replaced(prefit_acceptance_delta=0)
+
+
+def test_matte_rounds_are_of_meshes_with_shadows_at_one_size():
+    standard = load_schedule("standard")
+    assert standard.interreflection.matte_rounds > 0
+    assert possible_schedule(standard, shadowed_mesh=True) == standard
+    for schedule, mesh in ((standard, False), (standard.replaced(levels=2), True)):
+        wanted = schedule.replaced(interreflection_matte_rounds=0)
+        assert possible_schedule(schedule, shadowed_mesh=mesh) == wanted
