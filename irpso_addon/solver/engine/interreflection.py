@@ -38,7 +38,7 @@ _BASIS = "interreflection_of_{}_"  # prefix of the maps from which a round's lig
 # estimate is closer, and the factor is 1.
 _RELAXATION = 0.75
 _MATTE_STEPS = 6  # of Levenberg–Marquardt in a matte round
-# Part of the texels that matte rounds do not explain; with more, a full round follows. In a bowl of metal paint it is
+# Part of the texels that the first matte round does not explain; with more, a full round follows. In a bowl of metal paint it is
 # 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at most 0.015.
 _MOST_UNEXPLAINED = 0.02
 _LEAST_SHARE = 0.003  # of the light of the photographs; with less there is no further round
@@ -186,8 +186,7 @@ class InterreflectionRounds(Successive):
             self._bases.append({name: np.zeros((*domain.shape, n), np.float32) for name, n in sizes.items()})
             for name, value in self._bases[-1].items():
                 value[domain.solvable] = saved.arrays[_BASIS.format(number) + name]
-            domain = run_steps(self._subtract_indirect()) or self._restart_with_all_light(number + 1)
-            self._add_full_round(number)
+            domain = self._after_round(number, run_steps(self._subtract_indirect()))
         self._count()
         self._live = self._begin(domain)
         own = {name: array for name, array in saved.arrays.items() if not name.startswith(_AT)}
@@ -239,25 +238,29 @@ class InterreflectionRounds(Successive):
             self._schedules = self._schedules[: self._at + 1]
             self._count()
             return
-        domain = domain or self._restart_with_all_light(self._at + 1)
-        self._add_full_round(self._at)
+        domain = self._after_round(self._at, domain)
         self._earlier_evaluations += self._live.progress.evaluations
         self._live.close()
         self._at += 1
         self._live = self._begin(domain)
 
-    def _add_full_round(self, number: int) -> None:
-        """Where the surfaces are not matte, let a full round follow the last matte one, even if there are to be none.
+    def _after_round(self, number: int, domain: Domain | None) -> Domain:
+        """Return the domain of the recovery after ``number``. domain: without indirect light, None if it has none.
 
-        number: of the recovery that is done.
+        If a matte round fits worse than the first, which had all light, the next recovery has all light again. Where
+        the surfaces are not matte, a full round follows the last matte one, even if there are to be none.
         """
-        if number != self._matte - 1 or self._full or not self._warm:
-            return
-        explained = self._bases[number][_EXPLAINED][self.domain.solvable]
-        if 1 - explained.mean(dtype=np.float64) > _MOST_UNEXPLAINED:
-            self._full = 1
-            self._schedules = self._schedules_of(self.schedule)
-            self._count()
+        if domain is None:
+            return self._restart_with_all_light(number + 1)
+        if number == self._matte - 1:
+            explained = self._bases[0][_EXPLAINED][self.domain.solvable]
+            if self._full == 0 and 1 - explained.mean(dtype=np.float64) > _MOST_UNEXPLAINED:
+                self._full = 1
+                self._schedules = self._schedules_of(self.schedule)
+                self._count()
+            if self._errors[number] > self._errors[0]:
+                return self._all_light()
+        return domain
 
     def _schedules_of(self, schedule: Schedule) -> tuple[Schedule, ...]:
         """Return the schedule of each recovery."""
@@ -299,11 +302,16 @@ class InterreflectionRounds(Successive):
 
     def _restart_with_all_light(self, last: int) -> Domain:
         """Make recovery ``last`` the final one, independent of all earlier ones; return its domain."""
-        self._warm, self._samples, self._substitutes = False, None, {}
-        self._dominated = np.zeros(self.domain.shape, bool)
-        self._set_share(np.zeros(self.domain.shape))
+        self._warm = False
         self._schedules = (*self._schedules[:last], self.schedule.without_rounds())
         self._count()
+        return self._all_light()
+
+    def _all_light(self) -> Domain:
+        """Forget what was subtracted; return the domain with all light."""
+        self._samples, self._substitutes = None, {}
+        self._dominated = np.zeros(self.domain.shape, bool)
+        self._set_share(np.zeros(self.domain.shape))
         return self.domain
 
     def _subtract_indirect(self) -> Generator[None, None, Domain | None]:

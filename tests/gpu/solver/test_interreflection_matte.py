@@ -7,10 +7,11 @@ from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.geometry.light.surroundings import CardSurroundings
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.views.indirect import IndirectLight
 from tests.builders.cavity import cap_card
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
-from tests.builders.rounds import ALBEDO, LAMBERT, SINGLE, errors, matt_bowl, rounds_of
+from tests.builders.rounds import ALBEDO, LAMBERT, SINGLE, errors, matt_bowl, rounds_of, without_indirect
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +79,18 @@ def test_a_full_round_follows_where_surfaces_are_not_matte(tmp_path):
             recovery.load(tmp_path / f"{number}.npz")
             recovery.step()
             assert bits_of(recovery.maps()) == found[1][-1]
+
+
+@pytest.mark.parametrize("rounds", [0, 1])
+def test_matte_rounds_that_do_not_help_leave_the_photographs_as_they_are(rounds, monkeypatch):
+    monkeypatch.setattr(IndirectLight, "strength", lambda self, radiance: 1.0)
+    direct, plain = without_indirect(matt_bowl()), SINGLE.replaced(interreflection_rounds=rounds)
+    found = []
+    for schedule in (plain, plain.replaced(interreflection_matte_rounds=2)):
+        with rounds_of(direct, schedule) as recovery:
+            recovery.step()
+            found.append(bits_of(recovery.maps()))
+    assert found[0] == found[1]
 
 
 def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
