@@ -48,10 +48,10 @@ _PARTS = {
     "without, `prefit_indirect_shadow=0`": (*_WITHOUT, *_NO_SHADOW),
     "without": _WITHOUT,
     "standard": _STANDARD,
-    "standard, 2 matte rounds": (*_STANDARD, "--set", "interreflection_matte_rounds=2"),
+    "standard, 1 matte round": (*_STANDARD, "--set", "interreflection_matte_rounds=1"),
     "thorough, 1 round": (*_THOROUGH, "--set", "interreflection_rounds=1"),
     "thorough": _THOROUGH,
-    "thorough, no matte round": (*_THOROUGH, *_NO_MATTE),
+    "thorough, no matte rounds": (*_THOROUGH, *_NO_MATTE),
     "thorough, 1 bounce": (*_THOROUGH, "--set", "interreflection_bounces=1"),
     "thorough, `prefit_indirect_shadow=0`": (*_THOROUGH, *_NO_SHADOW),
     _ORACLE: _WITHOUT,
@@ -156,7 +156,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"Bodies of one material, their meshes known, rendered by Cycles ({side} pixels, {samples} samples) with 8"
         f" bounces under 40 lights, one camera; maps of {texels} × {texels} texels. *Standard* and *thorough* are"
-        " recovered from these pictures by these presets, with a matte round and with full rounds of interreflection,"
+        " recovered from these pictures by these presets, with matte rounds and with full rounds of interreflection,"
         " *without* by *standard* without rounds; *oracle* as *without*, from pictures without bounces. Cells: without"
         " → standard → thorough (oracle). *Removed*: the shares of the error above the oracle's that *standard* and"
         " *thorough* remove; – where *without* is as good as the oracle. *Inside* owes more than 5 % of its light to"
@@ -171,8 +171,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         *_table("bounces", ((row["bounces"], row) for row in data["few"])),
         "## The parts of the presets",
         "",
-        "Standard has a matte round, and a full one where the surface is not matte; thorough has a matte one and 3 full"
-        " ones, with 3 bounces of transport. Normals: over texels that all runs know. Base colour: mean signed error.",
+        "Standard has 2 matte rounds, and a full one where the surface is not matte; thorough has 2 matte and 3 full ones,"
+        " with 3 bounces of transport. Normals: over texels that all runs know. Base colour: mean signed error.",
         "",
         *_parts(data["parts"]),
     ]

@@ -38,8 +38,9 @@ _BASIS = "interreflection_of_{}_"  # prefix of the maps from which a round's lig
 # estimate is closer, and the factor is 1.
 _RELAXATION = 0.75
 _MATTE_STEPS = 6  # of Levenberg–Marquardt in a matte round
-# Part of the texels that the first matte round does not explain; with more, a full round follows. In a bowl of metal paint it is
-# 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at most 0.015.
+# Part of the texels that the first matte round does not explain; with more, a full round follows. In a bowl of metal
+# paint it is 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at
+# most 0.015.
 _MOST_UNEXPLAINED = 0.02
 _LEAST_SHARE = 0.003  # of the light of the photographs; with less there is no further round
 _MOST_RESIDUAL = 0.5  # of a texel's light: above it the maps do not explain the photographs
@@ -55,8 +56,9 @@ class InterreflectionRounds(Successive):
     and the domain is recovered again. Where the surroundings know the shape, all recoveries but the last fix its
     normals: in a hollow of metal, indirect light biases estimated normals. The last one starts from the materials of
     the others. The first ``interreflection.matte_rounds`` recoveries find base colours alone, with all else at the
-    model's defaults; where these do not explain the photographs, a full round follows in any case. Without notable
-    indirect light the maps are those of a Recovery.
+    model's defaults; where these do not explain the photographs, a full round follows in any case. If the last of them
+    fits worse than the first, their light is not subtracted. Without notable indirect light the maps are those of a
+    Recovery.
 
     surroundings: surfaces that send the light. prepared: from ``prepare``, of the original photographs. solve: creates
     one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, and one of prepared
