@@ -171,8 +171,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         *_table("bounces", ((row["bounces"], row) for row in data["few"])),
         "## The parts of the presets",
         "",
-        "Standard has 2 matte rounds, and a full one where the surface is not matte; thorough has 2 matte and 3 full ones,"
-        " with 3 bounces of transport. Normals: over texels that all runs know. Base colour: mean signed error.",
+        "Standard has 2 matte rounds, and a full one where the surface is not matte; thorough has 2 matte and 3 full"
+        " ones, with 3 bounces of transport. Normals: over texels that all runs know. Base colour: mean signed error.",
         "",
         *_parts(data["parts"]),
     ]
