@@ -45,11 +45,14 @@ vec3 throughput_of(Material s, vec3 l, vec3 v)
 void add_direct(ivec2 element, Frame f, Material s, vec3 toward, vec3 throughput, inout vec3 sums[LIGHTS])
 {
     vec4 lit = texelFetch(u_lit, element, 0);
-    if (lit == vec4(0.0)) {
+    if (all(equal(lit, vec4(0.0)))) {
         return;
     }
     vec3 v = to_local(f, toward);
     for (int j = 0; j < LIGHTS; j++) {
+        if (lit[j] == 0.0) {
+            continue;
+        }
         vec3 intensity;
         vec3 l = light_at(f, u_observation + j, intensity);
         vec3 reflected = throughput * reflectance(s, l, v);

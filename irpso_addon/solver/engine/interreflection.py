@@ -83,6 +83,7 @@ class InterreflectionRounds(Successive):
         self._matte = schedule.interreflection.matte_rounds if self._known_shape and coloured else 0
         self._full = schedule.interreflection.rounds
         self._warm = self._known_shape  # whether the last recovery starts from earlier estimates
+        self._restarted: int | None = None  # the recovery that is the last because there is no light to subtract
         super().__init__(domain, model, schedule, seed, fixed, entry, self._schedules_of(schedule))
         self._surroundings, self._solve = surroundings, solve
         self._dominated = np.zeros(domain.shape, bool)  # texels whose light is mostly indirect
@@ -121,9 +122,10 @@ class InterreflectionRounds(Successive):
         maps, lines, full = self._live.maps(confidence=False), [], self._errors[self._matte :]
         last = self._mean_residual(maps)
         if full and last > full[0]:
+            setting = "rounds" if self.schedule.interreflection.rounds else "matte_rounds"
             lines.append(
                 "after subtracting the light that the subject throws on itself, the maps fit the photographs worse than"
-                f" before (mean error {last:.2g}, {full[0]:.2g}); set interreflection_rounds=0"
+                f" before (mean error {last:.2g}, {full[0]:.2g}); set interreflection_{setting}=0"
             )
         return tuple(lines)
 
@@ -177,10 +179,10 @@ class InterreflectionRounds(Successive):
     def restore(self, saved: Checkpoint) -> None:
         self.close()
         self._warm, self._dominated, self._substitutes = self._known_shape, np.zeros(self.domain.shape, bool), {}
-        self._full = self.schedule.interreflection.rounds
+        self._full, self._restarted = self.schedule.interreflection.rounds, None
         self._schedules = self._schedules_of(self.schedule)
         self._at, self._earlier_evaluations = (int(number) for number in saved.arrays[_AT])
-        self._errors = saved.arrays[_ERRORS].tolist()
+        self._errors = saved.arrays[_ERRORS].tolist()[: self._at]  # without that of a round whose light is not known
         self._share, self._mean_share = None, 0.0
         self._bases, self._strengths, domain = [], [], self.domain
         for number in range(self._at):
@@ -198,6 +200,7 @@ class InterreflectionRounds(Successive):
         """Return a run that continues from here, as Recovery.reconfigure; settings of interreflection must stay."""
         if schedule.interreflection != self.schedule.interreflection:
             raise InputError("Interreflection: a running recovery keeps its settings; set them back, or begin another")
+        self._end_transition()
         return self._reconfigured(schedule, self._schedules_of(schedule), seed)
 
     def _texels(self, number: int) -> int:
@@ -268,7 +271,8 @@ class InterreflectionRounds(Successive):
         """Return the schedule of each recovery."""
         single = schedule.without_rounds()
         last = warm_started(single) if self._warm and self._full else single
-        return (*(_of_colours(single),) * self._matte, *(single,) * self._full, last)
+        all_of_them = (*(_of_colours(single),) * self._matte, *(single,) * self._full, last)
+        return all_of_them if self._restarted is None else (*all_of_them[: self._restarted], single)
 
     def _mean_residual(self, maps: Maps) -> float:
         return float(present(maps.residual)[self.domain.solvable].mean(dtype=np.float64))
@@ -304,8 +308,8 @@ class InterreflectionRounds(Successive):
 
     def _restart_with_all_light(self, last: int) -> Domain:
         """Make recovery ``last`` the final one, independent of all earlier ones; return its domain."""
-        self._warm = False
-        self._schedules = (*self._schedules[:last], self.schedule.without_rounds())
+        self._warm, self._restarted = False, last
+        self._schedules = self._schedules_of(self.schedule)
         self._count()
         return self._all_light()
 

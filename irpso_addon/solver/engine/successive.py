@@ -147,10 +147,14 @@ class Successive(RecoveryEngine):
         self._live.close()
         self._programs.close()
 
-    def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:
-        """Return a run that continues from here, or from the next recovery if between two, under other schedules."""
+    def _end_transition(self) -> None:
+        """Finish a transition between two recoveries, if one has begun."""
         if self._transition is not None:
             self._finish_transition(None)
+
+    def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:
+        """Return a run that continues from here, or from the next recovery if between two, under other schedules."""
+        self._end_transition()
         result = copy(self)
         result.schedule, result.seed = schedule, self.seed if seed is None else seed
         result._schedules = tuple(schedules)[: len(self._schedules)]

@@ -190,7 +190,7 @@ def within_limits(cost: Cost, coverage: np.ndarray, limits: Limits) -> Cost:
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     cost = replace(cost, elements=min(cost.elements, _texels(coverage)))
-    if FLOAT4 * cost.elements * cost.rays > limits.texture:
+    if _ray_bytes(cost) > limits.texture:
         raise InputError(
             f"interreflection: {cost.elements} elements of {cost.rays} rays exceed this GPU's textures of"
             f" {amount(limits.texture)}; lower interreflection_resolution or interreflection_rays"
@@ -204,7 +204,12 @@ def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
     This includes the rays between rounds of interreflection.
     """
     table = 3 * FLOAT4 * cost.observations
-    return _grid_places(texels) * cost.device + FLOAT2 * rectangle + table + FLOAT4 * cost.elements * cost.rays
+    return _grid_places(texels) * cost.device + FLOAT2 * rectangle + table + _ray_bytes(cost)
+
+
+def _ray_bytes(cost: Cost) -> int:
+    """Return the bytes of the rays on the device: a layer for each, and one with the number of those that hit."""
+    return FLOAT4 * cost.elements * (cost.rays + 1)
 
 
 def host_bytes(texels: int, rectangle: int, cost: Cost) -> int:

@@ -19,7 +19,7 @@ from ...solver.settings.setting import Setting
 from ..common.file_paths import absolute
 
 FIRST = "standard"  # the preset of a new scene
-_ROUNDS_PRESETS = {"MESH": "standard", "CARD": "thorough"}  # with the rounds that the switch Interreflection sets
+_ROUNDS_PRESETS = {True: "standard", False: "thorough"}  # of the switch Interreflection; whether there are matte rounds
 _OPEN_OFFSET = 1e-6  # added to an open lower limit, because Blender's limits are closed
 _DIGITS = 6  # largest number of decimals that Blender shows
 # Beginnings of names in scenes and presets saved before format 2 of presets (docs/presets.md) → the present ones.
@@ -44,16 +44,19 @@ def _make_odd(self: ScheduleSettings, context: Any) -> None:
 
 
 def _has_rounds(self: ScheduleSettings) -> bool:
+    return self.interreflection_rounds > 0 or (_has_matte_rounds(self) and self.interreflection_matte_rounds > 0)
+
+
+def _has_matte_rounds(self: ScheduleSettings) -> bool:
     settings = self.id_data.irpso
-    matte = settings.subject == "MESH" and settings.shadows and self.levels == 1
-    return self.interreflection_rounds > 0 or (matte and self.interreflection_matte_rounds > 0)
+    return settings.subject == "MESH" and settings.shadows and self.levels == 1
 
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:
-    subject = self.id_data.irpso.subject
-    light = _shipped(_ROUNDS_PRESETS[subject]).interreflection
+    matte = _has_matte_rounds(self)
+    light = _shipped(_ROUNDS_PRESETS[matte]).interreflection
     self.interreflection_rounds = light.rounds * on
-    if subject == "MESH":
+    if matte:
         self.interreflection_matte_rounds = light.matte_rounds * on
 
 

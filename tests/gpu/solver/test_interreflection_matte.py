@@ -57,10 +57,16 @@ def test_a_run_resumes_in_and_after_matte_rounds(bowl, tmp_path):
             assert bits_of(recovery.maps()) == whole
 
 
+def make_shiny(bowl):
+    """Make a quarter of a bowl send the light of half of the lamps alone, as lobes do; return it."""
+    domain = bowl[0]
+    quarter = domain.solvable & (np.arange(domain.shape[1]) < domain.shape[1] // 4)
+    domain.stack.values[:, quarter, :3] *= np.resize([3, 0], len(domain.stack.values))[:, None, None]
+    return bowl
+
+
 def test_a_full_round_follows_where_surfaces_are_not_matte(tmp_path):
-    matte, shiny = matt_bowl(), matt_bowl()
-    quarter = shiny[0].solvable & (np.arange(shiny[0].shape[1]) < shiny[0].shape[1] // 4)
-    shiny[0].stack.values[:, quarter, :3] *= np.resize([3, 0], len(shiny[0].stack.values))[:, None, None]  # as lobes do
+    matte, shiny = matt_bowl(), make_shiny(matt_bowl())
     schedule = SINGLE.replaced(interreflection_matte_rounds=1)
     found = []
     for bowl, rounds in ((matte, 0), (shiny, 0), (shiny, 1)):
@@ -79,6 +85,49 @@ def test_a_full_round_follows_where_surfaces_are_not_matte(tmp_path):
             recovery.load(tmp_path / f"{number}.npz")
             recovery.step()
             assert bits_of(recovery.maps()) == found[1][-1]
+
+
+def between_rounds(recovery, number):
+    """Step until the light of recovery ``number`` is being computed."""
+    while recovery._at < number or recovery._transition is None:
+        assert not recovery.step(time_budget_s=0).done
+
+
+@pytest.mark.parametrize("subject", ["matte", "shiny", "not helped"])
+def test_a_run_saved_or_changed_between_rounds_goes_on_as_if_it_were_not(subject, tmp_path, monkeypatch):
+    bowl, schedule = matt_bowl(), SINGLE.replaced(interreflection_matte_rounds=2)
+    if subject == "shiny":
+        make_shiny(bowl)
+    elif subject == "not helped":
+        bowl = without_indirect(bowl)
+        monkeypatch.setattr(IndirectLight, "strength", lambda self, radiance: 1.0)
+    with rounds_of(bowl, schedule) as recovery:
+        recovery.step()
+        whole = bits_of(recovery.maps())
+    for number in range(2):
+        with rounds_of(bowl, schedule) as recovery:
+            between_rounds(recovery, number)
+            recovery.save(tmp_path / f"{number}.npz")
+            changed = recovery.reconfigure(schedule)
+            changed.step()
+            assert bits_of(changed.maps()) == whole
+        with rounds_of(bowl, schedule) as recovery:
+            recovery.load(tmp_path / f"{number}.npz")
+            recovery.step()
+            assert bits_of(recovery.maps()) == whole
+
+
+def test_a_changed_run_without_such_light_stays_a_whole_recovery():
+    direct, schedule = without_indirect(matt_bowl()), SINGLE.replaced(interreflection_matte_rounds=2)
+    found = []
+    for change in (False, True):
+        with rounds_of(direct, schedule) as recovery:
+            while recovery._at == 0:
+                recovery.step(1)
+            live = recovery.reconfigure(schedule) if change else recovery
+            live.step()
+            found.append(bits_of(live.maps()))
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("rounds", [0, 1])

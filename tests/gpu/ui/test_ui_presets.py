@@ -151,6 +151,9 @@ def test_matte_rounds_count_on_meshes_alone_and_go_off_with_the_switch():
     assert settings().interreflection
     bpy.context.scene.irpso.shadows = False
     assert not settings().interreflection
+    settings().interreflection = True
+    assert settings().interreflection
+    settings().interreflection = False
     bpy.context.scene.irpso.shadows, settings().levels = True, 2
     assert not settings().interreflection
     settings().levels = 1

@@ -193,7 +193,7 @@ def test_rounds_of_interreflection_hold_their_light_their_maps_and_their_rays():
         schedule = SWARM.replaced(interreflection_rounds=rounds, **light)
         plans[rounds] = plan_recovery(covered, recovery_cost(load_model("lambert"), schedule, (), 100), PLENTY)
     rays = 16 * 16 * 32
-    assert plans[1].device - plans[0].device == plans[3].device - plans[0].device == rays * 16
+    assert plans[1].device - plans[0].device == plans[3].device - plans[0].device == (rays + 16 * 16) * 16
     maps = 64 * 64 * (6 + 1) * 4  # lambert's six components, and whether they explain the photographs
     # Number, elements, weights and albedo of a texel are 48 bytes, directions and elements of a ray 16.
     light = 64 * 64 * 48 + 16 * 16 * 100 * 3 * 4
@@ -206,7 +206,7 @@ def test_no_more_rays_are_counted_than_texels_have():
     light = {"interreflection_rounds": 1, "interreflection_resolution": 1024, "interreflection_rays": 1024}
     cost = recovery_cost(load_model("lambert"), SWARM.replaced(**light), (), 10)
     plan = plan_recovery(np.ones((8, 16), bool), cost, PLENTY)
-    assert plan.device == device_bytes(128, 128, cost_of(10)) + 128 * 1024 * 16
+    assert plan.device == device_bytes(128, 128, cost_of(10)) + 128 * 1025 * 16
     with pytest.raises(InputError, match="65536 elements of 1024 rays exceed .* lower interreflection_resolution"):
         plan_recovery(np.ones((256, 256), bool), cost, PLENTY, Limits(texture=(1 << 30) - 1))
 
