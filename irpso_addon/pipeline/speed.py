@@ -109,7 +109,7 @@ def measure_speed(side: int | None = None) -> Speed:
     """
     context.ensure()
     side = side or _SIDE[context.is_software(str(context.describe()["renderer"]))]
-    model, schedule = load_model(DEFAULT_MODEL), load_schedule(_PRESET)
+    model, schedule = load_model(DEFAULT_MODEL), load_schedule(_PRESET).without_rounds()  # a card has none
     domain = make_card(model, side)
     with closing(ProgramCache()):
         middle = (side - min(side, _WARM)) // 2
