@@ -209,7 +209,7 @@ def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
 
 def _ray_bytes(cost: Cost) -> int:
     """Return the bytes of the rays on the device: a layer for each, and one with the number of those that hit."""
-    return FLOAT4 * cost.elements * (cost.rays + 1)
+    return FLOAT4 * cost.elements * (cost.rays + (cost.rays > 0))
 
 
 def host_bytes(texels: int, rectangle: int, cost: Cost) -> int:
@@ -345,10 +345,14 @@ def _storage(
     stack = stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
-    needed = _PREPARING + (BAKE + PREPARED) * texels + maps + max(tile.host for tile in tiles)
+    transient = max(tile.host for tile in tiles)  # while a tile is prepared, or light is exchanged between recoveries
+    needed = _PREPARING + (BAKE + PREPARED) * texels + maps
     if cost.rounds:
-        needed += (_EXCHANGED + (_INDIRECT + FLOAT * (cost.components + 1)) * cost.rounds) * texels
-        needed += (_RAY * cost.rays + 3 * FLOAT * cost.observations * cost.rounds) * cost.elements
+        transient = max(transient, (_EXCHANGED - _INDIRECT) * texels + _RAY * cost.rays * cost.elements)
+        lights = max(cost.recoveries - 1, 1)  # that are kept: on a card a round's depends on those before
+        needed += (_INDIRECT * lights + FLOAT * (cost.components + 1) * cost.rounds) * texels
+        needed += 3 * FLOAT * cost.observations * cost.rounds * cost.elements
+    needed += transient
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
     for places in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
         scratch = stack * (places[0] == "scratch") + state * (places[1] == "scratch")
