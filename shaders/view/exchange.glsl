@@ -42,12 +42,14 @@ vec3 throughput_of(Material s, vec3 l, vec3 v)
 }
 
 // Adds the radiances of an element toward a direction by direct light, times the throughput of the receiver.
-void add_direct(ivec2 element, Frame f, Material s, vec3 toward, vec3 throughput, inout vec3 sums[LIGHTS])
+void add_direct(ivec2 element, vec3 toward, vec3 throughput, inout vec3 sums[LIGHTS])
 {
     vec4 lit = texelFetch(u_lit, element, 0);
     if (all(equal(lit, vec4(0.0)))) {
         return;
     }
+    Frame f = frame_at(element);
+    Material s = estimate_at(element);
     vec3 v = to_local(f, toward);
     for (int j = 0; j < LIGHTS; j++) {
         if (lit[j] == 0.0) {
@@ -91,7 +93,7 @@ void add_indirect(ivec2 element, vec3 toward, int first, vec3 throughput, inout 
         for (int j = 0; j < LIGHTS; j++) {
             own[j] += through * received[j];
         }
-        add_direct(other, frame_at(other), estimate_at(other), -ray.xyz, through, own);
+        add_direct(other, -ray.xyz, through, own);
     }
     float share = float(hits) / float(u_ray_count * u_branches);
     for (int j = 0; j < LIGHTS; j++) {
@@ -121,10 +123,10 @@ bool texel_kernel(ivec2 texel)
             }
             vec3 throughput = throughput_of(s, to_local(f, ray.xyz), v);
             add_indirect(other, -ray.xyz, r * u_branches, throughput, sums);
-            add_direct(other, frame_at(other), estimate_at(other), -ray.xyz, throughput, sums);
+            add_direct(other, -ray.xyz, throughput, sums);
         }
         if (u_to_camera != 0) {
-            add_direct(texel, f, s, to_world(f, v), vec3(1.0), direct);
+            add_direct(texel, to_world(f, v), vec3(1.0), direct);
         }
     }
     float c[4 * LIGHTS];

@@ -338,8 +338,7 @@ class InterreflectionRounds(Successive):
                 return None
             indirect = light.samples(strength * radiance)
             before = None if self._known_shape else self._samples
-            samples = domain.stack.kept(DirectStack(domain.stack, indirect, before, relaxation))
-            self._samples = samples
+            samples = self._samples = domain.stack.kept(DirectStack(domain.stack, indirect, before, relaxation))
             subtracted, shown = np.zeros((2, int(covered.sum())))
             for observation, layer in enumerate(domain.stack.layers()):
                 light_of_texels = indirect.at(observation, *np.nonzero(covered))
