@@ -1,13 +1,13 @@
 """Interreflection geometry of a mesh: elements, the rays between them, and the lights that each element sees.
 
-Elements are texels, one for each cell of a grid over the UV square. The rays of each are distributed as the cosine to
-its normal (Malley's method: a uniform disk, projected to the hemisphere), by the R2 sequence (Roberts
-2018) shifted for each element (Cranley & Patterson 1976).
+Elements are texels: one for each cell of a grid over the UV square, and more where parts of the surface that are apart
+in space share a cell. The rays of each are distributed as the cosine to its normal (Malley's method: a uniform disk,
+projected to the hemisphere), by the R2 sequence (Roberts 2018) shifted for each element (Cranley & Patterson 1976).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -21,7 +21,12 @@ from .shadows import corner_weights
 Cast = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # blender/ray_caster.py
 _PLASTIC = 1.32471795724474602596  # the real root of x³ = x + 1, of the R2 sequence
 _LIFT = 1e-4  # height of ray origins above the surface, as a fraction of the subject's size
-_LEAST = 1e-9  # weight of a cell whose surface is unlike a texel's: matters only where no other is near
+# Likeness of a texel and an element: exp(−d²/4) cos⁴, with the distance d in widths of a cell and the angle between the
+# normals. It is 0.05 at 3.5 widths, or at 62°.
+_ALIKE = 0.05  # a texel less like all elements of its cell gets an element of its own
+_FOREIGN = 1e-3  # an element less like a texel gives it no light
+_FAR = 4.0  # widths of a cell between a ray's hit and an element that stands for it
+MOST_ELEMENTS = 1 << 13  # or the cells, if these are more
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,8 @@ class Exchange:
 
     hits: (R, E) int32, the element that a ray hits, −1 for none, the back of a face or an occluder. lit: (K, E) bool,
     whether neither mesh nor occluders block the way to each light. near: (T, 4) int32 and share: (T, 4)
-    float32, the elements around each covered texel and their weights, by which ``at_texels`` interpolates.
+    float32, the elements around each covered texel and their weights, by which ``at_texels`` interpolates; all 0 for a
+    texel without an element on its part of the surface.
     """
 
     texels: np.ndarray
@@ -109,7 +115,10 @@ def cosine_directions(normals: np.ndarray, rays: int) -> np.ndarray:
 
 
 class _Grid:
-    """The cells of a domain and their elements: in each cell the covered texel nearest to its centre."""
+    """The cells of a domain and their elements: in each cell the covered texel nearest to its centre, and further ones.
+
+    A further element is, of the texels that are unlike all elements of their cell, the nearest to the centre.
+    """
 
     def __init__(self, bake: SurfaceBake, resolution: int):
         self._bake = bake
@@ -122,26 +131,48 @@ class _Grid:
         row, column = ((2 * at + 1) * count // (2 * longer) for at in (rows, columns))
         cell = row * self._cells[1] + column
         distance = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
-        order = np.lexsort((distance, cell))
-        first = order[np.unique(cell[order], return_index=True)[1]]
-        self.texels = rows[first] * width + columns[first]
-        self._element = np.full(self._cells[0] * self._cells[1], -1, np.int32)
-        self._element[cell[first]] = np.arange(len(first))
-        self._places = bake.position.reshape(-1, 3)[self.texels]
+        self._width = stride * _texel_width(bake)
+        self.texels = np.zeros(0, np.int64)
+        self._elements: list[np.ndarray] = []  # the first of each cell, the second, …; −1 for none
+        self._choose(cell, rows * width + columns, np.lexsort((distance, cell)), max(count**2, MOST_ELEMENTS))
+
+    def _choose(self, cell: np.ndarray, texels: np.ndarray, left: np.ndarray, most: int) -> None:
+        """Set the elements. cell, texels: (T,) of all texels; left: their order, by cell and distance to its centre."""
+        while len(left) and len(self.texels) < most:
+            cells, first = (found[: most - len(self.texels)] for found in np.unique(cell[left], return_index=True))
+            number = np.full(self._cells[0] * self._cells[1], -1, np.int32)
+            number[cells] = len(self.texels) + np.arange(len(cells))
+            self._elements.append(number)
+            self.texels = np.append(self.texels, texels[left[first]])
+            self._places, self._normals = (
+                part.reshape(-1, 3)[self.texels] for part in (self._bake.position, self._bake.normal)
+            )
+            left = left[self._likeness(number[cell[left]], texels[left]) < _ALIKE]
+
+    def _likeness(self, element: np.ndarray, texels: np.ndarray) -> np.ndarray:
+        """Return (N,) in 0 … 1, of elements and texels (N,); 0 for element −1."""
+        position, normal = (part.reshape(-1, 3)[texels] for part in (self._bake.position, self._bake.normal))
+        squared = ((self._places[element] - position) ** 2).sum(axis=-1)
+        facing = np.maximum(np.einsum("ti,ti->t", self._normals[element], normal), 0) ** 4
+        return (element >= 0) * np.exp(-squared / (2 * self._width) ** 2) * facing
 
     def elements_at(self, mesh: MeshData, triangle: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Return (N,) the elements nearest to hit points (N, 3) on triangles; −1 on backs and unsolved triangles."""
+        """Return (N,) the elements nearest to hit points (N, 3) on triangles.
+
+        −1 on backs, on unsolved triangles, and where no element is near that faces the same way.
+        """
         weights = corner_weights(mesh.positions[triangle].astype(np.float64), place)
         uv = np.einsum("nk,nki->ni", weights, mesh.uvs[triangle])
         normal = np.einsum("nk,nki->ni", weights, mesh.normals[triangle])
         height, width = self._bake.coverage.shape
         row, column = ((uv[:, i] * size / self._stride).astype(int) for i, size in ((1, height), (0, width)))
-        best, least = np.full(len(place), -1, np.int32), np.full(len(place), np.inf)
+        best, least = np.full(len(place), -1, np.int32), np.full(len(place), (_FAR * self._width) ** 2)
         for down, across in product((-1, 0, 1), repeat=2):
-            element = self._at(row + down, column + across)
-            squared = ((self._places[element] - place) ** 2).sum(axis=-1)
-            better = (element >= 0) & (squared < least)
-            best[better], least[better] = element[better], squared[better]
+            for element in self._at(row + down, column + across):
+                squared = ((self._places[element] - place) ** 2).sum(axis=-1)
+                facing = np.einsum("ni,ni->n", self._normals[element], normal) > 0
+                better = (element >= 0) & facing & (squared < least)
+                best[better], least[better] = element[better], squared[better]
         front = np.einsum("ni,ni->n", normal, direction) < 0
         solved = True if mesh.solved is None else mesh.solved[triangle]
         return np.where(front & solved, best, -1)
@@ -149,40 +180,39 @@ class _Grid:
     def around(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
 
-        Bilinear weights, lowered for elements that are far from the texel or face another way.
+        In each cell the element most like the texel. Bilinear weights, lowered for elements that are unlike it.
         """
         rows, columns = np.nonzero(self._bake.coverage)
-        normals, own = self._bake.normal.reshape(-1, 3), self._bake.normal[rows, columns]
-        position = self._bake.position[rows, columns]
-        reach = self._spacing()
+        texels = rows * self._bake.coverage.shape[1] + columns
         y, x = ((at + 0.5) / self._stride - 0.5 for at in (rows, columns))
         near, share = [], []
         for down, across in product((0, 1), repeat=2):
             row, column = np.floor(y).astype(int) + down, np.floor(x).astype(int) + across
-            element = self._at(row, column)
-            weight = (1 - np.abs(y - row)) * (1 - np.abs(x - column))
-            squared = ((self._places[element] - position) ** 2).sum(axis=-1)
-            facing = np.maximum(np.einsum("ti,ti->t", normals[self.texels[element]], own), 0) ** 4
-            alike = np.exp(-squared / (2 * reach) ** 2) * facing
-            near.append(np.maximum(element, 0))
-            share.append(np.where(element >= 0, weight * np.maximum(alike, _LEAST), 0))
+            best, alike = np.zeros(len(texels), np.int32), np.full(len(texels), _FOREIGN)
+            for element in self._at(row, column):
+                likeness = self._likeness(element, texels)
+                better = likeness > alike
+                best[better], alike[better] = element[better], likeness[better]
+            near.append(best)
+            share.append(np.where(alike > _FOREIGN, (1 - np.abs(y - row)) * (1 - np.abs(x - column)) * alike, 0))
         total = np.sum(share, axis=0)
+        total[total == 0] = 1
         return np.stack(near, axis=-1), (np.stack(share, axis=-1) / total[:, None]).astype(np.float32)
 
-    def _at(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Return the elements of cells, −1 for none."""
+    def _at(self, row: np.ndarray, column: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the first elements of cells, the second, …; −1 for none."""
         rows, columns = self._cells
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        return np.where(
-            inside, self._element[np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)], -1
-        )
+        cell = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
+        for number in self._elements:
+            yield np.where(inside, number[cell], -1)
 
-    def _spacing(self) -> float:
-        """Return the median distance, in world units, between elements of neighbouring cells in a row."""
-        rows, columns = np.divmod(np.arange(len(self._element)), self._cells[1])
-        other = self._at(rows, columns + 1)
-        both = (self._element >= 0) & (other >= 0)
-        if not both.any():
-            return 1.0
-        gaps = self._places[self._element[both]] - self._places[other[both]]
-        return max(float(np.median(np.linalg.norm(gaps, axis=-1))), 1e-12)
+
+def _texel_width(bake: SurfaceBake) -> float:
+    """Return the median distance, in world units, between neighbouring texels; the larger of rows and columns."""
+    widths = [1e-12]
+    for axis in (0, 1):
+        both = np.minimum(*(np.delete(bake.coverage, end, axis) for end in (0, -1)))
+        gaps = np.linalg.norm(np.diff(bake.position, axis=axis)[both], axis=-1)
+        widths.append(float(np.median(gaps)) if len(gaps) else 0.0)
+    return max(widths)

@@ -20,6 +20,8 @@ from .exchange import Cast, Exchange, exchange_steps, lit_steps
 Values = Mapping[str, np.ndarray]  # parameter name → (H, W, components)
 InterreflectionSurface = tuple[Domain, Exchange, Values]
 CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
+RELIEF_TRIANGLES = 2  # of a card's relief, per texel
+_KEPT_LIGHTS = 3  # sets of lights: of the fitted photographs, before and after a change, and of the held-out ones
 
 
 class Surroundings(Protocol):
@@ -48,23 +50,29 @@ class MeshSurroundings:
     rays: int
     shape_known: bool = True
     _exchange: Exchange | None = None
-    _lights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # under which ``_exchange`` was computed
+    _lit: dict[bytes, np.ndarray] = field(default_factory=dict)  # of the last lights (K, 4): Exchange.lit
 
     @property
     def identity(self) -> dict[str, str]:
-        """A hash of the occluders: the samples do not always show that an occluder has changed."""
-        return {"occluders": hashlib.sha256(self.mesh.occluders.tobytes()).hexdigest()}
+        """A hash of what blocks light: the samples do not always show that an occluder or another slot has changed."""
+        mesh = self.mesh
+        others = mesh.positions[:0] if mesh.solved is None else mesh.positions[~mesh.solved]
+        return {"occluders": hashlib.sha256(mesh.occluders.tobytes() + others.tobytes()).hexdigest()}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
-        """As Surroundings. The first call casts all rays, a call under other lights only those to the lights."""
-        shape = self.mesh, surface_bake(domain.bake)
+        """As Surroundings. The first call casts all rays, a call under new lights only those to the lights."""
+        shape, lights = (self.mesh, surface_bake(domain.bake)), domain.lights.tobytes()
         if self._exchange is None:
-            cast, self._lights = self.caster_of(self.mesh), domain.lights
+            cast = self.caster_of(self.mesh)
             self._exchange = yield from exchange_steps(*shape, domain.lights, cast, self.resolution, self.rays)
-        if np.array_equal(self._lights, domain.lights):
-            return domain, self._exchange, values
-        lit = yield from lit_steps(*shape, self._exchange.texels, domain.lights, self.caster_of(self.mesh))
-        return domain, replace(self._exchange, lit=lit), values
+            self._lit[lights] = self._exchange.lit
+        if lights not in self._lit:
+            texels = self._exchange.texels
+            lit = yield from lit_steps(*shape, texels, domain.lights, self.caster_of(self.mesh))
+            while len(self._lit) >= _KEPT_LIGHTS:
+                self._lit.pop(next(iter(self._lit)))
+            self._lit[lights] = lit
+        return domain, replace(self._exchange, lit=self._lit[lights]), values
 
 
 @dataclass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Generator, Mapping
 from functools import cached_property
 
@@ -13,8 +12,10 @@ from ...geometry.domain import Domain
 from ...geometry.light.exchange import Exchange
 from ...geometry.light.light_shape import beam_shares
 from ...gpu import context, textures
+from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
 from ..kernels.kernels import EXCHANGED, exchange_pass
+from ..phases.phase import BAND_SECONDS
 from ..state.prepare import light_vectors
 from ..state.textures import observation_defines
 from .direct import IndirectSamples
@@ -31,6 +32,7 @@ _MOST_STRENGTH = 30.0
 _LEAST_ROUGHNESS = 0.3
 _MOST_NOISE = 3.0  # factor between a dark sample and the median of all; beyond it a lamp reaches the sample
 _BRANCHES = 4  # rays followed from the element that a ray hits, in the pass to the camera
+_COLUMNS = 1024  # of the grid of elements; software renderers share out squares of 64 texels among their threads
 
 
 class IndirectLight:
@@ -38,7 +40,8 @@ class IndirectLight:
 
     domain: of the maps. exchange: elements of the surface. bounces: between surfaces. values: the maps, parameter name
     → (H, W, components). known: (H, W) bool, where the maps determine the material; other elements get the material of
-    the nearest known one. Elements that are not solvable have the mesh's own normal. materials: of the E elements,
+    the nearest known one, or of the nearest solvable one if none is known. Elements that are not solvable have the
+    mesh's own normal. materials: of the E elements,
     parameter name → (E, components); the light is computed with wider lobes. covered: (H, W) bool, the texels of
     ``samples``. Radiances of elements are as photographed.
     """
@@ -56,7 +59,7 @@ class IndirectLight:
         self._domain, self.exchange, self._bounces = domain, exchange, bounces
         self.covered = domain.bake.coverage
         count = len(exchange.texels)
-        columns = math.isqrt(count - 1) + 1
+        columns = min(count, _COLUMNS)
         self._shape = -(-count // columns), columns
         self.materials = self._materials(model, values, known)
         least = _least_values(model)
@@ -83,6 +86,7 @@ class IndirectLight:
         )
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
         places = self._places
+        self._bands = Bands(paced=True)
         shares, divisors = zip(*(beam_shares(domain, k, places) for k in range(domain.observations)), strict=True)
         self._lit = exchange.lit * np.float32(shares)  # (K, E) fraction of each light's axial intensity
         self._divisors = np.stack(divisors)
@@ -147,14 +151,16 @@ class IndirectLight:
             lit = np.zeros((count, EXCHANGED), np.float32)
             lit[:, : len(group)] = self._lit[group].T
             inputs = {**self._inputs, "u_lit": textures.upload(self._grid(lit))}
-            for observation, texture in zip(group, self._exchanged(number, inputs), strict=False):
+            exchanged = yield from self._exchanged(number, inputs)
+            for observation, texture in zip(group, exchanged, strict=False):
                 radiance = textures.download(texture).reshape(-1, 4)[:count]
                 indirect[observation], direct[observation] = radiance[:, :3], radiance[:, 3]
-            yield
         return indirect, direct
 
-    def _exchanged(self, number: int, inputs: Mapping[str, textures.Texture]) -> list[textures.Texture]:
-        """Return a texture for each observation of a group: indirect radiance, and direct in alpha."""
+    def _exchanged(
+        self, number: int, inputs: Mapping[str, textures.Texture]
+    ) -> Generator[None, None, list[textures.Texture]]:
+        """Yield often; return a texture for each observation of a group: indirect radiance, and direct in alpha."""
         received, (target, other) = self._unlit, self._targets
         constants = {
             "u_observation": number * EXCHANGED, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
@@ -165,7 +171,8 @@ class IndirectLight:
             last = left == 0
             bounce = {"u_to_camera": int(last), "u_branches": branches if last else 0}
             before = {f"u_received_{i}": texture for i, texture in enumerate(received)}
-            self._pass.run(target, {**inputs, **before}, constants | bounce)
+            given = target, {**inputs, **before}, constants | bounce
+            yield from self._pass.in_bands(f"exchange {int(last)}", self._bands, BAND_SECONDS, *given)
             received, target, other = target, other, target
         return received
 
@@ -187,7 +194,10 @@ class IndirectLight:
     ) -> dict[str, np.ndarray]:
         """Return parameter name → (E, components) of all elements: their own, or those of the nearest known element."""
         texels = self.exchange.texels
-        nearest = self._nearest(_flat(known)[texels])
+        known_elements = _flat(known)[texels]
+        if not known_elements.any():
+            known_elements = _flat(self._domain.solvable)[texels]
+        nearest = self._nearest(known_elements)
         materials = {}
         for p in model.parameters:
             materials[p.name] = _flat(values[p.name])[texels[nearest]]
@@ -200,9 +210,10 @@ class IndirectLight:
         """Return (E,): for each element the nearest known one; a known element is its own."""
         places = _flat(self._domain.bake.position)[self.exchange.texels]
         nearest, others = np.arange(len(places)), np.flatnonzero(known)
-        missing = np.flatnonzero(~known)
+        missing = np.flatnonzero(~known) if len(others) else others
         for part in np.array_split(missing, -(-len(missing) * len(others) // _CHUNK) or 1):
-            squared = ((places[part, None] - places[others]) ** 2).sum(axis=-1)
+            along = zip(places[part].T, places[others].T, strict=True)
+            squared = sum((own[:, None] - other) ** 2 for own, other in along)
             nearest[part] = others[squared.argmin(axis=1)] if len(part) else part
         return nearest
 

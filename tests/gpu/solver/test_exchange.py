@@ -169,3 +169,16 @@ def test_a_place_whose_material_is_not_known_has_that_of_the_nearest():
         np.testing.assert_allclose(
             light.materials["base_color"], np.tile([[0.8, 0.5, 0.1]], (known.size, 1)), rtol=1e-6
         )
+
+
+@pytest.mark.parametrize("solvable", [True, False])
+def test_where_no_element_is_known_solvable_ones_send_light(solvable):
+    mesh = cavity_mesh()
+    domain = cavity(mesh)
+    domain = replace(domain, solvable=np.full(domain.shape, solvable))
+    maps = maps_of(domain, base_color=(0.8, 0.5, 0.1) if solvable else (0, 0, 0))
+    none = np.zeros(domain.shape, bool)
+    with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, none, 1)) as light:
+        sent = run_steps(light.of_elements())[0].mean(axis=(0, 1))
+    # The least albedo of an element is 0.02.
+    np.testing.assert_allclose(sent, np.square((0.8, 0.5, 0.1) if solvable else (0.02,) * 3), rtol=0.02)

@@ -1,0 +1,71 @@
+"""Elements of interreflection on maps whose islands are smaller than the cells from which elements are chosen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.light import exchange as module
+from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.geometry.surface.mesh import MeshData
+from tests.builders.cavity import cavity, cavity_mesh
+
+SHAPE = 96, 192
+WIDTH = 2 * np.pi / 192 * 12  # of a cell of 12 texels on a sphere of radius 1
+
+
+def scattered(mesh: MeshData, blocks=(12, 6), seed=1) -> MeshData:
+    """Return a mesh whose UV map is cut into blocks, which are laid out in another order."""
+    block = np.floor(mesh.uvs.mean(axis=1) * blocks).astype(int)
+    number = block[:, 1] * blocks[0] + block[:, 0]
+    other = np.random.default_rng(seed).permutation(blocks[0] * blocks[1])[number]
+    moved = np.stack([other % blocks[0], other // blocks[0]], axis=-1) - block
+    return replace(mesh, uvs=(mesh.uvs + (moved / blocks)[:, None]).astype(np.float32))
+
+
+def exchange_of(mesh: MeshData, resolution=16, rays=16):
+    domain = cavity(mesh, SHAPE)
+    steps = exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays)
+    return run_steps(steps), domain.bake
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_texels_and_rays_have_elements_near_them_in_space(cut):
+    mesh = cavity_mesh()
+    exchange, bake = exchange_of(scattered(mesh) if cut else mesh)
+    places = bake.position.reshape(-1, 3)[exchange.texels]
+    covered = bake.position[bake.coverage]
+    chosen = exchange.share > 0.01
+    away = np.linalg.norm(places[exchange.near] - covered[:, None], axis=-1)[chosen]
+    assert away.max() < 4 * WIDTH
+    assert np.quantile(away, 0.95) < 2 * WIDTH
+    np.testing.assert_allclose(exchange.share.sum(axis=-1), 1, atol=1e-6)
+    hit = exchange.hits >= 0
+    assert hit.mean() > 0.99
+    origin = np.broadcast_to(places, exchange.directions.shape)[hit]
+    direction = exchange.directions[hit]
+    met = origin - 2 * (origin * direction).sum(axis=-1, keepdims=True) * direction
+    away = np.linalg.norm(places[exchange.hits[hit]] - met, axis=-1)
+    assert np.quantile(away, 0.99) < 2 * WIDTH
+
+
+def test_an_island_beside_others_has_an_element_of_its_own():
+    mesh = cavity_mesh()
+    whole, cut = (exchange_of(each)[0] for each in (mesh, scattered(mesh)))
+    assert len(whole.texels) < len(cut.texels) < 3 * len(whole.texels)
+    assert len(np.unique(cut.texels)) == len(cut.texels)
+
+
+def test_where_there_are_too_few_elements_texels_get_no_light(monkeypatch):
+    monkeypatch.setattr(module, "MOST_ELEMENTS", 1)
+    exchange, bake = exchange_of(scattered(cavity_mesh()), resolution=3)
+    assert len(exchange.texels) == 9
+    places, covered = bake.position.reshape(-1, 3)[exchange.texels], bake.position[bake.coverage]
+    total = exchange.share.sum(axis=-1)
+    assert 0.1 < (total == 0).mean() < 0.9
+    away = np.linalg.norm(places[exchange.near] - covered[:, None], axis=-1)[exchange.share > 0]
+    assert away.max() < 6 * 16 / 3 * WIDTH
+    light = exchange.at_texels(np.ones((9, 1)))
+    np.testing.assert_array_equal(light[total == 0], 0)
