@@ -12,7 +12,18 @@ from ..geometry.domain import Domain
 from ..solver.engine.halo import Box
 from ..solver.planning.cost import Cost
 from ..solver.planning.memory import Memory, amount
-from ..solver.planning.plan import BAKE, PREPARED, Borders, Limits, Tile, divided, fits_textures, stack_bytes, tile_of
+from ..solver.planning.plan import (
+    BAKE,
+    PREPARED,
+    Borders,
+    Limits,
+    Tile,
+    divided,
+    exchange_bytes,
+    fits_textures,
+    stack_bytes,
+    tile_of,
+)
 from .transport import Ranks
 
 
@@ -50,7 +61,8 @@ class Split:
         """Return the host bytes of a tile's rank: its samples and solved state, and the geometry of the whole."""
         _, _, width, height = around(self.shape, (tile.x0, tile.y0, tile.width, tile.height), self.halo)
         samples = self.cost.stacks * stack_bytes(self.cost, width * height)
-        return self.geometry + PREPARED * width * height + samples + tile.host
+        exchange = exchange_bytes(self.cost, self.shape[0] * self.shape[1]) if tile is self.tiles[0] else 0  # rank 0's
+        return self.geometry + PREPARED * width * height + samples + max(tile.host, exchange)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the split as plain data."""

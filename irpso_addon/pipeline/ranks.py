@@ -32,7 +32,7 @@ from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.plan import within_limits
-from ..solver.planning.planning import covered_texels, device_limits, uv_borders
+from ..solver.planning.planning import covered_texels, device_limits, rays_triangles, uv_borders
 from .job import Job
 from .run import READ, Run, in_solver_frames
 
@@ -170,8 +170,9 @@ def _surface(job: Job) -> Surface:
 
 def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
-    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment")
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
+    triangles = rays_triangles(job.mesh, coverage)
+    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment", triangles)
     height, width = coverage.shape
     borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))
     limits = device_limits(context.free_device_memory())

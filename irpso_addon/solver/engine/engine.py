@@ -195,6 +195,11 @@ class RecoveryEngine(ABC):
         raise InputError(_DIVIDED)
 
     @property
+    def held(self) -> frozenset[str]:
+        """The parameters that are not searched now."""
+        return frozenset(self.fixed)
+
+    @property
     def phase(self) -> Phase | None:
         """The current phase, whose textures ``view`` reads, or None."""
         return None

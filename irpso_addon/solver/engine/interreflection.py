@@ -19,6 +19,7 @@ from ...geometry.samples import SampleStack
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..phases.phase import BAND_SECONDS
 from ..settings.levels import warm_started
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
@@ -42,11 +43,15 @@ _MATTE_STEPS = 6  # of Levenberg–Marquardt in a matte round
 # paint it is 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at
 # most 0.015.
 _MOST_UNEXPLAINED = 0.02
+# Where surfaces are not matte, a last matte round may fit worse than the first by this factor: such fits say little. In
+# a coin and a bowl of metal paint it is 1.03 and 1.05, and their light helps the full round.
+_WORSE = 1.25
+_MOST_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
 _LEAST_SHARE = 0.003  # of the light of the photographs; with less there is no further round
 _MOST_RESIDUAL = 0.5  # of a texel's light: above it the maps do not explain the photographs
 # Indirect part of a texel's light. Above it, the direct rest is mostly the error of the indirect light: in a bowl of
 # metal paint the normal error is 1.6° where the part is 0.5 to 0.7, and 20° where it is more than 0.9.
-_MOST_INDIRECT = 2 / 3
+MOST_INDIRECT = 2 / 3
 
 
 class InterreflectionRounds(Successive):
@@ -58,7 +63,7 @@ class InterreflectionRounds(Successive):
     the others. The first ``interreflection.matte_rounds`` recoveries find base colours alone, with all else at the
     model's defaults; where these do not explain the photographs, a full round follows in any case. If the last of them
     fits worse than the first, their light is not subtracted. Without notable indirect light the maps are those of a
-    Recovery.
+    Recovery. Texels whose part of the surface has no element keep all light.
 
     surroundings: surfaces that send the light. prepared: from ``prepare``, of the original photographs. solve: creates
     one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, and one of prepared
@@ -91,6 +96,7 @@ class InterreflectionRounds(Successive):
         self._samples: SampleStack | None = None  # without indirect light
         self._share: np.ndarray | None = None  # (H, W), indirect part of the photographed light, from the last round
         self._mean_share = 0.0  # over the texels
+        self._foreign = 0.0  # part of the texels without an element
         self._errors: list[float] = []  # mean residuals at the ends of the rounds
         self._strengths: list[float] = []  # factors on each round's light
         self._bases: list[dict[str, np.ndarray]] = []  # the maps from which each round's light was estimated
@@ -100,14 +106,18 @@ class InterreflectionRounds(Successive):
     def maps(self, confidence: bool = True) -> Maps:
         """Return the maps of the current recovery, as RecoveryEngine.maps.
 
-        Where most light is indirect, the maps of the last recovery have the mesh's normals, the material of the nearest
-        texels with direct light, and the largest deviations.
+        What a round holds fixed has the largest deviation. Where most light is indirect, the maps of the last recovery
+        have the mesh's normals, the material of the nearest texels with direct light, and the largest deviations.
         """
         maps = self._live.maps(confidence)
-        if self._normals_fixed(self._at) or not self._substitutes:
-            return maps
         values, deviations = dict(maps.values), maps.confidence and dict(maps.confidence)
-        for p in self.model.parameters:
+        if self._normals_fixed(self._at):
+            held = self._fixed_in(self._at).keys() - self.fixed.keys()
+            for p in self.model.parameters:
+                if deviations and p.name in held:
+                    deviations[p.name] = np.full_like(deviations[p.name], p.width)
+            return replace(maps, confidence=deviations)
+        for p in self.model.parameters if self._substitutes else ():
             if p.name not in self.fixed:
                 values[p.name] = np.where(self._dominated[..., None], self._substitutes[p.name], values[p.name])
                 if deviations:
@@ -117,16 +127,27 @@ class InterreflectionRounds(Successive):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        if not self._errors or not self.progress.done:
-            return ()
-        maps, lines, full = self._live.maps(confidence=False), [], self._errors[self._matte :]
-        last = self._mean_residual(maps)
-        if full and last > full[0]:
-            setting = "rounds" if self.schedule.interreflection.rounds else "matte_rounds"
-            lines.append(
-                "after subtracting the light that the subject throws on itself, the maps fit the photographs worse than"
-                f" before (mean error {last:.2g}, {full[0]:.2g}); set interreflection_{setting}=0"
+        if self._normals_fixed(self._at):
+            return (
+                f"stopped in round {self._at + 1} of {len(self._schedules)} of interreflection: normals are recovered"
+                " in the last, until then they are the mesh's own; resume to find them",
             )
+        lines = []
+        if self._foreign > _MOST_FOREIGN:
+            lines.append(
+                f"interreflection: {self._foreign:.0%} of the texels lie on islands of the UV map for which there are"
+                " too few elements, and keep the light of the rest of the subject; raise interreflection_resolution,"
+                " or unwrap the mesh into larger islands"
+            )
+        full = self._errors[self._matte :]
+        if full and self.progress.done:
+            last = self._mean_residual(self._live.maps(confidence=False))
+            if last > full[0]:
+                setting = "rounds" if self.schedule.interreflection.rounds else "matte_rounds"
+                lines.append(
+                    "after subtracting the light that the subject throws on itself, the maps fit the photographs worse"
+                    f" than before (mean error {last:.2g}, {full[0]:.2g}); set interreflection_{setting}=0"
+                )
         return tuple(lines)
 
     @property
@@ -235,8 +256,10 @@ class InterreflectionRounds(Successive):
         return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)
 
     def _next(self) -> Iterator[None]:
+        while self._known_shape and not self._live.refresh_confidence(BAND_SECONDS):
+            yield
         maps = self._live.maps(confidence=self._known_shape)
-        self._bases.append(self._basis(maps))
+        self._bases.append((yield from self._basis(maps)))
         self._errors.append(self._mean_residual(maps))
         domain = yield from self._subtract_indirect()
         if domain is None and not self._normals_fixed(self._at):
@@ -252,18 +275,19 @@ class InterreflectionRounds(Successive):
     def _after_round(self, number: int, domain: Domain | None) -> Domain:
         """Return the domain of the recovery after ``number``. domain: without indirect light, None if it has none.
 
-        If a matte round fits worse than the first, which had all light, the next recovery has all light again. Where
-        the surfaces are not matte, a full round follows the last matte one, even if there are to be none.
+        If the last matte round fits worse than the first, which had all light, the next recovery has all light again:
+        notably worse, where the surfaces are not matte. There a full round follows, even if there are to be none.
         """
         if domain is None:
             return self._restart_with_all_light(number + 1)
         if number == self._matte - 1:
             explained = self._bases[0][_EXPLAINED][self.domain.solvable]
-            if self._full == 0 and 1 - explained.mean(dtype=np.float64) > _MOST_UNEXPLAINED:
+            matte = 1 - explained.mean(dtype=np.float64) <= _MOST_UNEXPLAINED
+            if self._full == 0 and not matte:
                 self._full = 1
                 self._schedules = self._schedules_of(self.schedule)
                 self._count()
-            if self._errors[number] > self._errors[0]:
+            if self._errors[number] > (1.0 if matte else _WORSE) * self._errors[0]:
                 return self._all_light()
         return domain
 
@@ -277,13 +301,14 @@ class InterreflectionRounds(Successive):
     def _mean_residual(self, maps: Maps) -> float:
         return float(present(maps.residual)[self.domain.solvable].mean(dtype=np.float64))
 
-    def _basis(self, maps: Maps) -> dict[str, np.ndarray]:
-        """Return the live maps by name, and a mask of the texels at which they explain the photographs."""
+    def _basis(self, maps: Maps) -> Generator[None, None, dict[str, np.ndarray]]:
+        """Yield often; return the live maps by name, and a mask of the texels at which they explain the photographs."""
         light, count = np.zeros(self.domain.shape), np.zeros(self.domain.shape)
         for layer in self._live.domain.stack.layers():
             counted = layer[..., 3] > 0
             light += counted * layer[..., :3].mean(axis=-1)
             count += counted
+            yield
         explained = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
         full = self._known_shape and not self._of_matte(self._at)
         values = self._stabilised(maps, explained) if full else maps.values
@@ -315,7 +340,7 @@ class InterreflectionRounds(Successive):
 
     def _all_light(self) -> Domain:
         """Forget what was subtracted; return the domain with all light."""
-        self._samples, self._substitutes = None, {}
+        self._samples, self._substitutes, self._foreign = None, {}, 0.0
         self._dominated = np.zeros(self.domain.shape, bool)
         self._set_share(np.zeros(self.domain.shape))
         return self.domain
@@ -329,6 +354,7 @@ class InterreflectionRounds(Successive):
         first, relaxation = len(self._bases) == 1, 1.0 if self._known_shape else _RELAXATION
         with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
             exchange, covered = light.exchange, light.covered
+            self._foreign = float((exchange.share.sum(axis=-1) == 0)[domain.solvable[covered]].mean(dtype=np.float64))
             radiance, direct = yield from light.of_elements()
             strength = light.strength(radiance)
             self._strengths.append(strength)
@@ -354,7 +380,7 @@ class InterreflectionRounds(Successive):
                 own = (counted * direct).sum(axis=0, dtype=np.float64)
                 others = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
                 part = others / np.maximum(others + own, 1e-12)
-                self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > _MOST_INDIRECT
+                self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > MOST_INDIRECT
                 self._dominated &= domain.solvable
                 for name, value in light.materials.items():
                     self._substitutes[name] = np.zeros((*domain.shape, value.shape[-1]), np.float32)
@@ -366,7 +392,7 @@ class InterreflectionRounds(Successive):
         bounces, steps = self.schedule.interreflection.bounces, self._surroundings.steps(domain, basis)
         surface, exchange, values = yield from map_steps(steps, lambda part: None)
         known = domain.solvable & (values[_EXPLAINED][..., 0] > 0)
-        return IndirectLight(surface, exchange, self.model, values, known if known.any() else domain.solvable, bounces)
+        return IndirectLight(surface, exchange, self.model, values, known, bounces)
 
     def _set_share(self, share: np.ndarray) -> None:
         """Store the indirect part (H, W) of the light of the photographs."""

@@ -129,6 +129,10 @@ class Successive(RecoveryEngine):
         return self._live.separation if self._live.domain.shape == self.domain.shape else None
 
     @property
+    def held(self) -> frozenset[str]:
+        return self._live.held
+
+    @property
     def settled(self) -> bool:
         return self._live.settled
 

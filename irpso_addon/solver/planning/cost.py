@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from ...geometry.light.exchange import MOST_ELEMENTS
 from ...reflectance.model import ReflectanceModel
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
@@ -80,8 +81,8 @@ class Cost:
     observations: fitted ones. observed: fitted and held out. components: of the model. compute: passes are compute
     dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives.
     recoveries: in turn, without those of matte rounds, which take little. rounds: of interreflection, over at most
-    ``elements`` elements with ``rays`` rays each. levels: map sizes, of which each coarse one has samples of its own.
-    work: per texel, as in ``work_of``.
+    ``elements`` elements with ``rays`` rays each, cast at ``triangles``. levels: map sizes, of which each coarse one
+    has samples of its own. work: per texel, as in ``work_of``.
     """
 
     observations: int
@@ -94,6 +95,7 @@ class Cost:
     rounds: int = 0
     elements: int = 0
     rays: int = 0
+    triangles: int = 0
     levels: int = 1
     work: float = 0.0
 
@@ -143,16 +145,20 @@ def recovery_cost(
     observations: int,
     held_out: int = 0,
     compute: bool = False,
+    triangles: int = 0,
 ) -> Cost:
-    """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError."""
+    """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError.
+
+    triangles: of the surface on which light is exchanged.
+    """
     fitted = observations - held_out
     levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
     phases = tuple(phase_cost(stage, model, schedule) for stage in levels[0][1])
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
-    rounds = light.estimates
-    exchange = (rounds, light.resolution**2, light.rays) if rounds else (0, 0, 0)
+    rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
+    exchange = (rounds, max(light.resolution**2, MOST_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
     counts = fitted, observations, model.components
     recoveries = 1 + light.rounds
     work = 0.0

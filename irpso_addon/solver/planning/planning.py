@@ -13,7 +13,7 @@ import numpy as np
 from ...capture.types import Capture
 from ...geometry.build import check_card
 from ...geometry.domain import Domain
-from ...geometry.light.surroundings import Surroundings
+from ...geometry.light.surroundings import RELIEF_TRIANGLES, Surroundings
 from ...geometry.seams.edges import seam_edges
 from ...geometry.surface.bake import uv_coverage
 from ...geometry.surface.mesh import MeshData
@@ -67,7 +67,8 @@ def make_plan(
     """
     free = context.free_device_memory()
     limits = device_limits(free)
-    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
+    triangles = rays_triangles(mesh, coverage)
+    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment", triangles)
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
     allowed = machine_memory(memory, str(context.describe()["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
@@ -82,6 +83,11 @@ def make_plan(
             "choose fewer photographs, or a smaller --scale or --resolution",
         )
     return plan
+
+
+def rays_triangles(mesh: MeshData | None, coverage: np.ndarray) -> int:
+    """Return the triangles at which rays of interreflection are cast. coverage: (H, W) of a card if mesh is None."""
+    return RELIEF_TRIANGLES * coverage.size if mesh is None else len(mesh.opaque)
 
 
 def device_limits(free: int | None) -> Limits:

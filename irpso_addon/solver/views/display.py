@@ -72,7 +72,7 @@ class Display:
             raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
         self._recovery, self._whole = recovery, whole or recovery
         self._defines = kernel_defines(recovery.domain)
-        self._size: tuple[int, int] | None = None
+        self._level: tuple[tuple[int, int], frozenset[str]] | None = None
         self._begin()
 
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Texture:
@@ -129,11 +129,11 @@ class Display:
             raise InputError(f"observation {shown.observation}: there are {count}, from 0; choose one of them")
 
     def _follow_level(self, lent: Mapping[str, Texture]) -> None:
-        """Restart if the recovery has reached another level, whose textures have other sizes."""
-        size = level_size(lent, self._defines)
-        if size != self._size:
+        """Restart if the recovery has reached a level of another size, or a round that searches other parameters."""
+        level = level_size(lent, self._defines), self._recovery.held
+        if level != self._level:
             self.close()
-            self._size = size
+            self._level = level
 
     def _texture_of(self, shown: Shown, lent: Mapping[str, Texture]) -> tuple[Texture, tuple[Progress, int] | None]:
         """Return the picture's texture, and the state from which it was drawn, or None."""

@@ -12,6 +12,7 @@ from ...gpu.viewport import Surface
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
 from ...results.scales import PERCENT, round_up, steady_limit
+from ...solver.engine.interreflection import MOST_INDIRECT
 from ...solver.views.display import Shown
 from ..common.words import iface
 from ..session.recovery import Session
@@ -21,7 +22,6 @@ _BLINKS = 2.0  # pictures per second
 _MEAN_TO_RED = 4.0  # error drawn red over the mean error: about the spread of errors
 _RED_SHARE = 0.1  # deviation drawn red over the parameter's range
 _RED_ANGLE = math.radians(10)
-_RED_INDIRECT = 0.5  # fraction of a texel's light from which its material is unknown (solver/engine/interreflection.py)
 _PAIRS = {"SPLIT", "BLINK"}
 _CARD_UVS = np.float32([(0, 0), (1, 0), (1, 1), (0, 1)])
 _TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -44,7 +44,7 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     if view.shown == "CONFIDENCE":
         return (Shown("confidence", parameter, limit=_deviation_limit(view, model, parameter)),)
     if view.shown == "INDIRECT":
-        return (Shown("indirect", limit=_RED_INDIRECT),)
+        return (Shown("indirect", limit=MOST_INDIRECT),)
     exposure = 2.0**view.exposure
     render = Shown("render", observation=observation, exposure=exposure)
     reference = Shown("reference", observation=observation, exposure=exposure)

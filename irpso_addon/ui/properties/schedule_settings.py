@@ -54,7 +54,12 @@ def _has_matte_rounds(self: ScheduleSettings) -> bool:
 
 def _switch_rounds(self: ScheduleSettings, on: bool) -> None:
     matte = _has_matte_rounds(self)
-    light = _shipped(_ROUNDS_PRESETS[matte]).interreflection
+    try:
+        light = base_schedule(self).interreflection
+    except InputError:  # a file that is gone
+        light = _shipped(FIRST).interreflection
+    if not (light.estimates if matte else light.rounds):
+        light = _shipped(_ROUNDS_PRESETS[matte]).interreflection
     self.interreflection_rounds = light.rounds * on
     if matte:
         self.interreflection_matte_rounds = light.matte_rounds * on

@@ -151,3 +151,17 @@ def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
             stages = recovery.progress.stages
         with Recovery(subject[0], LAMBERT, SINGLE, 1, fixed, entry="fragment") as alone:
             assert stages == alone.progress.stages
+
+
+def test_a_run_that_stops_in_a_round_says_that_its_normals_are_the_meshs(bowl):
+    with rounds_of(bowl, SINGLE.replaced(interreflection_matte_rounds=1, interreflection_rounds=1)) as recovery:
+        texts = []
+        while not recovery.step(1).done:
+            maps, texts = recovery.maps(), [*texts, *recovery.warnings[:1]]
+            fixed = bool(recovery.warnings)
+            unknown = maps.unknown()["normal"][maps.covered].mean()
+            assert (unknown == 1) == fixed
+            assert (maps.values["normal"] == (0, 0, 1)).all() == fixed
+        assert {text[:25] for text in texts} == {f"stopped in round {number} of 3 o" for number in (1, 2)}
+        assert recovery.warnings == ()
+        assert not maps.unknown()["normal"].all()

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,23 +188,37 @@ def test_observations_held_out_lie_in_the_stack_but_not_on_the_device():
 
 def test_rounds_of_interreflection_hold_their_light_their_maps_and_their_rays():
     covered = disc(64, 30)
-    light = {"interreflection_resolution": 16, "interreflection_rays": 32}
+    light = {"interreflection_resolution": 16, "interreflection_rays": 16}
     plans = {}
     for rounds in (0, 1, 3):
         schedule = SWARM.replaced(interreflection_rounds=rounds, **light)
         plans[rounds] = plan_recovery(covered, recovery_cost(load_model("lambert"), schedule, (), 100), PLENTY)
-    rays = 16 * 16 * 32
-    assert plans[1].device - plans[0].device == plans[3].device - plans[0].device == (rays + 16 * 16) * 16
+    elements = np.count_nonzero(covered)  # a cell may have several; there are no more than 8192, or than texels
+    assert plans[1].device - plans[0].device == plans[3].device - plans[0].device == (16 + 1) * elements * 16
     maps = 64 * 64 * (6 + 1) * 4  # lambert's six components, and whether they explain the photographs
     # Number, elements, weights and albedo of a texel are 48 bytes, directions and elements of a ray 16.
-    light = 64 * 64 * 48 + 16 * 16 * 100 * 3 * 4
+    light = 64 * 64 * 48 + elements * 100 * 3 * 4
     assert plans[3].host - plans[1].host == 2 * (maps + light)
     # While light is exchanged no tile moves: the larger of both counts, here that of the tile.
     assert plans[1].host - plans[0].host == maps + light
     many = SWARM.replaced(interreflection_rounds=1, interreflection_resolution=64, interreflection_rays=1024)
     plan = plan_recovery(covered, recovery_cost(load_model("lambert"), many, (), 100), PLENTY)
-    assert plan.host - plans[1].host > 16 * 64 * 64 * 1024 - plans[1].tiles[0].host
+    assert plan.host - plans[1].host > 16 * elements * 1024 - plans[1].tiles[0].host
     assert plans[1].host - plans[0].host < 64 * 64 * 100 * 16  # less than a second stack
+
+
+def test_the_triangles_at_which_rays_are_cast_need_memory():
+    model, schedule = load_model("lambert"), SWARM.replaced(interreflection_rounds=1)
+    few, many, none = (
+        recovery_cost(model, schedule.replaced(interreflection_rounds=rounds), (), 10, triangles=triangles)
+        for rounds, triangles in ((1, 10**7), (1, 2 * 10**7), (0, 2 * 10**7))
+    )
+    covered = disc(64, 30)
+    hosts = [plan_recovery(covered, cost, PLENTY).host for cost in (few, many, none)]
+    assert hosts[1] - hosts[0] > 4 * 10**9  # a tree of a million triangles takes 0.45 GiB
+    assert hosts[2] < 10**9
+    with pytest.raises(InputError, match=r"or recover without interreflection \(interreflection_rounds=0"):
+        plan_recovery(covered, many, replace(PLENTY, host=2 << 30))
 
 
 def test_no_more_rays_are_counted_than_texels_have():
