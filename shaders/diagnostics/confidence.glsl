@@ -159,7 +159,7 @@ float variance_of(ivec2 texel, ErrorSums sums)
 #else
     float freedom = degrees_of_freedom(sums);
     float min_variance = 0.0;
-#if FITNESS == FITNESS_ROBUST
+#if LOSS == LOSS_CAUCHY
     min_variance = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
 #endif
     return freedom > 0.0 ? redundancy_of(sums) * sums.squares / freedom + min_variance : -1.0;

@@ -14,7 +14,7 @@ float srgb_slope(float radiance)
 // dark texel that only one lamp lights, the noise exceeds δ.
 float relative_error(Texel t, Observation o)
 {
-#if (FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_GEMAN_MCCLURE)
+#if (LOSS == LOSS_CAUCHY || LOSS == LOSS_GEMAN_MCCLURE)
     float level = t.scale * u_brightness;
     float brightest = max(o.radiance.r, max(o.radiance.g, o.radiance.b));
     float relative = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;

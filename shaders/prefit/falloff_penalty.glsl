@@ -4,7 +4,7 @@
 
 #include "free_parameters.glsl"
 
-#if FITNESS == FITNESS_ROBUST
+#if LOSS == LOSS_CAUCHY
 #define FALLOFF_UNIT 1.5
 #else
 #define FALLOFF_UNIT 0.0

@@ -5,7 +5,7 @@
 
 float loss_unit(ivec2 texel)
 {
-#if FITNESS == FITNESS_ROBUST
+#if LOSS == LOSS_CAUCHY
     float scale = loss_scale(scale_at(texel));
     return scale * scale;
 #else
@@ -16,7 +16,7 @@ float loss_unit(ivec2 texel)
 // Returns the factor from a deviance (−2 log likelihood) to losses over loss_unit(). noise: o_noise.w.
 float deviance_unit(float noise)
 {
-#if FITNESS == FITNESS_L1
+#if LOSS == LOSS_L1
     return 0.5 * noise;
 #else
     return noise;

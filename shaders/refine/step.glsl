@@ -28,7 +28,7 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 {
 #if PRIORS > 0
     float scale = loss_scale(scale_at(texel));
-#if FITNESS == FITNESS_L1
+#if LOSS == LOSS_L1
     float unit = 2.0 * (fitness + NOISE_FLOOR) / (scale * scale);
 #else
     float unit = (fitness + NOISE_FLOOR) / (scale * scale);

@@ -13,10 +13,10 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
 from .free_parameters import FreeParameters, build_slopes, build_starts
-from .kernels import FITNESS, FLOAT_2D, GEOMETRY, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
+from .kernels import FLOAT_2D, GEOMETRY, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
-STEP = {**FITNESS, "u_settles": "INT"}
+STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
 # Largest distance, in texels, of proposals and votes (shaders/refine/propagate.glsl, votes.glsl).
 PROPAGATION_REACH = 2
@@ -114,9 +114,11 @@ def build_refinement_passes(
     return RefinementPasses(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("refine/step", step, constants),
-        propagate=make(propagate, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
+        propagate=make(propagate, {**OBSERVATIONS, **PACKING, **materials}, {**LOSS_CONSTANTS, "u_mirror": "INT"}),
         keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
-        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if has_votes else None,
+        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, LOSS_CONSTANTS)
+        if has_votes
+        else None,
         evaluations=evaluations,
         proposals=proposals,
     )

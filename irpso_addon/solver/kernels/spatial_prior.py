@@ -13,9 +13,9 @@ from ..settings.resolve import ResolvedPrior
 from ..settings.schedule import Schedule
 from .free_parameters import build_free_parameters, build_slopes
 from .kernels import (
-    FITNESS,
     FLOAT_2D,
     GEOMETRY,
+    LOSS_CONSTANTS,
     OBSERVATIONS,
     PACKING,
     copy_pass,
@@ -85,7 +85,7 @@ def build_prior_passes(
 
     def make(source: str, outputs: tuple[Output, ...], samplers: Samplers, how: Entry = entry, **more: int) -> Pass:
         name = f"{source}.glsl"
-        return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
+        return Pass(Kernel(name, outputs, samplers, LOSS_CONSTANTS, {**common, **more}, includes), how)
 
     return PriorPasses(
         noise=make("prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),

@@ -10,7 +10,7 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSurface
 from ..settings.schedule import Schedule
 from .free_parameters import FreeParameters, build_slopes, has_basis
-from .kernels import FITNESS, FLOAT_2D, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
+from .kernels import FLOAT_2D, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 from .refinement import slope_renders
 
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
@@ -55,7 +55,7 @@ def build_surface_passes(
     includes = {**model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes}
 
     def make(source: str, *outputs: Output, how: Entry = entry) -> Pass:
-        constants = {**FITNESS, "u_momentum": "FLOAT"}
+        constants = {**LOSS_CONSTANTS, "u_momentum": "FLOAT"}
         return Pass(Kernel(f"{source}.glsl", outputs, samplers, constants, defines, includes), how)
 
     return SurfacePasses(

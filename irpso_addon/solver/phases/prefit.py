@@ -301,7 +301,7 @@ def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defin
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
     outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.FITNESS, defines, includes))
+    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
@@ -311,7 +311,7 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines)
         "LEAST_SAMPLES": _least_samples(model, schedule),
     }  # fmt: skip
     outputs, includes = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, includes))
+    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
 
 
 def _evidence_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
