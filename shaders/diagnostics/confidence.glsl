@@ -160,7 +160,8 @@ float variance_of(ivec2 texel, ErrorSums sums)
     float freedom = degrees_of_freedom(sums);
     float min_variance = 0.0;
 #if LOSS == LOSS_CAUCHY
-    min_variance = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
+    min_variance = NOISE_FLOOR / (inverse_delta * inverse_delta);
 #endif
     return freedom > 0.0 ? redundancy_of(sums) * sums.squares / freedom + min_variance : -1.0;
 #endif

@@ -6,11 +6,12 @@
 #define LOSS_CAUCHY 2
 #define LOSS_GEMAN_MCCLURE 3
 
-// Factor on errors before the loss. A robust loss takes errors in units of δ times the texel's scale (scale_at).
-float loss_scale(float scale)
+// Returns the factor on errors before the loss. Of a robust loss it is 1 / δ, with δ in radiance: u_delta times the
+// texel's scale (radiance_scale_at). Other losses have no δ: 1.
+float inverse_delta_of(float radiance_scale)
 {
 #if LOSS == LOSS_CAUCHY || LOSS == LOSS_GEMAN_MCCLURE
-    return 1.0 / (scale * u_delta);
+    return 1.0 / (radiance_scale * u_delta);
 #else
     return 1.0;
 #endif

@@ -15,11 +15,11 @@ float srgb_slope(float radiance)
 float relative_error(Texel t, Observation o)
 {
 #if (LOSS == LOSS_CAUCHY || LOSS == LOSS_GEMAN_MCCLURE)
-    float level = t.scale * u_brightness;
+    float level = t.radiance_scale * u_brightness;
     float brightest = max(o.radiance.r, max(o.radiance.g, o.radiance.b));
     float relative = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
 #if defined(NOISE) && !defined(GREY)
-    float delta = 1.0 / (loss_scale(t.scale) * relative);
+    float delta = 1.0 / (inverse_delta_of(t.radiance_scale) * relative);
     float noise = NOISE * srgb_slope(clamp(brightest, 0.0, 1.0));
     relative *= delta * inversesqrt(delta * delta + noise * noise);
 #endif
@@ -32,6 +32,6 @@ float relative_error(Texel t, Observation o)
 // Returns the weight of an error in iteratively reweighted least squares.
 vec3 reweighted(Texel t, Observation o, vec3 error, float relative)
 {
-    vec3 weight = loss_weight(loss_scale(t.scale) * relative * error);
+    vec3 weight = loss_weight(inverse_delta_of(t.radiance_scale) * relative * error);
     return o.weight * relative * relative * active_channels(o, error) * weight;
 }

@@ -21,11 +21,11 @@ float penalty_of(ivec2 texel, inout float c[12])
     return falloff_precision() * d * d;
 }
 
-// JᵀWJ and JᵀWe are half the second and half the first derivative of the loss over loss_scale², J per range.
+// JᵀWJ and JᵀWe are half the second and half the first derivative of the loss times δ², J per range.
 void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
-    float scale = loss_scale(scale_at(texel));
-    float precision_scaled = falloff_precision() / (scale * scale);
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
+    float precision_scaled = falloff_precision() / (inverse_delta * inverse_delta);
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);
         if (free.at == FALLOFF_COMPONENT) {

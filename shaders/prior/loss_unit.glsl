@@ -6,8 +6,8 @@
 float loss_unit(ivec2 texel)
 {
 #if LOSS == LOSS_CAUCHY
-    float scale = loss_scale(scale_at(texel));
-    return scale * scale;
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
+    return inverse_delta * inverse_delta;
 #else
     return 1.0;
 #endif

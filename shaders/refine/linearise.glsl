@@ -14,7 +14,7 @@ vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT],
     take_steps(c, steps);
     NormalSums sums;
     clear_sums(sums);
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     float loss = 0.0;
     float weights = 0.0;
     Observation o;
@@ -22,7 +22,7 @@ vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT],
         vec3 render = reflectance(s, o.l, o.v);
         vec3 error = error_of(o, render);
         float relative = relative_error(t, o);
-        loss += o.weight * loss_of(scale * relative * error);
+        loss += o.weight * loss_of(inverse_delta * relative * error);
         weights += o.weight;
         vec3 weight = reweighted(t, o, error, relative) * o.intensity;
         add_slopes(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);

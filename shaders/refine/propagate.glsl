@@ -66,10 +66,10 @@ bool texel_kernel(ivec2 texel)
         }
     }
     float weights = 0.0;
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = scale * relative_error(t, o);
+        float relative = inverse_delta * relative_error(t, o);
         for (int p = 0; p < PROPOSALS; p++) {
             vec3 error = error_of(o, reflectance(proposals[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);

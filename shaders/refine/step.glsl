@@ -22,16 +22,16 @@
 
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D equals
 // that of n F + (F + NOISE_FLOOR) D, divided by F + NOISE_FLOOR. JᵀWJ and JᵀWe are half the second and half the first
-// derivative of the loss, over loss_scale². For l1 they are the whole derivatives.
+// derivative of the loss, times δ². For l1 they are the whole derivatives.
 void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
                 inout float slope[FREE_COUNT])
 {
 #if PRIORS > 0
-    float scale = loss_scale(scale_at(texel));
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
 #if LOSS == LOSS_L1
-    float unit = 2.0 * (fitness + NOISE_FLOOR) / (scale * scale);
+    float unit = 2.0 * (fitness + NOISE_FLOOR) / (inverse_delta * inverse_delta);
 #else
-    float unit = (fitness + NOISE_FLOOR) / (scale * scale);
+    float unit = (fitness + NOISE_FLOOR) / (inverse_delta * inverse_delta);
 #endif
     float gradient[12];
     float curvature[12];
@@ -120,10 +120,10 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         candidates[p] = material_from(candidate);
         sum[p] = penalty_of(texel, candidate);
     }
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = scale * relative_error(t, o);
+        float relative = inverse_delta * relative_error(t, o);
         for (int p = 0; p < CANDIDATES; p++) {
             vec3 error = error_of(o, reflectance(candidates[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);
