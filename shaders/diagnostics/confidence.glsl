@@ -74,7 +74,7 @@ void accumulate(
             vec2 delta = steps[u];
             vec3 first = o.intensity * reflectance(moved(c, u, delta.x), o.l, o.v) - render;
             vec3 second = o.intensity * reflectance(moved(c, u, delta.y), o.l, o.v) - render;
-            // Slope at 0 of the parabola through the three values.
+            // Derivative at 0 of the parabola through the three values.
             j[u] = (first * (delta.y / delta.x) - second * (delta.x / delta.y)) / (delta.y - delta.x);
         }
         for (int row = 0; row < FREE_COUNT; row++) {

@@ -2,7 +2,7 @@
 #include "fitness/loss.glsl"
 
 // Returns d radiance / d code of sRGB (IEC 61966-2-1).
-float srgb_slope(float radiance)
+float srgb_derivative(float radiance)
 {
     return radiance > 0.0031308 ? 2.4 / 1.055 * pow(radiance, 1.4 / 2.4) : 1.0 / 12.92;
 }
@@ -20,7 +20,7 @@ float relative_error(Texel t, Observation o)
     float relative = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
 #if defined(NOISE) && !defined(GREY)
     float delta = 1.0 / (inverse_delta_of(t.radiance_scale) * relative);
-    float noise = NOISE * srgb_slope(clamp(brightest, 0.0, 1.0));
+    float noise = NOISE * srgb_derivative(clamp(brightest, 0.0, 1.0));
     relative *= delta * inversesqrt(delta * delta + noise * noise);
 #endif
     return relative;

@@ -22,7 +22,8 @@ float penalty_of(ivec2 texel, inout float c[12])
 }
 
 // JᵀWJ and JᵀWe are half the second and half the first derivative of the loss times δ², J per range.
-void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
+void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT],
+                 inout float gradient[FREE_COUNT])
 {
     float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
     float precision_scaled = falloff_precision() / (inverse_delta * inverse_delta);
@@ -30,7 +31,7 @@ void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE
         FreeParameter free = free_at(u);
         if (free.at == FALLOFF_COMPONENT) {
             a[u * FREE_COUNT + u] += precision_scaled * free.width * free.width;
-            slope[u] += precision_scaled * free.width * (c[free.at] - 1.0);
+            gradient[u] += precision_scaled * free.width * (c[free.at] - 1.0);
         }
     }
 }

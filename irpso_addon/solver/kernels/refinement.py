@@ -12,7 +12,7 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
-from .free_parameters import FreeParameters, build_slopes, build_starts
+from .free_parameters import FreeParameters, build_jacobian, build_starts
 from .kernels import FLOAT_2D, GEOMETRY, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
@@ -48,14 +48,14 @@ class RefinementPasses:
 
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
     """Return the renders of all observations per texel in a step and in a propagation."""
-    free, _ = resolved_slopes(model, resolved)
-    evaluations = slope_renders(free, resolved.refinement) + CANDIDATES
+    free, _ = resolved_jacobian(model, resolved)
+    evaluations = jacobian_renders(free, resolved.refinement) + CANDIDATES
     if isinstance(resolved, ResolvedMaterials):
         return evaluations, resolved.materials.count
     return evaluations, _PROPOSALS[free.defines["SEARCHED"] > 0]
 
 
-def slope_renders(free: FreeParameters, settings: Refinement) -> int:
+def jacobian_renders(free: FreeParameters, settings: Refinement) -> int:
     """Return the renders of all observations that the normal equations need."""
     stepped = free.defines["STEPPED"] * (2 if settings.central else 1)
     # All bases of the linear parameters together cost one more render.
@@ -81,7 +81,7 @@ def build_refinement_passes(
 ) -> RefinementPasses:
     """Compile the passes of a refinement. penalty: shader of the term added to the loss."""
     settings = resolved.refinement
-    free, slopes = resolved_slopes(model, resolved)
+    free, jacobian = resolved_jacobian(model, resolved)
     evaluations, proposals = renders(model, resolved)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(fitness), **step_defines(settings),
@@ -97,7 +97,7 @@ def build_refinement_passes(
         defines["RACE_RATIO"] = f"{settings.race_ratio:.9f}"
         step, constants = {**OBSERVATIONS, "u_best_status": FLOAT_2D}, {**STEP, "u_races": "INT"}
     includes = {
-        **model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes,
+        **model_includes(model), "free_parameters.glsl": free.source, "jacobian.glsl": jacobian,
         "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": penalty,
         "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
@@ -124,7 +124,7 @@ def build_refinement_passes(
     )
 
 
-def resolved_slopes(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[FreeParameters, str]:
-    """Return the unknowns of a refinement, and its slopes.glsl."""
+def resolved_jacobian(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[FreeParameters, str]:
+    """Return the unknowns of a refinement, and its jacobian.glsl."""
     fixed = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
-    return build_slopes(model, fixed, resolved.refinement.central)
+    return build_jacobian(model, fixed, resolved.refinement.central)
