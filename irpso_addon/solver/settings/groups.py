@@ -156,7 +156,7 @@ class Fitness:
 
 @dataclass(frozen=True)
 class Prefit:
-    """Normals before the stages, on grey samples, by a model of few assumptions (shaders/prefit/falloff_lobe.toml)."""
+    """Normals before the stages, on grey samples, by a model of few assumptions (shaders/prefit/base_lobe.toml)."""
 
     iterations: int = setting(
         "Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 0, soft_max=100
