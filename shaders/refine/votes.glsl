@@ -12,8 +12,8 @@
 
 // Neighbours that vote: the 5×5 texels around, which are the first taps of common/taps.glsl.
 #define VOTING_TAPS 24
-// Width of the similarity of two numbers (standard deviation of a Gaussian), as a fraction of their range.
-#define SIMILARITY_WIDTH 0.1
+// Standard deviation of the Gaussian kernel of two searched numbers, as a fraction of their range.
+#define NEIGHBOUR_BANDWIDTH 0.1
 // A proposal is refined, whatever its fitness, if it has this many times the votes of the texel's own material. Near
 // the mouth of rti_icon a ratio of 1 refines twice as many proposals and leaves a third fewer isolated texels.
 #define VOTE_RATIO 1.5
@@ -31,7 +31,7 @@ float votes_for(ivec4 place, inout float c[12])
         float squared_distance = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {
             FreeParameter free = free_at(u);
-            float d = searched(u) ? (other_c[free.at] - c[free.at]) / (SIMILARITY_WIDTH * free.width) : 0.0;
+            float d = searched(u) ? (other_c[free.at] - c[free.at]) / (NEIGHBOUR_BANDWIDTH * free.width) : 0.0;
             squared_distance += d * d;
         }
         votes += exp(-0.5 * squared_distance);
