@@ -48,7 +48,7 @@ void take_material(int k, inout float c[12])
     }
 }
 
-float votes_of_materials(inout float c[12])
+float material_support_of(inout float c[12])
 {
     return MATERIALS_WEIGHT * surface_fraction_of(c);
 }

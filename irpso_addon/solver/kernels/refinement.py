@@ -18,7 +18,7 @@ from .kernels import FLOAT_2D, GEOMETRY, LOSS_CONSTANTS, OBSERVATIONS, PACKING, 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
-# Largest distance, in texels, of proposals and votes (shaders/refine/propagate.glsl, votes.glsl).
+# Largest distance, in texels, of proposals and support (shaders/refine/propagate.glsl, neighbour_support.glsl).
 PROPAGATION_REACH = 2
 _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
 
@@ -27,21 +27,21 @@ _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twic
 class RefinementPasses:
     """The compiled passes of a refinement. evaluations: renders of all observations in a step.
 
-    proposals: renders in a propagation. vote: replaces ``keep`` after a propagation; None without votes. ``keep`` is
-    always a fragment pass, because its output may be read back.
+    proposals: renders in a propagation. keep_probable: replaces ``keep`` after a propagation; None where neighbours'
+    support does not count. ``keep`` is always a fragment pass, because its output may be read back.
     """
 
     begin: Pass
     step: Pass
     propagate: Pass
     keep: Pass
-    vote: Pass | None
+    keep_probable: Pass | None
     evaluations: int
     proposals: int
 
     def close(self) -> None:
         """Free the shaders."""
-        for work in (self.begin, self.step, self.propagate, self.keep, self.vote):
+        for work in (self.begin, self.step, self.propagate, self.keep, self.keep_probable):
             if work is not None:
                 work.close()
 
@@ -67,7 +67,7 @@ def step_defines(settings: Refinement) -> Defines:
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
         "XTOL": f"{settings.xtol:.9f}", "CANDIDATE_RATIO": f"{settings.candidate_ratio:.9f}",
-        "VOTES": f"{settings.votes:.9f}",
+        "SUPPORT_WEIGHT": f"{settings.votes:.9f}",
     }  # fmt: skip
 
 
@@ -106,7 +106,8 @@ def build_refinement_passes(
     best: Samplers = {"u_estimate": packed(model), "u_status": FLOAT_2D}
     work: Samplers = {"u_work": packed(model), "u_work_status": FLOAT_2D}
 
-    has_votes = settings.votes > 0 and free.defines["SEARCHED"] > 0
+    compared: Samplers = {**work, **materials, **OBSERVATIONS, **PACKING}
+    has_support = settings.votes > 0 and free.defines["SEARCHED"] > 0
 
     def make(name: str, samplers: Samplers, constants: Mapping[str, str], how: Entry = entry) -> Pass:
         return Pass(Kernel(f"{name}.glsl", outputs, {**best, **samplers}, constants, defines, includes), how)
@@ -116,9 +117,7 @@ def build_refinement_passes(
         step=make("refine/step", step, constants),
         propagate=make(propagate, {**OBSERVATIONS, **PACKING, **materials}, {**LOSS_CONSTANTS, "u_mirror": "INT"}),
         keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
-        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, LOSS_CONSTANTS)
-        if has_votes
-        else None,
+        keep_probable=make("refine/keep_probable", compared, LOSS_CONSTANTS) if has_support else None,
         evaluations=evaluations,
         proposals=proposals,
     )

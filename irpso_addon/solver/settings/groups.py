@@ -196,9 +196,9 @@ class Prefit:
 class Refinement:
     """Levenberg–Marquardt (Marquardt 1963) after the stages, on all their parameters jointly, with the same fitness.
 
-    votes: shaders/refine/votes.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual Reconstruction):
-    highlights must not count as outliers while the estimated lobe is still far from them. race_iterations: after
-    the idea of Maron & Moore 1994, Hoeffding Races: a start that is far behind is given up.
+    votes: shaders/refine/neighbour_support.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual
+    Reconstruction): highlights must not count as outliers while the estimated lobe is still far from them.
+    race_iterations: after the idea of Maron & Moore 1994, Hoeffding Races: a start that is far behind is given up.
     """
 
     iterations: int = setting(
