@@ -11,7 +11,7 @@ from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from .spaces import unit
 from .surface.bake import SurfaceBake
-from .surface.footprint import MOST, falloff, jacobian, place, places_along
+from .surface.footprint import MOST, jacobian, place, places_along, slant_weight
 
 GRAZING = 0.1  # cosine between face normal and view; below, a texel is not visible
 # Least usable (visible, with weight) share of a texel of several pixels: the centre of this part is within an eighth of
@@ -178,7 +178,7 @@ class Projector:
         chosen = np.flatnonzero(inside & (cosine > 0) & (cosine >= self._grazing))
         chosen = chosen[chosen < size]
         sides = self._sides(points, numbers, chosen)
-        worth = falloff(cosine[chosen], self._grazing, sides) if self._fall else np.ones(len(chosen))
+        worth = slant_weight(cosine[chosen], self._grazing, sides) if self._fall else np.ones(len(chosen))
         sides = np.zeros((len(chosen), 2, 2)) if sides is None else sides
         first = np.floor(where[chosen]).astype(np.int32)
         seen = _Group(

@@ -29,12 +29,12 @@ def material_declaration(model: ReflectanceModel) -> str:
 def prior_declaration(model: ReflectanceModel) -> str:
     """Return the GLSL of PRIORS, the number of components with a prior, and of functions of the priors.
 
-    ``float prior_deviance(inout float c[12])`` is −2 log of their densities, up to a constant. ``void prior_slopes(
-    inout float c[12], out float slope[12], out float curvature[12])`` gives half its first and half its second
+    ``float prior_deviance(inout float c[12])`` is −2 log of their densities, up to a constant. ``void prior_derivatives
+    (inout float c[12], out float gradient[12], out float curvature[12])`` gives half its first and half its second
     derivatives. ``float prior_precision(inout float c[12], int component)`` is 1 over its variance; 0 for a concave
     one, which selects among values that the samples do not determine, but makes none of them certain.
     """
-    deviances, slopes, precisions = [], [], []
+    deviances, derivatives, precisions = [], [], []
     for p in model.parameters:
         if p.prior is None:
             continue
@@ -47,22 +47,22 @@ def prior_declaration(model: ReflectanceModel) -> str:
                 lines.append(f"float x = (c[{at}] - {low!r}) * {1 / (high - low)!r};")
                 lines.append(f"w *= max(1.0 - x * x, {LEAST_PRIOR_WIDTH!r});")
             if p.prior.kind == "normal":
-                deviance, slope, curvature = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)"
+                deviance, gradient, curvature = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)"
                 precisions.append([*lines, f"if (component == {i}) {{ return {curvature}; }}"])
             else:
                 side = 1.0 if value == p.range[0] else -1.0
                 left = f"(1.0 - abs(d) * {1 / extent!r})"
                 deviance = f"2.0 * (abs(d) - d * d * {0.5 / extent!r}) / w"
-                slope, curvature = f"{side!r} * {left} / w", "0.0"
+                gradient, curvature = f"{side!r} * {left} / w", "0.0"
             deviances.append([*lines, f"sum += {deviance};"])
-            derivatives = [*lines, f"slope[{i}] += {slope};", f"curvature[{i}] += {curvature};"]
+            differentiated = [*lines, f"gradient[{i}] += {gradient};", f"curvature[{i}] += {curvature};"]
             if along is not None:  # d(1 / wᵏ) = k / wᵏ · 2 x / (1 − x²) dx
                 power = 2.0 if p.prior.kind == "normal" else 1.0
-                derivatives.append(
-                    f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x"
+                differentiated.append(
+                    f"gradient[{at}] += {power / (high - low)!r} * ({deviance}) * x"
                     f" / max(1.0 - x * x, {LEAST_PRIOR_WIDTH!r});"
                 )
-            slopes.append(derivatives)
+            derivatives.append(differentiated)
 
     def blocks(parts: list[list[str]]) -> list[str]:
         return [line for part in parts for line in ("    {", *(f"        {x}" for x in part), "    }")]
@@ -71,8 +71,8 @@ def prior_declaration(model: ReflectanceModel) -> str:
         f"#define PRIORS {len(deviances)}",
         "float prior_deviance(inout float c[12])", "{", "    float sum = 0.0;", *blocks(deviances),
         "    return sum;", "}",
-        "void prior_slopes(inout float c[12], out float slope[12], out float curvature[12])", "{",
-        "    for (int i = 0; i < 12; i++) { slope[i] = 0.0; curvature[i] = 0.0; }", *blocks(slopes), "}",
+        "void prior_derivatives(inout float c[12], out float gradient[12], out float curvature[12])", "{",
+        "    for (int i = 0; i < 12; i++) { gradient[i] = 0.0; curvature[i] = 0.0; }", *blocks(derivatives), "}",
         "float prior_precision(inout float c[12], int component)", "{", *blocks(precisions), "    return 0.0;", "}", "",
     ]  # fmt: skip
     return "\n".join(lines)

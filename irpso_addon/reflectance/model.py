@@ -47,7 +47,7 @@ class ParameterPrior:
     vanishes_with: str = ""
 
     def variance(self, values: np.ndarray, extent: float, place: np.ndarray | None = None) -> np.ndarray:
-        """Return (…) the prior's variance around values (…), ∞ where it has no slope. extent: length of the range.
+        """Return (…) the prior's variance around values (…), ∞ where its derivative is 0. extent: length of the range.
 
         place: (…) position of the scalar ``vanishes_with`` in that scalar's range, 0…1.
         """

@@ -19,8 +19,8 @@ int state_at(ivec2 texel)
     return int(geometry_at(GEOMETRY_POSITION, texel).w);
 }
 
-// Returns the texel's scale, the radiance by which a robust fitness divides errors.
-float scale_at(ivec2 texel)
+// Returns the texel's scale: a percentile of its radiance per light intensity (solver/settings/groups.py, Fitness).
+float radiance_scale_at(ivec2 texel)
 {
     return geometry_at(GEOMETRY_NORMAL, texel).w;
 }

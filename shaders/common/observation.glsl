@@ -29,13 +29,14 @@ vec3 view_at(Frame f, int k)
     return to_local(f, view.w == 0.0 ? view.xyz : normalize(view.xyz - f.position));
 }
 
-// A texel and its frame. v: direction toward the camera, if all observations share one camera; scale: scale_at();
-// shadow: a sample that is darker under a light of intensity 1 counts as shadow (radiance).
+// A texel and its frame. v: direction toward the camera, if all observations share one camera;
+// radiance_scale: radiance_scale_at(); shadow: a sample that is darker under a light of intensity 1 counts as shadow
+// (radiance).
 struct Texel {
     ivec2 at;
     Frame frame;
     vec3 v;
-    float scale;
+    float radiance_scale;
     float shadow;
 };
 
@@ -48,8 +49,8 @@ Texel observed_texel(ivec2 at)
 #ifdef ONE_VIEW
     t.v = view_at(t.frame, 0);
 #endif
-    t.scale = scale_at(at);
-    t.shadow = shadow_at(at) * t.scale;
+    t.radiance_scale = radiance_scale_at(at);
+    t.shadow = shadow_at(at) * t.radiance_scale;
     return t;
 }
 
@@ -112,7 +113,7 @@ bool observe(Texel t, int k, out Observation o)
     vec3 divisor = mix(vec3(1.0), o.intensity, o.lit_channels);
     o.radiance = vec3(dot(o.lit_channels * o.radiance, 1.0 / divisor) / channels);
     o.intensity = vec3(1.0);
-    if (o.radiance.r < GREY_SHADOW * t.scale) {
+    if (o.radiance.r < GREY_SHADOW * t.radiance_scale) {
         return false;
     }
 #endif

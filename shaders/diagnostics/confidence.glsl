@@ -74,7 +74,7 @@ void accumulate(
             vec2 delta = steps[u];
             vec3 first = o.intensity * reflectance(moved(c, u, delta.x), o.l, o.v) - render;
             vec3 second = o.intensity * reflectance(moved(c, u, delta.y), o.l, o.v) - render;
-            // Slope at 0 of the parabola through the three values.
+            // Derivative at 0 of the parabola through the three values.
             j[u] = (first * (delta.y / delta.x) - second * (delta.x / delta.y)) / (delta.y - delta.x);
         }
         for (int row = 0; row < FREE_COUNT; row++) {
@@ -159,8 +159,9 @@ float variance_of(ivec2 texel, ErrorSums sums)
 #else
     float freedom = degrees_of_freedom(sums);
     float min_variance = 0.0;
-#if FITNESS == FITNESS_ROBUST
-    min_variance = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
+#if LOSS == LOSS_CAUCHY
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
+    min_variance = NOISE_FLOOR / (inverse_delta * inverse_delta);
 #endif
     return freedom > 0.0 ? redundancy_of(sums) * sums.squares / freedom + min_variance : -1.0;
 #endif

@@ -12,7 +12,7 @@ float fitness_of(Texel t, Material s, out float weights)
 {
     float sum = 0.0;
     weights = 0.0;
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(s, o.l, o.v));
@@ -20,7 +20,7 @@ float fitness_of(Texel t, Material s, out float weights)
         // Compares a coloured model with grey samples, over the channels that these are made of.
         error = vec3(dot(o.lit_channels, error) / dot(o.lit_channels, vec3(1.0)));
 #endif
-        sum += o.weight * loss_of(scale * relative_error(t, o) * error);
+        sum += o.weight * loss_of(inverse_delta * relative_error(t, o) * error);
         weights += o.weight;
     }
     float mean = sum / (3.0 * weights);

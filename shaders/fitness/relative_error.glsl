@@ -2,7 +2,7 @@
 #include "fitness/loss.glsl"
 
 // Returns d radiance / d code of sRGB (IEC 61966-2-1).
-float srgb_slope(float radiance)
+float srgb_derivative(float radiance)
 {
     return radiance > 0.0031308 ? 2.4 / 1.055 * pow(radiance, 1.4 / 2.4) : 1.0 / 12.92;
 }
@@ -14,13 +14,13 @@ float srgb_slope(float radiance)
 // dark texel that only one lamp lights, the noise exceeds δ.
 float relative_error(Texel t, Observation o)
 {
-#if (FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_GEMAN_MCCLURE)
-    float level = t.scale * u_brightness;
+#if (LOSS == LOSS_CAUCHY || LOSS == LOSS_GEMAN_MCCLURE)
+    float level = t.radiance_scale * u_brightness;
     float brightest = max(o.radiance.r, max(o.radiance.g, o.radiance.b));
     float relative = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
 #if defined(NOISE) && !defined(GREY)
-    float delta = 1.0 / (loss_scale(t.scale) * relative);
-    float noise = NOISE * srgb_slope(clamp(brightest, 0.0, 1.0));
+    float delta = 1.0 / (inverse_delta_of(t.radiance_scale) * relative);
+    float noise = NOISE * srgb_derivative(clamp(brightest, 0.0, 1.0));
     relative *= delta * inversesqrt(delta * delta + noise * noise);
 #endif
     return relative;
@@ -32,6 +32,6 @@ float relative_error(Texel t, Observation o)
 // Returns the weight of an error in iteratively reweighted least squares.
 vec3 reweighted(Texel t, Observation o, vec3 error, float relative)
 {
-    vec3 weight = loss_weight(loss_scale(t.scale) * relative * error);
+    vec3 weight = loss_weight(inverse_delta_of(t.radiance_scale) * relative * error);
     return o.weight * relative * relative * active_channels(o, error) * weight;
 }

@@ -9,9 +9,9 @@
 
 // Fitness of an error of 0.3 % of the brightness, about one step of 8 bits. A robust fitness is in units of δ², by
 // default 3 % of it; the others are in radiance.
-#if FITNESS == FITNESS_L1
+#if LOSS == LOSS_L1
 #define NOISE_FLOOR (0.003 * u_brightness)
-#elif FITNESS == FITNESS_L2
+#elif LOSS == LOSS_L2
 #define NOISE_FLOOR (9e-6 * u_brightness * u_brightness)
 #else
 #define NOISE_FLOOR 0.01

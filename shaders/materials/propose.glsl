@@ -17,7 +17,7 @@ bool texel_kernel(ivec2 texel)
     }
     float c[12];
     material_to(own_material, c);
-    float own_votes = votes_of_materials(c);
+    float own_support = material_support_of(c);
 #if NORMAL_FREE >= 0
     if (u_mirror != 0) {
         turn_to_mirror(texel, c);
@@ -37,9 +37,9 @@ bool texel_kernel(ivec2 texel)
         if (!(fitness < UNFIT)) {
             continue;
         }
-        float votes = votes_of_materials(c);
-        float deviance = freedom > 0.0 ? deviance_of(freedom, fitness, votes) : fitness;
-        if (is_worth_refining(fitness, status.x, votes, own_votes) && (!found || deviance < lowest)) {
+        float support = material_support_of(c);
+        float deviance = freedom > 0.0 ? deviance_of(freedom, fitness, support) : fitness;
+        if (is_worth_refining(fitness, status.x, support, own_support) && (!found || deviance < lowest)) {
             found = true;
             lowest = deviance;
             write_material(proposal);

@@ -4,9 +4,10 @@
 
 #include "free_parameters.glsl"
 
-// Units of the means, as fractions of the range: of a searched number, and of the square root of a linear one.
-#define ALIKE_SEARCHED 0.1
-#define ALIKE_LINEAR 0.15
+// Bandwidths of similar materials, the units of the means, as fractions of the range: of a searched number, and of the
+// square root of a linear one.
+#define SEARCHED_BANDWIDTH 0.1
+#define LINEAR_BANDWIDTH 0.15
 
 float material_number(int row, int k, int u)
 {
@@ -26,7 +27,7 @@ float surface_fraction_of(inout float c[12])
             }
             FreeParameter free = free_at(u);
             float x = clamp((c[free.at] - free.low) / free.width, 0.0, 1.0);
-            float d = (searched(u) ? x / ALIKE_SEARCHED : sqrt(x) / ALIKE_LINEAR) - material_number(0, k, u);
+            float d = (searched(u) ? x / SEARCHED_BANDWIDTH : sqrt(x) / LINEAR_BANDWIDTH) - material_number(0, k, u);
             squared_distance += d * d * material_number(3, k, u);
         }
         fraction += texelFetch(u_materials, ivec2(k, 6), 0).x * exp(-0.5 * squared_distance);
@@ -42,12 +43,12 @@ void take_material(int k, inout float c[12])
             continue;
         }
         FreeParameter free = free_at(u);
-        float x = material_number(0, k, u) * (searched(u) ? ALIKE_SEARCHED : ALIKE_LINEAR);
+        float x = material_number(0, k, u) * (searched(u) ? SEARCHED_BANDWIDTH : LINEAR_BANDWIDTH);
         c[free.at] = free.low + free.width * clamp(searched(u) ? x : x * x, 0.0, 1.0);
     }
 }
 
-float votes_of_materials(inout float c[12])
+float material_support_of(inout float c[12])
 {
     return MATERIALS_WEIGHT * surface_fraction_of(c);
 }

@@ -17,11 +17,11 @@ bool texel_kernel(ivec2 texel)
         int bright = 0;
         Observation o;
         EACH_OBSERVATION(t, o) {
-            float sample_light = min(o.radiance.r, t.scale);
-            float error = min(reflectance(s, o.l, o.v).r, t.scale) - sample_light;
+            float sample_light = min(o.radiance.r, t.radiance_scale);
+            float error = min(reflectance(s, o.l, o.v).r, t.radiance_scale) - sample_light;
             light += sample_light;
             misfit += vec2(abs(error), max(-error, 0.0));
-            bright += o.radiance.r >= RAISED_SHADOW * t.scale ? 1 : 0;
+            bright += o.radiance.r >= RAISED_SHADOW * t.radiance_scale ? 1 : 0;
         }
         o_evidence.x = misfit.x < light ? misfit.x / light : 1.0;
         o_evidence.y = misfit.y < light ? misfit.y / light : 1.0;

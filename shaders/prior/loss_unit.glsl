@@ -5,9 +5,9 @@
 
 float loss_unit(ivec2 texel)
 {
-#if FITNESS == FITNESS_ROBUST
-    float scale = loss_scale(scale_at(texel));
-    return scale * scale;
+#if LOSS == LOSS_CAUCHY
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
+    return inverse_delta * inverse_delta;
 #else
     return 1.0;
 #endif
@@ -16,7 +16,7 @@ float loss_unit(ivec2 texel)
 // Returns the factor from a deviance (−2 log likelihood) to losses over loss_unit(). noise: o_noise.w.
 float deviance_unit(float noise)
 {
-#if FITNESS == FITNESS_L1
+#if LOSS == LOSS_L1
     return 0.5 * noise;
 #else
     return noise;

@@ -12,11 +12,11 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) == TEXEL_SOLVED) {
         Texel t = observed_texel(texel);
         Material s = estimate_at(texel);
-        float scale = loss_scale(t.scale);
+        float inverse_delta = inverse_delta_of(t.radiance_scale);
         Observation o;
         EACH_OBSERVATION(t, o) {
             vec3 error = error_of(o, reflectance(s, o.l, o.v));
-            sum += o.weight * loss_of(scale * relative_error(t, o) * error);
+            sum += o.weight * loss_of(inverse_delta * relative_error(t, o) * error);
             channels += o.weight * dot(active_channels(o, error), vec3(1.0));
         }
     }

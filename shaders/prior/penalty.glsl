@@ -22,7 +22,8 @@ float penalty_of(ivec2 texel, inout float c[12])
 
 // Adds the prior to the normal equations, J per range. JᵀWJ and JᵀWe are half the second and half the first derivative:
 // of n σ² (noise of variance σ²) for losses that are squares, of n σ² / b for l1.
-void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
+void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT],
+                 inout float gradient[FREE_COUNT])
 {
     float mean[12];
     float deviation[12];
@@ -34,7 +35,7 @@ void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE
         if (deviation[free.at] > 0.0) {
             float curvature = noise * free.width * free.width / (deviation[free.at] * deviation[free.at]);
             a[u * FREE_COUNT + u] += curvature;
-            slope[u] += curvature * (c[free.at] - mean[free.at]) / free.width;
+            gradient[u] += curvature * (c[free.at] - mean[free.at]) / free.width;
         }
     }
 }

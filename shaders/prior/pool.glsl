@@ -38,8 +38,8 @@ float similarity(inout float x[12], inout float sigma_x[12], inout float y[12], 
         if (kind == COMPONENT_OTHER) {
             continue;
         }
-        float h = kind == COMPONENT_COLOR ? LIKENESS_COLOR * max(abs(x[i]), abs(y[i])) + MIN_DEVIATION * width
-                                          : LIKENESS * width;
+        float h = kind == COMPONENT_COLOR ? COLOR_BANDWIDTH * max(abs(x[i]), abs(y[i])) + MIN_DEVIATION * width
+                                          : SCALAR_BANDWIDTH * width;
         float d = x[i] - y[i];
         squared_distance += d * d / (h * h + sigma_x[i] * sigma_x[i] + sigma_y[i] * sigma_y[i]);
     }

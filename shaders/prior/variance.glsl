@@ -33,7 +33,7 @@ bool texel_kernel(ivec2 texel)
         float weight = freedom > 0.0 ? NOISE_FREEDOM : 0.0;
         float n = degrees_of_freedom(own);
         float noise = n + weight > 0.0 ? ((n > 0.0 ? own.x : 0.0) + weight * mean_noise) / (n + weight) : 0.0;
-#if FITNESS == FITNESS_L1
+#if LOSS == LOSS_L1
         own.z = 2.0 * noise * noise;
 #else
         own.z = noise;

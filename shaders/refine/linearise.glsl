@@ -1,12 +1,12 @@
 // Normal equations of a material's samples. The derivative by a linear parameter is its basis, the others are finite
-// differences. slopes.glsl holds both; solver/kernels/free_parameters.py generates it.
+// differences. jacobian.glsl holds both; solver/kernels/free_parameters.py generates it.
 
 #include "fitness/fitness.glsl"
 #include "fitness/differences.glsl"
-#include "slopes.glsl"
+#include "jacobian.glsl"
 
-// Sums a = JᵀWJ (upper triangle; J per range) and slope = JᵀWe. Returns the sums of the losses and of the weights.
-vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
+// Sums a = JᵀWJ (upper triangle; J per range) and gradient = JᵀWe. Returns the sums of the losses and of the weights.
+vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float gradient[FREE_COUNT])
 {
     Material s = material_from(c);
     Steps steps;
@@ -14,7 +14,7 @@ vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT],
     take_steps(c, steps);
     NormalSums sums;
     clear_sums(sums);
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     float loss = 0.0;
     float weights = 0.0;
     Observation o;
@@ -22,14 +22,14 @@ vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT],
         vec3 render = reflectance(s, o.l, o.v);
         vec3 error = error_of(o, render);
         float relative = relative_error(t, o);
-        loss += o.weight * loss_of(scale * relative * error);
+        loss += o.weight * loss_of(inverse_delta * relative * error);
         weights += o.weight;
         vec3 weight = reweighted(t, o, error, relative) * o.intensity;
-        add_slopes(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);
+        add_jacobian(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);
     }
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
     }
-    sums_to(sums, a, slope);
+    sums_to(sums, a, gradient);
     return vec2(loss, weights);
 }

@@ -5,6 +5,7 @@ float penalty_of(ivec2 texel, inout float c[12])
     return 0.0;
 }
 
-void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
+void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT],
+                 inout float gradient[FREE_COUNT])
 {
 }

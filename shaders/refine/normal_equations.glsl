@@ -1,12 +1,12 @@
 // Step of Levenberg and Marquardt with bounds on the parameters: damped normal equations.
 // Marquardt 1963, An Algorithm for Least-Squares Estimation of Nonlinear Parameters. His scaling makes λ relative to
-// the diagonal: a is JᵀWJ scaled to a unit diagonal (upper triangle), slope is JᵀWe scaled likewise.
+// the diagonal: a is JᵀWJ scaled to a unit diagonal (upper triangle), gradient is JᵀWe scaled likewise.
 
 // After hundreds of samples in float32, a pivot below 2⁻²⁰ of the unit diagonal is rounding: its parameter stays.
 #define PIVOT (1.0 / 1048576.0)
 
-// Solves (A + λ) y = −slope for the parameters that are not held. Held ones keep their y. Cholesky: A + λ = L D Lᵀ.
-void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT], float lambda,
+// Solves (A + λ) y = −gradient for the parameters that are not held. Held ones keep their y. Cholesky: A + λ = L D Lᵀ.
+void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[FREE_COUNT], float lambda,
                   inout bool held[FREE_COUNT], inout float y[FREE_COUNT])
 {
     float l[FREE_COUNT * FREE_COUNT];
@@ -14,7 +14,7 @@ void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE
     float rhs[FREE_COUNT];
     bool dropped[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
-        rhs[i] = -slope[i];
+        rhs[i] = -gradient[i];
         for (int k = 0; k < FREE_COUNT; k++) {
             if (held[k] && k != i) {
                 rhs[i] -= a[min(i, k) * FREE_COUNT + max(i, k)] * y[k];
@@ -57,18 +57,18 @@ void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE
 
 // Computes the bounded step delta. lower and upper bound each parameter's step. delta, lower and upper are fractions of
 // the ranges. A parameter whose step exceeds a bound is held there, and the others are solved again.
-void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT], inout float norm[FREE_COUNT],
+void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[FREE_COUNT], inout float norm[FREE_COUNT],
                 float lambda, inout float lower[FREE_COUNT], inout float upper[FREE_COUNT], out float delta[FREE_COUNT])
 {
     bool held[FREE_COUNT];
     float y[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
         // Holds a parameter on which the render does not depend, or that is at a bound and would cross it.
-        held[i] = norm[i] == 0.0 || (slope[i] > 0.0 && lower[i] >= 0.0) || (slope[i] < 0.0 && upper[i] <= 0.0);
+        held[i] = norm[i] == 0.0 || (gradient[i] > 0.0 && lower[i] >= 0.0) || (gradient[i] < 0.0 && upper[i] <= 0.0);
         y[i] = 0.0;
     }
     for (int round = 0; round < BOX_ROUNDS; round++) {
-        solve_damped(a, slope, lambda, held, y);
+        solve_damped(a, gradient, lambda, held, y);
         bool inside = true;
         for (int i = 0; i < FREE_COUNT; i++) {
             float unscaled = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;

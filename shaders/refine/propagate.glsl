@@ -66,10 +66,10 @@ bool texel_kernel(ivec2 texel)
         }
     }
     float weights = 0.0;
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = scale * relative_error(t, o);
+        float relative = inverse_delta * relative_error(t, o);
         for (int p = 0; p < PROPOSALS; p++) {
             vec3 error = error_of(o, reflectance(proposals[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);
@@ -78,8 +78,8 @@ bool texel_kernel(ivec2 texel)
     }
     o_status.w += float(PROPOSALS);
     float freedom = degrees_of_freedom(weights);
-    bool voted = SEARCHED > 0 && VOTES > 0.0 && freedom > 0.0;
-    float own_votes = voted ? votes_for(place, c) : 0.0;
+    bool support_counts = SEARCHED > 0 && SUPPORT_WEIGHT > 0.0 && freedom > 0.0;
+    float own_support = support_counts ? neighbour_support_of(place, c) : 0.0;
     float lowest = 0.0;
     int chosen = -1;
     for (int p = 0; p < PROPOSALS; p++) {
@@ -90,9 +90,9 @@ bool texel_kernel(ivec2 texel)
         }
         float proposed[12];
         material_to(proposals[p], proposed);
-        float votes = voted ? votes_for(place, proposed) : 0.0;
-        float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
-        if (is_worth_refining(fitness, status.x, votes, own_votes) && (chosen < 0 || deviance < lowest)) {
+        float support = support_counts ? neighbour_support_of(place, proposed) : 0.0;
+        float deviance = support_counts ? deviance_of(freedom, fitness, support) : fitness;
+        if (is_worth_refining(fitness, status.x, support, own_support) && (chosen < 0 || deviance < lowest)) {
             lowest = deviance;
             chosen = p;
         }

@@ -2,13 +2,13 @@
 // u_status.
 
 #include "refine/status.glsl"
-#include "refine/votes.glsl"
+#include "refine/neighbour_support.glsl"
 
 // Returns whether a proposal may replace the texel's material and be refined. A proposal that is not refined yet has
-// the linear weights of another texel, so its fitness is a weak measure. Many votes are sufficient.
-bool is_worth_refining(float fitness, float own_fitness, float votes, float own_votes)
+// the linear weights of another texel, so its fitness is a weak measure. Much support is sufficient.
+bool is_worth_refining(float fitness, float own_fitness, float support, float own_support)
 {
-    return fitness < CANDIDATE_RATIO * own_fitness || votes > VOTE_RATIO * (1.0 + own_votes);
+    return fitness < CANDIDATE_RATIO * own_fitness || support > SUPPORT_RATIO * (1.0 + own_support);
 }
 
 // Writes the texel's own material, with the status of a converged texel. Returns the former status.

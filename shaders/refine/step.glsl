@@ -22,24 +22,24 @@
 
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D equals
 // that of n F + (F + NOISE_FLOOR) D, divided by F + NOISE_FLOOR. JᵀWJ and JᵀWe are half the second and half the first
-// derivative of the loss, over loss_scale². For l1 they are the whole derivatives.
+// derivative of the loss, times δ². For l1 they are the whole derivatives.
 void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
-                inout float slope[FREE_COUNT])
+                inout float gradient[FREE_COUNT])
 {
 #if PRIORS > 0
-    float scale = loss_scale(scale_at(texel));
-#if FITNESS == FITNESS_L1
-    float unit = 2.0 * (fitness + NOISE_FLOOR) / (scale * scale);
+    float inverse_delta = inverse_delta_of(radiance_scale_at(texel));
+#if LOSS == LOSS_L1
+    float unit = 2.0 * (fitness + NOISE_FLOOR) / (inverse_delta * inverse_delta);
 #else
-    float unit = (fitness + NOISE_FLOOR) / (scale * scale);
+    float unit = (fitness + NOISE_FLOOR) / (inverse_delta * inverse_delta);
 #endif
-    float gradient[12];
-    float curvature[12];
-    prior_slopes(c, gradient, curvature);
+    float prior_gradient[12];
+    float prior_curvature[12];
+    prior_derivatives(c, prior_gradient, prior_curvature);
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);
-        a[u * FREE_COUNT + u] += unit * free.width * free.width * curvature[free.at];
-        slope[u] += unit * free.width * gradient[free.at];
+        a[u * FREE_COUNT + u] += unit * free.width * free.width * prior_curvature[free.at];
+        gradient[u] += unit * free.width * prior_gradient[free.at];
     }
 #endif
 }
@@ -72,12 +72,12 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
 {
     Texel t = observed_texel(texel);
     float a[FREE_COUNT * FREE_COUNT];
-    float slope[FREE_COUNT];
-    vec2 loss_and_weight = linearise(t, c, a, slope);
-    add_penalty(texel, c, a, slope);
+    float gradient[FREE_COUNT];
+    vec2 loss_and_weight = linearise(t, c, a, gradient);
+    add_penalty(texel, c, a, gradient);
     float fitness = (loss_and_weight.x + penalty_of(texel, c)) / (3.0 * loss_and_weight.y);
     float fitness_before = with_priors(fitness, loss_and_weight.y, material_from(c));
-    add_priors(texel, c, fitness, a, slope);
+    add_priors(texel, c, fitness, a, gradient);
     status.w += float(EVALUATIONS);
     // Stops at NaN as well: a texel without a fitness cannot improve.
     if (!(loss_and_weight.y > 0.0 && fitness_before < UNFIT)) {
@@ -95,7 +95,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         upper[i] = searched(i) ? min(bounds.y, MAX_STEP) : bounds.y;
     }
     for (int i = 0; i < FREE_COUNT; i++) {
-        slope[i] = norm[i] > 0.0 ? slope[i] / norm[i] : 0.0;
+        gradient[i] = norm[i] > 0.0 ? gradient[i] / norm[i] : 0.0;
         for (int k = i; k < FREE_COUNT; k++) {
             float norms = norm[i] * norm[k];
             a[i * FREE_COUNT + k] = norms > 0.0 ? a[i * FREE_COUNT + k] / norms : 0.0;
@@ -110,7 +110,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         dampings[p] = clamp(next_damping, MIN_DAMPING, MAX_DAMPING);
         next_damping *= DAMPING_RATIO;
         float delta[FREE_COUNT];
-        boxed_step(a, slope, norm, dampings[p], lower, upper, delta);
+        boxed_step(a, gradient, norm, dampings[p], lower, upper, delta);
         step_size[p] = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {
             step_size[p] = max(step_size[p], abs(delta[u]));
@@ -120,10 +120,10 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         candidates[p] = material_from(candidate);
         sum[p] = penalty_of(texel, candidate);
     }
-    float scale = loss_scale(t.scale);
+    float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = scale * relative_error(t, o);
+        float relative = inverse_delta * relative_error(t, o);
         for (int p = 0; p < CANDIDATES; p++) {
             vec3 error = error_of(o, reflectance(candidates[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);

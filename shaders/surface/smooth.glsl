@@ -12,7 +12,7 @@
 #include "common/taps.glsl"
 
 // h, as a slope of the surface: 6°.
-#define NORMAL_LIKENESS 0.1
+#define SLOPE_BANDWIDTH 0.1
 // Smallest number of like neighbours that make a plane.
 #define MIN_COUNT 3.0
 // Smallest part of the neighbours' precision that the plane may leave for t². With less, a few neighbours that are far
@@ -64,7 +64,7 @@ Sums sums_over_neighbours(ivec2 texel, ivec4 place, vec2 lengths, float t2)
         }
         vec2 y = (texelFetch(u_field, other, 0).xy - own) / lengths;
         v = max(v, MIN_VARIANCE_SHARE * own_variance);
-        float k = exp(-0.5 * dot(y, y) / (NORMAL_LIKENESS * NORMAL_LIKENESS + v + own_variance));
+        float k = exp(-0.5 * dot(y, y) / (SLOPE_BANDWIDTH * SLOPE_BANDWIDTH + v + own_variance));
         float w = k / (v + t2);
         vec3 x = vec3(1.0, vec2(offset));
         mat3 xx = mat3(x, x * x.y, x * x.z);  // x.x is 1

@@ -94,19 +94,19 @@ class Texel:
             ends = [self.error(self.moved(values, sign * _STEP * np.eye(len(self.unknowns))[u])) for sign in (-1, 1)]
             j.append(((ends[1] - ends[0]) / (2 * _STEP)).ravel())
         j = np.array(j)
-        a, slope = (weight * j) @ j.T, (weight * j) @ e.ravel()
+        a, gradient = (weight * j) @ j.T, (weight * j) @ e.ravel()
         part = (self.mean_loss(values) + _FLOOR) / self.unit**2 * (2 if self.loss == "l1" else 1)
         for u, (p, _) in enumerate(self.unknowns):
-            ends = [self.prior_cost(self.moved(values, sign * _STEP * np.eye(len(slope))[u])) for sign in (-1, 1)]
-            slope[u] += part * (ends[1] - ends[0]) / (4 * _STEP)
+            ends = [self.prior_cost(self.moved(values, sign * _STEP * np.eye(len(gradient))[u])) for sign in (-1, 1)]
+            gradient[u] += part * (ends[1] - ends[0]) / (4 * _STEP)
             if p.prior is not None and p.prior.kind == "normal":
                 a[u, u] += part * ((p.range[1] - p.range[0]) / p.prior.width) ** 2
-        return a, slope
+        return a, gradient
 
     def step(self, values, damping):
         """Return (n,), the solution of (JᵀWJ + λ diag) step = −JᵀWe, not clipped."""
-        a, slope = self.equations(values)
-        return np.linalg.solve(a + damping * np.diag(np.diag(a)), -slope)
+        a, gradient = self.equations(values)
+        return np.linalg.solve(a + damping * np.diag(np.diag(a)), -gradient)
 
     def between(self, values, others):
         """Return (n,), the step from one material to a nearby one."""

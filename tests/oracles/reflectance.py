@@ -306,18 +306,18 @@ def blinn_phong(p, light, view):
     return np.where(c.seen[..., None], p["base_color"] * c.light[..., None] + gloss[..., None], 0)
 
 
-def falloff_lobe(p, light, view):
-    """The prefit's model: base · (n·l)^falloff (Minnaert 1941) plus lobe · GGX without Fresnel; both are grey."""
+def base_lobe(p, light, view):
+    """The prefit's model: base · (n·l)^cosine_exponent plus lobe · GGX without Fresnel; both are grey."""
     c = Configuration(p["normal"], light, view)
     alpha = np.asarray(p["roughness"]) ** 2
     lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) / (4 * c.view)
-    grey = np.where(c.seen, p["base"] * c.light ** p["falloff"] + p["lobe"] * lobe, 0)
+    grey = np.where(c.seen, p["base"] * c.light ** p["cosine_exponent"] + p["lobe"] * lobe, 0)
     return np.repeat(grey[..., None], 3, axis=-1)
 
 
 MODELS = {
     "blinn_phong": blinn_phong,
-    "falloff_lobe": falloff_lobe,
+    "base_lobe": base_lobe,
     "lambert": lambert,
     "principled": principled,
     "principled_metallic": principled_metallic,

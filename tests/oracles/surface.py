@@ -82,7 +82,7 @@ def relaxed(slopes, covariance, begins, weight):
     return slopes - correction
 
 
-def smoothed(slopes, covariance, grid, solvable, likeness=0.1):
+def smoothed(slopes, covariance, grid, solvable, bandwidth=0.1):
     """Return (H, W, 2) posterior slopes under a plane through each texel's neighbours plus relief of a variance t².
 
     grid: (H, W, 2, 2) texel steps, as of ``grid_of``; their lengths convert slopes to those of the surface. A texel
@@ -99,7 +99,7 @@ def smoothed(slopes, covariance, grid, solvable, likeness=0.1):
                 around.append((r, c))
         index = tuple(np.array(around, int).reshape(-1, 2).T)
         y, v = slopes[index] - own, np.maximum(variance[index], 1e-3 * variance[row, column])
-        k = np.exp(-0.5 * (y**2).sum(axis=1) / (likeness**2 + v + variance[row, column]))
+        k = np.exp(-0.5 * (y**2).sum(axis=1) / (bandwidth**2 + v + variance[row, column]))
         if k.sum() < 3:
             continue
         x = np.column_stack([np.ones(len(around)), index[1] - column, index[0] - row])

@@ -28,7 +28,7 @@ _SPREAD, _MISFIT, _VARIETY = 1.2, 0.022, 20.0
 
 @dataclass(frozen=True)
 class FallOff:
-    """exponent: k of radiance in proportion to (n·l)^k (Minnaert 1941), one for all pixels.
+    """exponent: k of radiance in proportion to (n·l)^k, one for all pixels (Minnaert 1941, for one view).
 
     spread: variation of the exponent over the subject: the second largest over the second smallest of six groups of
     pixels, grouped by angle from the mean normal or along one of the two principal axes of the normals, whichever gives

@@ -10,7 +10,7 @@ from .mesh import MeshData
 MOST = 8  # most places along a side of a texel: 64 bits hold their visibility
 # A place is interpolated between four pixel centres: places this many pixels apart skip no pixel.
 _SPACING = 1.25
-# κ of ``falloff``: the share of a head-on sample's variance that comes from the position of its pixel on the surface.
+# κ of slant_weight: the share of a head-on sample's variance that comes from the position of its pixel on the surface.
 # Photographs of the head scan's colours (1 % noise, up to half a pixel off), projected to 512² and 1024² texels, have
 # squared errors that grow with the stretch a, from 1 to 8, as 1 + κ (a² − 1) with κ from 0.07 to 0.12.
 _SPREAD = 0.1
@@ -58,7 +58,7 @@ def place(number: int, along: int) -> float:
     return (number + 0.5) / along - 0.5
 
 
-def falloff(cosine: np.ndarray, grazing: float, sides: np.ndarray | None) -> np.ndarray:
+def slant_weight(cosine: np.ndarray, grazing: float, sides: np.ndarray | None) -> np.ndarray:
     """Return (N,) 0…1: the weight of a slanted sample relative to a head-on one.
 
     cosine: (N,) between face normal and view. grazing: the cosine of weight 0. sides: Jacobians (N, 2, 2), or None.

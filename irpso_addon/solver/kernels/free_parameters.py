@@ -54,13 +54,13 @@ def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> Fr
     return FreeParameters(len(rows), source, defines | {"FREE_COUNT": len(rows), "SEARCHED": len(searched)})
 
 
-def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool) -> tuple[FreeParameters, str]:
-    """Return the unknowns, and slopes.glsl: sums of the normal equations.
+def build_jacobian(model: ReflectanceModel, fixed: Collection[str], central: bool) -> tuple[FreeParameters, str]:
+    """Return the unknowns, and jacobian.glsl: sums of the normal equations.
 
     STEPPED counts unknowns that are differentiated numerically: normals and searched ones. The derivative of the others
     is their basis. central: central differences, else forward ones. LOBE_…: the components of interchangeable lobes.
 
-    slopes.glsl has no loops: a compiler that does not unroll a loop over arrays copies whole arrays at every
+    jacobian.glsl has no loops: a compiler that does not unroll a loop over arrays copies whole arrays at every
     observation, which took half of a step's time.
     """
     free = build_free_parameters(model, fixed)
@@ -71,13 +71,13 @@ def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool)
         u, count = len(channels), 2 if p.is_normal else p.components
         if has_basis(p, model):
             lines.append(f"basis = {p.width!r} * basis_{p.name}(s, l, v);")
-            lines += [f"vec3 slope_{u + i} = basis;" for i in range(p.components)]
-            # A component of a colour has a slope in its own channel alone.
+            lines += [f"vec3 j_{u + i} = basis;" for i in range(p.components)]
+            # The derivative by a component of a colour is 0 in the other channels.
             channels += [""] if p.components == 1 else list("rgb")
         else:
             for i in range(u, u + count):
                 other = f"reflectance(p.behind_{i}, l, v)" if central else "render"
-                lines.append(f"vec3 slope_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
+                lines.append(f"vec3 j_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
             stepped += range(u, u + count)
             channels += [""] * count
     defines = free.defines | {"STEPPED": len(stepped)}
@@ -87,32 +87,35 @@ def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool)
         defines |= {"LOBE_FIRST": first, "LOBE_SECOND": second}
         if model.complement:
             defines["LOBE_WEIGHT"] = model.offset(model.complement[0])
-    return FreeParameters(free.count, free.source, defines), _slopes(stepped, central, lines, channels)
+    return FreeParameters(free.count, free.source, defines), _jacobian(stepped, central, lines, channels)
 
 
-def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channels: Sequence[str]) -> str:
+def _jacobian(stepped: Sequence[int], central: bool, columns: Sequence[str], channels: Sequence[str]) -> str:
     n = len(channels)
     pairs = [(row, column) for row in range(n) for column in range(row, n)]
     sides = ("ahead", "behind") if central else ("ahead",)
     steps = [f"float by_{u};" for u in stepped] + [f"Material {side}_{u};" for u in stepped for side in sides]
-    sums = [f"float slope_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
+    sums = [f"float gradient_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
     steps_taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
     steps_taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
     if central:
         steps_taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
-    clears = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
-    copies = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
+    clears = [f"n.gradient_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
+    copies = [f"gradient[{i}] = n.gradient_{i};" for i in range(n)]
     copies += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
     parts = [
         ("struct Steps", ["float none;", *steps]),
         ("struct NormalSums", sums),
         ("void take_steps(inout float c[12], inout Steps p)", steps_taken),
         ("void clear_sums(out NormalSums n)", clears),
-        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", copies),
         (
-            "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
+            "void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[FREE_COUNT])",
+            copies,
+        ),
+        (
+            "void add_jacobian(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
             " inout NormalSums n)",
-            [*slopes, "vec3 weighted = vec3(0.0);", *_products(channels)],
+            [*columns, "vec3 weighted = vec3(0.0);", *_products(channels)],
         ),
     ]
     lines = ['#include "fitness/differences.glsl"', '#include "model.glsl"']
@@ -122,15 +125,15 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
 
 
 def _products(channels: Sequence[str]) -> list[str]:
-    """Return lines that add the products of pairs of slopes; slopes of two channels have none ("": all channels)."""
+    """Return lines that add products of J's columns. Columns of two channels have none; "" stands for all channels."""
     lines = []
     for row, channel in enumerate(channels):
         part = f".{channel}" if channel else ""
-        lines.append(f"n.slope_{row} += {_product('once', f'slope_{row}', channel)};")
-        lines.append(f"weighted{part} = twice{part} * slope_{row}{part};")
+        lines.append(f"n.gradient_{row} += {_product('once', f'j_{row}', channel)};")
+        lines.append(f"weighted{part} = twice{part} * j_{row}{part};")
         for column in range(row, len(channels)):
             if not (channel and channels[column]) or channel == channels[column]:
-                product = _product("weighted", f"slope_{column}", channel or channels[column])
+                product = _product("weighted", f"j_{column}", channel or channels[column])
                 lines.append(f"n.a_{row}_{column} += {product};")
     return lines
 

@@ -22,14 +22,15 @@ GEOMETRY: Samplers = {"u_geometry": LAYERS}
 PACKING: Samplers = {**GEOMETRY, "u_packed": FLOAT_2D}
 OBSERVATIONS: Samplers = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
 SIZE = {"u_width": "INT", "u_height": "INT"}
-FITNESS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
+LOSS_CONSTANTS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
 MOVE = {
-    **SIZE, **FITNESS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
+    **SIZE, **LOSS_CONSTANTS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
     "u_seeded_dimensions": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
-LOSSES, _WALLS = defined("fitness/loss.glsl", "FITNESS_"), defined("swarm/update.glsl", "WALLS_")
+_LOSSES, _WALLS = defined("fitness/loss.glsl", "LOSS_"), defined("swarm/update.glsl", "WALLS_")
+_LOSSES["ROBUST"] = _LOSSES["CAUCHY"]  # the setting's name of Cauchy's loss
 
 
 def take_halo_pass(encoding: Encoding, defines: Defines) -> Pass:
@@ -52,7 +53,7 @@ def schedule_defines(schedule: Schedule) -> Defines:
 
 def fitness_defines(fitness: Fitness, loss: str = "") -> Defines:
     """Return the constants of a fitness that are compiled in. loss: replaces the fitness's own, "" for none."""
-    return {"FITNESS": LOSSES[(loss or fitness.loss).upper()], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
+    return {"LOSS": _LOSSES[(loss or fitness.loss).upper()], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
 
 
 def residual_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
@@ -94,7 +95,7 @@ def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, define
     outputs, samplers = (Output("o_deviation", packed(model)),), {"u_estimate": packed(model), **OBSERVATIONS}
     includes = {**model_includes(model), "free_parameters.glsl": free}
     defines = {**defines, **fitness_defines(fitness)}
-    return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, FITNESS, defines, includes))
+    return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, LOSS_CONSTANTS, defines, includes))
 
 
 def alternatives_pass(
@@ -105,7 +106,7 @@ def alternatives_pass(
     samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     includes = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
     defines = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
-    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, includes))
+    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, LOSS_CONSTANTS, defines, includes))
 
 
 def copy_pass() -> Pass:

@@ -12,13 +12,13 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
-from .free_parameters import FreeParameters, build_slopes, build_starts
-from .kernels import FITNESS, FLOAT_2D, GEOMETRY, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
+from .free_parameters import FreeParameters, build_jacobian, build_starts
+from .kernels import FLOAT_2D, GEOMETRY, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
-STEP = {**FITNESS, "u_settles": "INT"}
+STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
-# Largest distance, in texels, of proposals and votes (shaders/refine/propagate.glsl, votes.glsl).
+# Largest distance, in texels, of proposals and support (shaders/refine/propagate.glsl, neighbour_support.glsl).
 PROPAGATION_REACH = 2
 _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
 
@@ -27,35 +27,35 @@ _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twic
 class RefinementPasses:
     """The compiled passes of a refinement. evaluations: renders of all observations in a step.
 
-    proposals: renders in a propagation. vote: replaces ``keep`` after a propagation; None without votes. ``keep`` is
-    always a fragment pass, because its output may be read back.
+    proposals: renders in a propagation. keep_probable: replaces ``keep`` after a propagation; None where neighbours'
+    support does not count. ``keep`` is always a fragment pass, because its output may be read back.
     """
 
     begin: Pass
     step: Pass
     propagate: Pass
     keep: Pass
-    vote: Pass | None
+    keep_probable: Pass | None
     evaluations: int
     proposals: int
 
     def close(self) -> None:
         """Free the shaders."""
-        for work in (self.begin, self.step, self.propagate, self.keep, self.vote):
+        for work in (self.begin, self.step, self.propagate, self.keep, self.keep_probable):
             if work is not None:
                 work.close()
 
 
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
     """Return the renders of all observations per texel in a step and in a propagation."""
-    free, _ = resolved_slopes(model, resolved)
-    evaluations = slope_renders(free, resolved.refinement) + CANDIDATES
+    free, _ = resolved_jacobian(model, resolved)
+    evaluations = jacobian_renders(free, resolved.refinement) + CANDIDATES
     if isinstance(resolved, ResolvedMaterials):
         return evaluations, resolved.materials.count
     return evaluations, _PROPOSALS[free.defines["SEARCHED"] > 0]
 
 
-def slope_renders(free: FreeParameters, settings: Refinement) -> int:
+def jacobian_renders(free: FreeParameters, settings: Refinement) -> int:
     """Return the renders of all observations that the normal equations need."""
     stepped = free.defines["STEPPED"] * (2 if settings.central else 1)
     # All bases of the linear parameters together cost one more render.
@@ -67,7 +67,7 @@ def step_defines(settings: Refinement) -> Defines:
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
         "XTOL": f"{settings.xtol:.9f}", "CANDIDATE_RATIO": f"{settings.candidate_ratio:.9f}",
-        "VOTES": f"{settings.votes:.9f}",
+        "SUPPORT_WEIGHT": f"{settings.votes:.9f}",
     }  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def build_refinement_passes(
 ) -> RefinementPasses:
     """Compile the passes of a refinement. penalty: shader of the term added to the loss."""
     settings = resolved.refinement
-    free, slopes = resolved_slopes(model, resolved)
+    free, jacobian = resolved_jacobian(model, resolved)
     evaluations, proposals = renders(model, resolved)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(fitness), **step_defines(settings),
@@ -97,7 +97,7 @@ def build_refinement_passes(
         defines["RACE_RATIO"] = f"{settings.race_ratio:.9f}"
         step, constants = {**OBSERVATIONS, "u_best_status": FLOAT_2D}, {**STEP, "u_races": "INT"}
     includes = {
-        **model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes,
+        **model_includes(model), "free_parameters.glsl": free.source, "jacobian.glsl": jacobian,
         "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": penalty,
         "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
@@ -106,7 +106,8 @@ def build_refinement_passes(
     best: Samplers = {"u_estimate": packed(model), "u_status": FLOAT_2D}
     work: Samplers = {"u_work": packed(model), "u_work_status": FLOAT_2D}
 
-    has_votes = settings.votes > 0 and free.defines["SEARCHED"] > 0
+    compared: Samplers = {**work, **materials, **OBSERVATIONS, **PACKING}
+    has_support = settings.votes > 0 and free.defines["SEARCHED"] > 0
 
     def make(name: str, samplers: Samplers, constants: Mapping[str, str], how: Entry = entry) -> Pass:
         return Pass(Kernel(f"{name}.glsl", outputs, {**best, **samplers}, constants, defines, includes), how)
@@ -114,15 +115,15 @@ def build_refinement_passes(
     return RefinementPasses(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("refine/step", step, constants),
-        propagate=make(propagate, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
+        propagate=make(propagate, {**OBSERVATIONS, **PACKING, **materials}, {**LOSS_CONSTANTS, "u_mirror": "INT"}),
         keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
-        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if has_votes else None,
+        keep_probable=make("refine/keep_probable", compared, LOSS_CONSTANTS) if has_support else None,
         evaluations=evaluations,
         proposals=proposals,
     )
 
 
-def resolved_slopes(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[FreeParameters, str]:
-    """Return the unknowns of a refinement, and its slopes.glsl."""
+def resolved_jacobian(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[FreeParameters, str]:
+    """Return the unknowns of a refinement, and its jacobian.glsl."""
     fixed = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
-    return build_slopes(model, fixed, resolved.refinement.central)
+    return build_jacobian(model, fixed, resolved.refinement.central)

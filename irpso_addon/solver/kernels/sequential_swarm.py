@@ -25,14 +25,14 @@ from .kernels import (
 
 @dataclass(frozen=True)
 class SequentialSwarmPasses:
-    """The compiled passes of a stage. ``resolve`` is always a fragment pass: its output may be read back."""
+    """The compiled passes of a stage. ``decode_best`` is always a fragment pass: its output may be read back."""
 
     start: Pass
     move: Pass
     commit_state: Pass
     commit_personal: Pass
     commit_global: Pass
-    resolve: Pass
+    decode_best: Pass
     take_halo: Pass
 
     def close(self) -> None:
@@ -76,6 +76,6 @@ def build_sequential_swarm_passes(
         commit_state=make("commit_state", (Output("o_position"), Output("o_velocity")), candidate, SIZE),
         commit_personal=make("commit_personal", (Output("o_best"), fitness), candidate, SIZE),
         commit_global=make("commit_global", (Output("o_best", encoding.packed), fitness), candidate, SIZE),
-        resolve=make("resolve", (Output("o_estimate", estimates),), fixed, SIZE, how="fragment"),
+        decode_best=make("decode_best", (Output("o_estimate", estimates),), fixed, SIZE, how="fragment"),
         take_halo=take_halo_pass(encoding, defines),
     )

@@ -11,11 +11,11 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ..settings.groups import Prior, Refinement
 from ..settings.resolve import ResolvedPrior
 from ..settings.schedule import Schedule
-from .free_parameters import build_free_parameters, build_slopes
+from .free_parameters import build_free_parameters, build_jacobian
 from .kernels import (
-    FITNESS,
     FLOAT_2D,
     GEOMETRY,
+    LOSS_CONSTANTS,
     OBSERVATIONS,
     PACKING,
     copy_pass,
@@ -23,7 +23,7 @@ from .kernels import (
     model_includes,
     packed,
 )
-from .refinement import STEP, renders, resolved_slopes, step_defines
+from .refinement import STEP, renders, resolved_jacobian, step_defines
 
 NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # iterations of a prior; its steps follow the rounds
 _NOISE = {"u_noise": FLOAT_2D}
@@ -85,7 +85,7 @@ def build_prior_passes(
 
     def make(source: str, outputs: tuple[Output, ...], samplers: Samplers, how: Entry = entry, **more: int) -> Pass:
         name = f"{source}.glsl"
-        return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
+        return Pass(Kernel(name, outputs, samplers, LOSS_CONSTANTS, {**common, **more}, includes), how)
 
     return PriorPasses(
         noise=make("prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),
@@ -141,17 +141,17 @@ def _step_pass(
     includes: Includes,
     entry: Entry,
 ) -> Pass:
-    free, slopes_source = resolved_slopes(model, resolved.step)
+    free, jacobian = resolved_jacobian(model, resolved.step)
     # Lobes are ordered only at the end: each lobe has its own prior.
-    slopes = {name: value for name, value in free.defines.items() if not name.startswith("LOBE_")}
+    unknowns = {name: value for name, value in free.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
     penalty = SHADERS / "prior" / "penalty.glsl"
     return Pass(
         Kernel(
             "refine/step.glsl", (Output("o_estimate", packed(model)), Output("o_status")),
             {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, STEP,
-            {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
-            {**includes, "free_parameters.glsl": free.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
+            {**unordered, **unknowns, "EVALUATIONS": renders(model, resolved.step)[0]},
+            {**includes, "free_parameters.glsl": free.source, "jacobian.glsl": jacobian, "penalty.glsl": penalty},
         ),
         entry,
     )  # fmt: skip
@@ -159,8 +159,9 @@ def _step_pass(
 
 def _settings(prior: Prior, refinement: Refinement) -> Defines:
     numbers = {
-        "NOISE_FREEDOM": prior.noise_freedom, "LIKENESS": prior.likeness, "LIKENESS_COLOR": prior.likeness_color,
-        "SPREAD": prior.spread, "LEAST_SHARE": prior.share, "TOLERANCE": prior.tolerance,
+        "NOISE_FREEDOM": prior.noise_freedom, "SCALAR_BANDWIDTH": prior.likeness,
+        "COLOR_BANDWIDTH": prior.likeness_color, "SPREAD": prior.spread, "LEAST_SHARE": prior.share,
+        "TOLERANCE": prior.tolerance,
     }  # fmt: skip
     return {
         **step_defines(refinement),
@@ -170,7 +171,7 @@ def _settings(prior: Prior, refinement: Refinement) -> Defines:
 
 
 def _lobes(model: ReflectanceModel, fixed: set[str]) -> dict[str, int]:
-    defines = build_slopes(model, fixed, central=False)[0].defines
+    defines = build_jacobian(model, fixed, central=False)[0].defines
     return {name: value for name, value in defines.items() if name.startswith("LOBE_")}
 
 

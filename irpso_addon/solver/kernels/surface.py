@@ -9,9 +9,9 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSurface
 from ..settings.schedule import Schedule
-from .free_parameters import FreeParameters, build_slopes, has_basis
-from .kernels import FITNESS, FLOAT_2D, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
-from .refinement import slope_renders
+from .free_parameters import FreeParameters, build_jacobian, has_basis
+from .kernels import FLOAT_2D, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
+from .refinement import jacobian_renders
 
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
 SWEEPS = 7  # in a round: each reads adjacent texels; then settle.glsl one texel further, and smooth.glsl a window
@@ -41,7 +41,7 @@ def build_surface_passes(
     model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule, domain_defines: Defines, entry: Entry
 ) -> SurfacePasses:
     """Compile the passes of the surface phase."""
-    free, slopes = _slopes(model, resolved, schedule)
+    free, jacobian = _jacobian(model, resolved, schedule)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _TAPS,
         "NOISE_FREEDOM": f"{schedule.prior.noise_freedom:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
@@ -52,10 +52,10 @@ def build_surface_passes(
         "u_estimate": numbers, "u_noise": FLOAT_2D, "u_field": FLOAT_2D, "u_covariance": FLOAT_2D, **PACKING,
         **OBSERVATIONS,
     }  # fmt: skip
-    includes = {**model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes}
+    includes = {**model_includes(model), "free_parameters.glsl": free.source, "jacobian.glsl": jacobian}
 
     def make(source: str, *outputs: Output, how: Entry = entry) -> Pass:
-        constants = {**FITNESS, "u_momentum": "FLOAT"}
+        constants = {**LOSS_CONSTANTS, "u_momentum": "FLOAT"}
         return Pass(Kernel(f"{source}.glsl", outputs, samplers, constants, defines, includes), how)
 
     return SurfacePasses(
@@ -71,13 +71,13 @@ def build_surface_passes(
 
 def evaluations_of(resolved: ResolvedSurface, model: ReflectanceModel, schedule: Schedule, iteration: int) -> int:
     """Return the renders of all observations that an iteration makes at a texel."""
-    if iteration == NOISE:
-        return 1
-    return slope_renders(_slopes(model, resolved, schedule)[0], schedule.refinement) if iteration == INFORMATION else 0
+    if iteration == INFORMATION:
+        return jacobian_renders(_jacobian(model, resolved, schedule)[0], schedule.refinement)
+    return 1 if iteration == NOISE else 0
 
 
-def _slopes(model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule) -> tuple[FreeParameters, str]:
-    """Return the unknowns, normal and linear parameters, and their slopes.glsl.
+def _jacobian(model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule) -> tuple[FreeParameters, str]:
+    """Return the unknowns, normal and linear parameters, and their jacobian.glsl.
 
     Searched parameters are fixed. A texel's few samples hardly separate them from the normal, but earlier phases have
     estimated them from other texels. With free ones, bending doubled the error of texels that three lights see.
@@ -85,4 +85,4 @@ def _slopes(model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedu
     fixed = {p.name for p in model.parameters} - {
         p.name for p in resolved.parameters if p.is_normal or has_basis(p, model)
     }
-    return build_slopes(model, fixed, schedule.refinement.central)
+    return build_jacobian(model, fixed, schedule.refinement.central)

@@ -18,7 +18,7 @@ _CHUNK = 4  # particles evaluated per read of an observation
 
 @dataclass(frozen=True)
 class SynchronousSwarmPasses:
-    """The compiled passes of a generation: place or move and evaluate, then commit. ``resolve`` is a fragment pass."""
+    """The compiled passes of a generation: place or move and evaluate, then commit. decode_best is a fragment pass."""
 
     place: Pass
     place_commit: Pass
@@ -27,7 +27,7 @@ class SynchronousSwarmPasses:
     move: Pass
     commit: Pass
     best: Pass
-    resolve: Pass
+    decode_best: Pass
     take_halo: Pass
 
     def close(self) -> None:
@@ -80,6 +80,6 @@ def build_synchronous_swarm_passes(
         move=make("evaluate", fitness_outputs, {**move_inputs, "u_estimate": estimates, **kernels.OBSERVATIONS}),
         commit=make("commit", committed, {**move_inputs, **fitness_inputs}),
         best=make("best", best, {**move_inputs, **fitness_inputs}),
-        resolve=make("resolve", (Output("o_estimate", estimates),), {**place_inputs, **state}, how="fragment"),
+        decode_best=make("decode_best", (Output("o_estimate", estimates),), {**place_inputs, **state}, how="fragment"),
         take_halo=kernels.take_halo_pass(encoding, defines),
     )

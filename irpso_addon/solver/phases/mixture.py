@@ -10,8 +10,8 @@ from ...gpu.library import defined
 from ...reflectance.model import Parameter, ReflectanceModel
 
 SAMPLE = 8192  # texels, of the whole domain
-_ALIKE = defined("materials/shared.glsl", "ALIKE_")
-ALIKE_SEARCHED, ALIKE_LINEAR = _ALIKE["SEARCHED"], _ALIKE["LINEAR"]
+_SHADER = defined("materials/shared.glsl")
+_SEARCHED_BANDWIDTH, _LINEAR_BANDWIDTH = _SHADER["SEARCHED_BANDWIDTH"], _SHADER["LINEAR_BANDWIDTH"]
 _ROWS = 7  # of the table: 12 means, 12 inverse variances, the share of the material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation
@@ -45,8 +45,8 @@ def merged(samples: Sequence[np.ndarray]) -> np.ndarray:
 def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample: np.ndarray) -> np.ndarray:
     """Return (n, d) float64, a column for each unknown number as kernels/free_parameters.py counts them; 0 for normals.
 
-    Searched numbers are fractions of their range in units of ALIKE_SEARCHED, linear ones the roots of such fractions in
-    units of ALIKE_LINEAR: colours differ by ratios rather than by differences.
+    Searched numbers are fractions of their range in units of SEARCHED_BANDWIDTH, linear ones the roots of such
+    fractions in units of LINEAR_BANDWIDTH: colours differ by ratios rather than by differences.
     """
     features = []
     for p in parameters:
@@ -56,7 +56,7 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
         at = 3 + model.offset(p.name)
         x = np.clip((sample[:, at : at + p.components] - p.range[0]) / p.width, 0.0, 1.0)
         linear = p.kind == "linear" and p.name in model.bases
-        features += list((np.sqrt(x) / ALIKE_LINEAR if linear else x / ALIKE_SEARCHED).T)
+        features += list((np.sqrt(x) / _LINEAR_BANDWIDTH if linear else x / _SEARCHED_BANDWIDTH).T)
     return np.column_stack(features)
 
 

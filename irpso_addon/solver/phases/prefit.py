@@ -35,11 +35,11 @@ FITNESS, EVIDENCE, SHEEN = "prefit_fitness", "prefit_evidence", "prefit_sheen"  
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
 _LEAST_FITNESS = 0.3
-_PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
-# Of the prior on the falloff's exponent (mean 1) under narrow lights. On balls under 12 lights within 22° it lowers the
+_PENALTY = SHADERS / "prefit" / "exponent_penalty.glsl"
+# Of the prior on the cosine's exponent (mean 1) under narrow lights. On balls under 12 lights within 22° it lowers the
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the
 # exponent: with the prior the error on bunny_lambert would rise by 0.08°.
-_FALLOFF_DEVIATION = 0.15
+_EXPONENT_DEVIATION = 0.15
 
 
 class PrefitPhase(Phase):
@@ -73,7 +73,8 @@ class PrefitPhase(Phase):
         self._domain, self._estimates, self._earlier = grey(domain, schedule), estimates, before
         self._model, self.title = resolved.model, resolved.title
         self._domain.defines |= {
-            "FALLOFF_COMPONENT": self._model.offset("falloff"), "FALLOFF_DEVIATION": f"{_FALLOFF_DEVIATION:.9f}",
+            "EXPONENT_COMPONENT": self._model.offset("cosine_exponent"),
+            "EXPONENT_DEVIATION": f"{_EXPONENT_DEVIATION:.9f}",
         }  # fmt: skip
         self.own = _first_estimates(self._model, model, estimates, domain)
         self._adopt = adopt_pass(model, domain.defines)
@@ -301,7 +302,7 @@ def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defin
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
     outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.FITNESS, defines, includes))
+    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
@@ -311,7 +312,7 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines)
         "LEAST_SAMPLES": _least_samples(model, schedule),
     }  # fmt: skip
     outputs, includes = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, includes))
+    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
 
 
 def _evidence_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:

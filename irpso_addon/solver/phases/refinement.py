@@ -84,9 +84,9 @@ class RefinementPhase(TexturePhase):
         yield from self._in_bands("refinement", self.passes.step, target, inputs, bands, seconds, widening)
         self.work = target
         if made == track.iterations - 1:
-            target = self._spare()
-            if track.start == PROPAGATE and self.passes.vote is not None:
-                yield from self._in_bands("vote", self.passes.vote, target, self._best_and_work(), bands, seconds)
+            target, keep_probable = self._spare(), self.passes.keep_probable
+            if track.start == PROPAGATE and keep_probable is not None:
+                yield from self._in_bands("keep probable", keep_probable, target, self._best_and_work(), bands, seconds)
             else:
                 yield from self._run(bands, self.passes.keep, target, self._best_and_work())
             self.best = self.work = target

@@ -88,11 +88,11 @@ class SwarmPhase(TexturePhase):
         """Write the global bests into the next estimates, in one band: it is a short pass."""
         yield from self.textures.make()
         targets = self.estimates.next
-        yield from self.passes.resolve.in_one_draw(bands, targets, self._inputs(), self.constants())
+        yield from self.passes.decode_best.in_one_draw(bands, targets, self._inputs(), self.constants())
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the global bests into other textures."""
-        self.passes.resolve.run(targets, self._inputs(), self.constants())
+        self.passes.decode_best.run(targets, self._inputs(), self.constants())
 
     def fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where no texel is solved."""

@@ -156,7 +156,7 @@ class Fitness:
 
 @dataclass(frozen=True)
 class Prefit:
-    """Normals before the stages, on grey samples, by a model of few assumptions (shaders/prefit/falloff_lobe.toml)."""
+    """Normals before the stages, on grey samples, by a model of few assumptions (shaders/prefit/base_lobe.toml)."""
 
     iterations: int = setting(
         "Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 0, soft_max=100
@@ -196,9 +196,9 @@ class Prefit:
 class Refinement:
     """Levenberg–Marquardt (Marquardt 1963) after the stages, on all their parameters jointly, with the same fitness.
 
-    votes: shaders/refine/votes.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual Reconstruction):
-    highlights must not count as outliers while the estimated lobe is still far from them. race_iterations: after
-    the idea of Maron & Moore 1994, Hoeffding Races: a start that is far behind is given up.
+    votes: shaders/refine/neighbour_support.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual
+    Reconstruction): highlights must not count as outliers while the estimated lobe is still far from them.
+    race_iterations: after the idea of Maron & Moore 1994, Hoeffding Races: a start that is far behind is given up.
     """
 
     iterations: int = setting(

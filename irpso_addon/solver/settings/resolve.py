@@ -190,7 +190,7 @@ Resolved = (
 @cache
 def prefit_model(sheen: bool = False) -> ReflectanceModel:
     """Return the prefit's own model, or that with sheen."""
-    return load_model(SHADERS / "prefit" / f"falloff_{'sheen' if sheen else 'lobe'}.toml")
+    return load_model(SHADERS / "prefit" / f"base_lobe{'_sheen' if sheen else ''}.toml")
 
 
 def _resolve_prefit(prefit: Prefit) -> list[Resolved]:

@@ -26,8 +26,8 @@ bool texel_kernel(ivec2 texel)
 #endif
     if (state_at(texel) == TEXEL_SOLVED && texelFetch(u_best_fitness, texel, 0).x > u_threshold) {
         Texel t = observed_texel(texel);
-        float scale = loss_scale(t.scale);
-        float reach = reach_of(t.scale);
+        float inverse_delta = inverse_delta_of(t.radiance_scale);
+        float reach = reach_of(t.radiance_scale);
         Material estimate = estimate_at(texel);
 #if LINEAR_BLOCKS > 0
         Material incumbent = material_of_best(texel);
@@ -67,7 +67,7 @@ bool texel_kernel(ivec2 texel)
             }
 #endif
             EACH_OBSERVATION(t, o) {
-                float relative = scale * relative_error(t, o);
+                float relative = inverse_delta * relative_error(t, o);
                 for (int p = 0; p < CHUNK; p++) {
                     vec3 error = error_of(o, reflectance(s[p], o.l, o.v));
                     sum[p] += o.weight * loss_of(relative * error);

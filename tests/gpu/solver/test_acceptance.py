@@ -21,15 +21,15 @@ recover = pytest.fixture(recoveries)
 @pytest.fixture(scope="module")
 def uneven():
     """(domain, truth): a base that darkens faster than Lambert's, under a lobe."""
-    return card("falloff_lobe", shape=(12, 13), noise=0.001)
+    return card("base_lobe", shape=(12, 13), noise=0.001)
 
 
 @pytest.fixture(scope="module")
 def half():
     """(domain, truth) of a card of which the left half is what the model says, and the right half is not."""
     textured, truth = card("principled", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
-    other, _ = card("falloff_lobe", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)),
-                    falloff=np.full((8, 12, 1), 1.35))  # fmt: skip
+    other, _ = card("base_lobe", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)),
+                    cosine_exponent=np.full((8, 12, 1), 1.35))  # fmt: skip
     stack = np.where(np.arange(12)[:, None] < 6, textured.stack.values, other.stack.values)
     return with_samples(textured, np.ascontiguousarray(stack)), truth
 

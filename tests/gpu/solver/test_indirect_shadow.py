@@ -96,7 +96,7 @@ def test_the_evidence_matches_float64(recover):
     shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)
     scale = np.percentile(shown, RAISED.fitness.percentile, axis=0)
     counted = np.minimum(shown, scale)
-    error = np.minimum(confidence_oracle.radiance(domain, "falloff_lobe", own).mean(axis=-1), scale) - counted
+    error = np.minimum(confidence_oracle.radiance(domain, "base_lobe", own).mean(axis=-1), scale) - counted
     light = counted.sum(axis=0)
     assert (shown < RAISED.fitness.shadow * scale).mean() > 0.1  # samples in shadow count
     np.testing.assert_allclose(evidence[..., 0], np.minimum(np.abs(error).sum(axis=0) / light, 1), rtol=2e-3, atol=1e-5)

@@ -17,7 +17,7 @@ from tests.oracles import confidence as confidence_oracle
 from tests.oracles import synchronous_swarm as oracle
 from tests.oracles.swarm import delta_of
 
-PREFIT = str(SHADERS / "prefit" / "falloff_lobe.toml")
+PREFIT = str(SHADERS / "prefit" / "base_lobe.toml")
 TWO_LOBES = "cook_torrance_two_lobe"
 ONE = {"particles": 1, "particles_per_dimension": 0.0, "c3": 0.0, "seed": "random"}
 SHAPE = (6, 9)
@@ -39,7 +39,7 @@ def blinn_phong(root, tmp_path_factory):
 @pytest.fixture
 def path_of(blinn_phong):
     """Return what load_model takes for a model's name in these tests."""
-    return lambda name: {"blinn_phong": blinn_phong, "falloff_lobe": PREFIT}.get(name, name)
+    return lambda name: {"blinn_phong": blinn_phong, "base_lobe": PREFIT}.get(name, name)
 
 
 def scipys(problem, a, right, counted):
@@ -79,10 +79,10 @@ def compared(b):
 @pytest.mark.parametrize(
     ("name", "count"),
     [("lambert", 3), ("principled", 3), ("principled_metallic", 3), (TWO_LOBES, 4), ("principled_two_lobe", 4),
-     ("blinn_phong", 4), ("falloff_lobe", 2)],
+     ("blinn_phong", 4), ("base_lobe", 2)],
 )  # fmt: skip
 def test_weights_are_those_of_scipys_bounded_least_squares(bench, path_of, name, count, loss):
-    options = {"observations": 24, "colored": name != "falloff_lobe"}
+    options = {"observations": 24, "colored": name != "base_lobe"}
     b = bench(Case(name, shape=SHAPE, model=path_of(name), domain=options, settings=ONE | {"loss": loss}))
     found, wanted, excess = compared(b)
     assert found.shape[0] > 30 and found.shape[1] == count

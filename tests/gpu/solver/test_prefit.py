@@ -55,7 +55,7 @@ def card(model, shape=(14, 15), observations=DIRECTIONS, noise=0.0, seed=3, colo
         "specular": rng.uniform(0.3, 0.8, (*shape, 1)),
         "base": rng.uniform(0.3, 0.8, (*shape, 1)),
         "lobe": np.full((*shape, 1), 0.05),
-        "falloff": np.full((*shape, 1), 1.2),
+        "cosine_exponent": np.full((*shape, 1), 1.2),
     } | values
     made = make_domain(*shape, observations=observations, holes=False)
     lights = unit(rng.normal(size=(observations, 3)) * (1, 1, 0.4) + (0, 0, 1.3))
@@ -145,7 +145,7 @@ def test_the_prefit_is_blind_to_the_colours_of_lights(recover):
     found = []
     for given in (None, colors):
         # A grey surface: of a coloured one the lights' colours change a texel's scale, and so what is in shadow.
-        domain, truth = card("falloff_lobe", colors=given)
+        domain, truth = card("base_lobe", colors=given)
         found.append(prefit_fitness(recover(domain, PRINCIPLED, STANDARD.replaced(prefit_refinement_iterations=30))))
         assert degrees(found[-1], truth["normal"]).mean() < 0.02
     apart = degrees(found[0], found[1].values["normal"])
@@ -158,7 +158,7 @@ def test_the_prefit_is_blind_to_the_colours_of_lights(recover):
 @pytest.fixture(scope="module")
 def uneven():
     """(domain, truth): a base that darkens faster than Lambert's, under a lobe."""
-    return card("falloff_lobe", shape=(12, 13), noise=0.001)
+    return card("base_lobe", shape=(12, 13), noise=0.001)
 
 
 def test_normals_of_a_non_lambertian_base_come_from_the_prefit(recover, uneven):
@@ -171,11 +171,11 @@ def test_normals_of_a_non_lambertian_base_come_from_the_prefit(recover, uneven):
     assert errors[0] < 0.3 and errors[1] > 1, errors
 
 
-def test_a_prior_separates_fall_off_and_tilt_under_narrow_lights(recover, monkeypatch):
+def test_a_prior_separates_exponent_and_tilt_under_narrow_lights(recover, monkeypatch):
     lights = dome_lights(12, widest=22)
     errors = []
-    for deviation in (prefit._FALLOFF_DEVIATION, 100.0):
-        monkeypatch.setattr(prefit, "_FALLOFF_DEVIATION", deviation)
+    for deviation in (prefit._EXPONENT_DEVIATION, 100.0):
+        monkeypatch.setattr(prefit, "_EXPONENT_DEVIATION", deviation)
         domain, truth = card("lambert", shape=(12, 13), observations=12, noise=0.003)
         domain = replace(domain, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))))
         stack = np.ones_like(domain.stack.values)
@@ -237,7 +237,7 @@ def test_the_prefits_misfit_matches_float64(recover, uneven):
     fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_fitness"])
     own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
-    wanted, samples = bounded_misfit(domain, "falloff_lobe", own, STANDARD.prefit, scale)
+    wanted, samples = bounded_misfit(domain, "base_lobe", own, STANDARD.prefit, scale)
     assert (samples >= 10).all()
     np.testing.assert_allclose(fitness, wanted, rtol=5e-3, atol=1e-4)
 

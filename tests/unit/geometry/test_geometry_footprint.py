@@ -5,7 +5,7 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry.project import Projector
-from irpso_addon.geometry.surface.footprint import falloff, jacobian, texel_steps
+from irpso_addon.geometry.surface.footprint import jacobian, slant_weight, texel_steps
 from tests.oracles.geometry import bake_camera, bake_uv, joined, plane
 
 ABOVE = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1.0]])
@@ -151,7 +151,7 @@ def test_a_slanted_view_loses_weight_to_0_at_the_limit(degrees):
 
 def test_the_weight_of_a_slant_reaches_zero_without_a_step():
     cosine = np.linspace(0.1, 1, 2000)
-    weight = falloff(cosine, 0.1, None)
+    weight = slant_weight(cosine, 0.1, None)
     assert weight[0] == 0 and weight[-1] == pytest.approx(1) and (np.diff(weight) > 0).all()
     assert np.diff(weight).max() < 0.004
 
@@ -159,4 +159,4 @@ def test_the_weight_of_a_slant_reaches_zero_without_a_step():
 def test_a_texel_longer_than_a_slanted_pixel_loses_only_near_the_limit():
     wide = np.tile(3 * np.eye(2), (2, 1, 1))  # three pixels a texel, along the slant too
     cosine = np.array([0.3, 0.6])
-    np.testing.assert_allclose(falloff(cosine, 0.1, wide), (1 - (0.1 / cosine) ** 2) / 0.99, rtol=1e-6)
+    np.testing.assert_allclose(slant_weight(cosine, 0.1, wide), (1 - (0.1 / cosine) ** 2) / 0.99, rtol=1e-6)

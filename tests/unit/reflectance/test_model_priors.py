@@ -61,7 +61,7 @@ def test_a_model_can_be_loaded_without_some_priors():
     assert {p.name for p in model.without_priors(["specular"]).parameters if p.prior} == {"roughness", "metallic"}
 
 
-def test_the_variance_of_a_prior_follows_its_curvature_or_slope():
+def test_the_variance_of_a_prior_follows_its_curvature_or_gradient():
     normal = ParameterPrior("normal", 0.5, 0.1, "roughness")
     np.testing.assert_allclose(normal.variance(np.array([0.0, 0.9]), 1.0), [0.01, 0.01])
     np.testing.assert_allclose(

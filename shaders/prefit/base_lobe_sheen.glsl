@@ -8,7 +8,7 @@
 
 vec3 basis_base(Material s, vec3 l, vec3 v)
 {
-    return falloff_base(s, l, v);
+    return cosine_power(s, l, v);
 }
 
 vec3 basis_lobe(Material s, vec3 l, vec3 v)

@@ -1,9 +1,10 @@
-// Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl). Reads the best
-// so far (u_estimate, u_status), the refined one (u_work, u_work_status), the weights of the samples and the packing.
+// Over W×H texels: keeps the more probable of two materials, by the samples and their support (neighbour_support.glsl).
+// Reads the best so far (u_estimate, u_status), the refined one (u_work, u_work_status), the weights of the samples and
+// the packing.
 
 #include "common/observation.glsl"
 #include "refine/status.glsl"
-#include "refine/votes.glsl"
+#include "refine/neighbour_support.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
@@ -25,8 +26,8 @@ bool texel_kernel(ivec2 texel)
         better = after.x <= before.x;
         if (freedom > 0.0 && max(before.x, after.x) < UNFIT) {
             ivec4 place = surface_place_of(texel);
-            better = deviance_of(freedom, after.x, votes_for(place, work)) <=
-                     deviance_of(freedom, before.x, votes_for(place, own));
+            better = deviance_of(freedom, after.x, neighbour_support_of(place, work)) <=
+                     deviance_of(freedom, before.x, neighbour_support_of(place, own));
         }
     }
     if (better) {

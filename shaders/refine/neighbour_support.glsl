@@ -1,5 +1,5 @@
-// Votes for a material: the number of texels, nearby and elsewhere on the surface, with similar searched numbers. They
-// give its prior probability by a Pólya urn: the next draw repeats a value in proportion to how often it was drawn
+// Support of a material: the number of texels, nearby and elsewhere on the surface, with similar searched numbers. It
+// gives its prior probability by a Pólya urn: the next draw repeats a value in proportion to how often it was drawn
 // before (Blackwell & MacQueen 1973, Ferguson Distributions via Pólya Urn Schemes). Reads u_estimate of neighbours and
 // the packing. materials.glsl is materials/shared.glsl or materials/none.glsl.
 
@@ -10,18 +10,18 @@
 #include "fitness/with_priors.glsl"
 #include "materials.glsl"
 
-// Neighbours that vote: the 5×5 texels around, which are the first taps of common/taps.glsl.
-#define VOTING_TAPS 24
-// Width of the similarity of two numbers (standard deviation of a Gaussian), as a fraction of their range.
-#define SIMILARITY_WIDTH 0.1
-// A proposal is refined, whatever its fitness, if it has this many times the votes of the texel's own material. Near
+// Neighbours that count: the 5×5 texels around, which are the first taps of common/taps.glsl.
+#define SUPPORT_TAPS 24
+// Standard deviation of the Gaussian kernel of two searched numbers, as a fraction of their range.
+#define NEIGHBOUR_BANDWIDTH 0.1
+// A proposal is refined, whatever its fitness, if it has this many times the support of the texel's own material. Near
 // the mouth of rti_icon a ratio of 1 refines twice as many proposals and leaves a third fewer isolated texels.
-#define VOTE_RATIO 1.5
+#define SUPPORT_RATIO 1.5
 
-float votes_for(ivec4 place, inout float c[12])
+float neighbour_support_of(ivec4 place, inout float c[12])
 {
-    float votes = votes_of_materials(c);
-    for (int t = 0; t < VOTING_TAPS; t++) {
+    float support = material_support_of(c);
+    for (int t = 0; t < SUPPORT_TAPS; t++) {
         ivec2 other = neighbour_at(place, tap_at(t));
         if (other.x < 0) {
             continue;
@@ -31,12 +31,12 @@ float votes_for(ivec4 place, inout float c[12])
         float squared_distance = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {
             FreeParameter free = free_at(u);
-            float d = searched(u) ? (other_c[free.at] - c[free.at]) / (SIMILARITY_WIDTH * free.width) : 0.0;
+            float d = searched(u) ? (other_c[free.at] - c[free.at]) / (NEIGHBOUR_BANDWIDTH * free.width) : 0.0;
             squared_distance += d * d;
         }
-        votes += exp(-0.5 * squared_distance);
+        support += exp(-0.5 * squared_distance);
     }
-    return votes;
+    return support;
 }
 
 // Returns the degrees of freedom of the noise. weights: the sum of the samples' weights; a sample has three channels.
@@ -47,7 +47,7 @@ float degrees_of_freedom(float weights)
 
 // Returns −2 log posterior of a material, up to a constant (fitness/with_priors.glsl). fitness: with the model's
 // priors.
-float deviance_of(float freedom, float fitness, float votes)
+float deviance_of(float freedom, float fitness, float support)
 {
-    return freedom * log(fitness + NOISE_FLOOR) - 2.0 * VOTES * log(1.0 + votes);
+    return freedom * log(fitness + NOISE_FLOOR) - 2.0 * SUPPORT_WEIGHT * log(1.0 + support);
 }
