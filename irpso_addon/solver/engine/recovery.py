@@ -33,6 +33,7 @@ from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prepare import Prepared
 from ..state.separation import SEPARATED_SHADOW, separated_steps
+from ..state.separation_record import Separation
 from ..state.textures import SOLVED, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
@@ -107,7 +108,7 @@ class Recovery(RecoveryEngine):
         return self._phase
 
     @property
-    def separation(self) -> np.ndarray | None:
+    def separation(self) -> Separation | None:
         return self._separation
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
@@ -306,8 +307,9 @@ class Recovery(RecoveryEngine):
 
     def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> Generator[None, None, None]:
         """Hold what prefits that have ended measured, packed, by name. Yields where that takes long."""
-        separation = measured.get(SEPARATION, np.zeros_like(self._textures.separation))
-        if not np.array_equal(self._textures.separation, separation):
+        size = self._textures.scale.shape
+        separation = Separation(measured[SEPARATION]) if SEPARATION in measured else Separation.none(size)
+        if not self._textures.separation.equals(separation):
             steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
             self._textures, self._stack = yield from map_steps(steps, lambda part: None)
             before.textures.pop("u_stack", None)  # a device need not hold two
@@ -315,12 +317,12 @@ class Recovery(RecoveryEngine):
             self._diagnostics = self._diagnosing()
             self._separation = self._unpacked_separation()
         self._prefit = measured
-        shadow = np.broadcast_to(np.float32(measured.get(SHADOW, 0.0)), separation.shape[:2])
-        self._textures.raise_shadow(np.maximum(shadow, np.where(separation[..., 0] > 0, SEPARATED_SHADOW, 0)))
+        shadow = np.broadcast_to(np.float32(measured.get(SHADOW, 0.0)), size)
+        self._textures.raise_shadow(np.maximum(shadow, np.where(separation.separated, SEPARATED_SHADOW, 0)))
 
-    def _unpacked_separation(self) -> np.ndarray | None:
+    def _unpacked_separation(self) -> Separation | None:
         separation = self._textures.separation
-        return self._packing.unpack(separation) if separation.any() else None
+        return separation.unpacked(self._packing) if separation.any() else None
 
     def _diagnosing(self) -> Diagnostics:
         model = self._believing(self.schedule)

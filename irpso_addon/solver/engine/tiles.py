@@ -20,6 +20,7 @@ from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.packing import Packing
 from ..state.prepare import Prepared
+from ..state.separation_record import Separation
 from .halo import Box, Place, place_of
 from .progress import Progress
 from .recovery import Recovery
@@ -140,13 +141,15 @@ class TilePool:
         """The recovery of the last tile used."""
         return self.recovery(self._last)
 
-    def separation(self, number: int) -> np.ndarray | None:
+    def separation(self, number: int) -> Separation | None:
         """Return the separation of a tile, as RecoveryEngine.separation, without putting it on the device."""
         tile = self.tiles[number]
         if tile.recovery is not None:
             return tile.recovery.separation
         packed = None if tile.memory is None else tile.memory.arrays.get(SEPARATION)
-        return None if packed is None else Packing(tile.domain.solvable, tile.domain.seams).unpack(packed)
+        if packed is None:
+            return None
+        return Separation(packed).unpacked(Packing(tile.domain.solvable, tile.domain.seams))
 
     def wait(self, number: int, memory: Checkpoint) -> None:
         """Take a tile off the device; it continues from ``memory`` when its turn comes."""

@@ -64,7 +64,7 @@ class PrefitPhase(Phase):
     ):
         self._chosen: np.ndarray | None = None
         if resolved.indirect:
-            self._chosen = (domain.shadow > 0) | (domain.separation[..., 0] > 0)
+            self._chosen = (domain.shadow > 0) | domain.separation.separated
         elif resolved.sheen:
             self._chosen = before[FITNESS] >= _LEAST_FITNESS
         if self._chosen is not None:

@@ -20,8 +20,9 @@ from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, shadow_light_table
 from ..state.prepare import lambert_steps
 from ..state.reader import Reader
-from ..state.separation import SeparatedStack, by_shadows, direct_chroma, evidence_of, separation_steps
-from ..state.textures import HARMONICS, SEPARATED, SOLVED, DomainTextures, Estimates, texel_states
+from ..state.separation import SeparatedStack, direct_chroma, median_chromas, separation_steps
+from ..state.separation_record import SHADOW_LIGHT, Separation
+from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
 from .indirect import SHADOW
 from .mixture import sampled
 from .phase import Phase
@@ -65,7 +66,7 @@ class SeparationPhase(Phase):
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
         self._sheen = domain.packing.unpack(measured.get(CHOSEN, np.zeros_like(domain.scale))) > 0
         self._sample: np.ndarray | None = None
-        self._separation = np.zeros((*domain.domain.shape, SEPARATED), np.float32)
+        self._separation = Separation.none(domain.domain.shape)
         self._adopt = adopt_pass(model, domain.defines)
 
     @property
@@ -84,8 +85,8 @@ class SeparationPhase(Phase):
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
         chosen = sampled(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
         rows, columns = (chosen[:, 1 + i].astype(int) - domain.origin[1 - i] for i in range(2))
-        values = evidence_of(domain, rows, columns)
-        return np.column_stack([chosen, values, self._indirect[rows, columns]])
+        chromas = median_chromas(domain, rows, columns)
+        return np.column_stack([chosen, chromas, self._indirect[rows, columns]])
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Set the sample of the whole domain."""
@@ -102,11 +103,12 @@ class SeparationPhase(Phase):
             self._separation = yield from map_steps(steps, lambda part: None)
         # Not on a mesh: samples in its cast shadows have weight 0, so that they give no evidence.
         if self._domain.domain.card:
-            separated = self._separation[..., 0] > 0
+            separated = self._separation.separated
             work = shadow_light_pass(self._model, self._least_share, LEAST_TURN, self._domain.defines, self._entry)
             misfit = np.where(separated | self._sheen, 0, self._misfit)
             asked = shadow_light_steps(work, self._domain, self._estimates, misfit, bands, seconds)
-            self._separation = np.where(separated[..., None], self._separation, by_shadows((yield from asked)))
+            by_shadows = Separation.of_shadows((yield from asked))
+            self._separation = self._separation.where(separated, by_shadows)
         self.iteration += 1
 
     @property
@@ -119,7 +121,7 @@ class SeparationPhase(Phase):
         if self.keeps_estimates:
             return
         domain, packing = self._domain.domain, self._domain.packing
-        chosen = domain.solvable & (self._separation[..., 2] > 0)
+        chosen = domain.solvable & self._separation.by_colour
         direct = SeparatedStack(domain, self._separation)
         steps = lambert_steps(replace(domain, stack=direct, solvable=chosen))
         normal, _ = yield from map_steps(steps, lambda part: None)
@@ -127,9 +129,9 @@ class SeparationPhase(Phase):
         yield from adopt_where(self._adopt, bands, *target, packing.pack(chosen), packing.pack(normal))
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → packed measurement, with the separation (h, w, SEPARATED) if any light was separated."""
+        """Return name → packed measurement, with the separation (h, w, 14) if any light was separated."""
         yield
-        own = {SEPARATION: self._domain.packing.pack(self._separation)} if self._separation.any() else {}
+        own = {SEPARATION: self._separation.packed(self._domain.packing).values} if self._separation.any() else {}
         return {**self._measured, **own}
 
     def halo(self) -> np.ndarray:
@@ -170,7 +172,7 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 def shadow_light_steps(
     work: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
 ) -> Generator[None, None, np.ndarray]:
-    """Return (H, W, 12) float32: the output of shadow_light.glsl.
+    """Return (H, W, SHADOW_LIGHT) float32: the output of shadow_light.glsl.
 
     0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss, at most 1; texels of 0 are skipped.
     work: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
@@ -178,7 +180,7 @@ def shadow_light_steps(
     phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
     with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:
         if not (domain.domain.intensities > 0).all():
-            return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
+            return np.zeros((*domain.domain.shape, SHADOW_LIGHT), np.float32)
         phase_textures.upload("misfit", [domain.packing.pack(misfit[..., None].astype(np.float32))])
         yield from phase_textures.make()
         inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
