@@ -19,11 +19,9 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..phases.begin import MEASURED, begin_phase, check_seed, measured_by
-from ..phases.indirect import SHADOW
+from ..phases.begin import begin_phase, check_seed, made_by
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
-from ..phases.prefit import FITNESS, AcceptanceTest
-from ..phases.separation import SEPARATION
+from ..phases.prefit import AcceptanceTest
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.levels import warm_started
@@ -31,6 +29,7 @@ from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
 from ..state.separation import SEPARATED_SHADOW, separated_steps
 from ..state.separation_record import Separation
@@ -92,7 +91,7 @@ class Recovery(RecoveryEngine):
         self._index, self._evaluations = begin.index, begin.evaluations
         self._begun = begin.evaluations  # at the begin of the stage
         self._repeats = True  # whether the stage, made again from the estimates, reaches the same result
-        run_steps(self._take_prefit(begin.prefit))
+        run_steps(self._take_measurements(begin.measurements))
         self._phase: Phase | None = None
         if memory is not None:
             self.remember(memory)
@@ -234,7 +233,7 @@ class Recovery(RecoveryEngine):
         if self._phase is not None and running:
             arrays |= {PHASE + name: array for name, array in self._phase.state().items()}
         begun = self._begun if self._repeats else NEVER
-        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit}, begun=begun)
+        return Checkpoint(*self.at, self._evaluations, arrays | self._measurements.arrays, begun=begun)
 
     def remember(self, saved: Checkpoint) -> None:
         """Continue from what ``memory`` returned."""
@@ -243,7 +242,7 @@ class Recovery(RecoveryEngine):
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._begun, self._repeats = saved.begun, saved.begun != NEVER
-        run_steps(self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED}))
+        run_steps(self._take_measurements(PrefitMeasurements.of_arrays(saved.arrays)))
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
@@ -270,7 +269,7 @@ class Recovery(RecoveryEngine):
         if not goes_on.samples:
             held, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
-        known = measured_by(self._stages[: goes_on.index], self._prefit)
+        known = made_by(self._stages[: goes_on.index], self._measurements)
         begin = Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         new._repeats = False  # it goes on with other swarms, or begins around what has been found
@@ -303,12 +302,12 @@ class Recovery(RecoveryEngine):
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         settings = self._stages[index], index, self._believing(schedule), schedule, self.seed
         held = self._textures, self._estimates
-        return begin_phase(*settings, *held, self.entry, self._acceptance, self._prefit)
+        return begin_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
 
-    def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> Generator[None, None, None]:
-        """Hold what prefits that have ended measured, packed, by name. Yields where that takes long."""
+    def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
+        """Hold the measurements of the phases so far. Yields where that takes long."""
         size = self._textures.scale.shape
-        separation = Separation(measured[SEPARATION]) if SEPARATION in measured else Separation.none(size)
+        separation = measurements.separation or Separation.none(size)
         if not self._textures.separation.equals(separation):
             steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
             self._textures, self._stack = yield from map_steps(steps, lambda part: None)
@@ -316,8 +315,8 @@ class Recovery(RecoveryEngine):
             self._diagnostics.close()
             self._diagnostics = self._diagnosing()
             self._separation = self._unpacked_separation()
-        self._prefit = measured
-        shadow = np.broadcast_to(np.float32(measured.get(SHADOW, 0.0)), size)
+        self._measurements = measurements
+        shadow = np.float32(0) if measurements.shadow is None else measurements.shadow
         self._textures.raise_shadow(np.maximum(shadow, np.where(separation.separated, SEPARATED_SHADOW, 0)))
 
     def _unpacked_separation(self) -> Separation | None:
@@ -334,9 +333,9 @@ class Recovery(RecoveryEngine):
         return self.model.without_priors(self.fixed if schedule.fitness.priors else everything)
 
     def _acceptance(self) -> AcceptanceTest | None:
-        if FITNESS not in self._prefit:
+        if (fitness := self._measurements.fitness) is None:
             return None
-        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, self._prefit[FITNESS])
+        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, fitness)
 
     @property
     def at(self) -> tuple[int, int]:
@@ -360,8 +359,8 @@ class Recovery(RecoveryEngine):
         yield from phase.conclude(self._bands, seconds)
         if not phase.keeps_estimates:
             self._estimates.accept()
-        if (measured := (yield from phase.measuring(self._bands, seconds))) is not None:
-            yield from self._take_prefit(measured)
+        if (measurements := (yield from phase.measuring(self._bands, seconds))) is not None:
+            yield from self._take_measurements(measurements)
             self.give_stack()
         yield  # the last one: view() must not see a closed phase
         phase.close()

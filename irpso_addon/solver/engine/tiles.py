@@ -15,10 +15,10 @@ from ...gpu.program import ProgramCache
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import BACKGROUND_BAND_SECONDS
-from ..phases.separation import SEPARATION
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.packing import Packing
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
 from ..state.separation_record import Separation
 from .halo import Box, Place, place_of
@@ -146,10 +146,8 @@ class TilePool:
         tile = self.tiles[number]
         if tile.recovery is not None:
             return tile.recovery.separation
-        packed = None if tile.memory is None else tile.memory.arrays.get(SEPARATION)
-        if packed is None:
-            return None
-        return Separation(packed).unpacked(Packing(tile.domain.solvable, tile.domain.seams))
+        packed = None if tile.memory is None else PrefitMeasurements.of_arrays(tile.memory.arrays).separation
+        return None if packed is None else packed.unpacked(Packing(tile.domain.solvable, tile.domain.seams))
 
     def wait(self, number: int, memory: Checkpoint) -> None:
         """Take a tile off the device; it continues from ``memory`` when its turn comes."""

@@ -14,6 +14,7 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import Resolved
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.reader import Reader
 from ..state.textures import HALO, SOLVED, DomainTextures, Estimates, packed_states, texel_states
 
@@ -85,8 +86,8 @@ class Phase(Protocol):
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
         return False
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray] | None]:
-        """Return, after the last iteration, name → packed measurement for later phases; None if there are none."""
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements | None]:
+        """Return, after the last iteration, all measurements for later phases; None if the phase makes none."""
         yield from ()
         return None
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 
+from ...core.optional import present
 from ...core.steps import map_steps
 from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
@@ -18,18 +19,16 @@ from ..kernels import kernels
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, shadow_light_table
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import lambert_steps
 from ..state.reader import Reader
 from ..state.separation import SeparatedStack, direct_chroma, median_chromas, separation_steps
 from ..state.separation_record import SHADOW_LIGHT, Separation
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
-from .indirect import SHADOW
 from .mixture import sampled
 from .phase import Phase
-from .prefit import FITNESS, adopt_pass, adopt_where
-from .sheen import CHOSEN
+from .prefit import adopt_pass, adopt_where
 
-SEPARATION = "prefit_separation"
 # Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
 # 0 the normal error of a dirty card is 0.54 in place of 0.16°; in hollows it is 0.1° less.
 LEAST_TURN = 3.0
@@ -41,7 +40,7 @@ class SeparationPhase(Phase):
 
     On a card, shadows separate the light of texels where colour does not. Where colour does, the result has the normals
     of a Lambertian fit to the direct light: normals with the bias of indirect light are a bad start for the next
-    prefit. measured: measurements of earlier prefits.
+    prefit. measurements: of the phases before.
     """
 
     placed = False  # nothing to show before the end
@@ -55,16 +54,17 @@ class SeparationPhase(Phase):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        measured: Mapping[str, np.ndarray],
+        measurements: PrefitMeasurements,
     ):
         self.title, self.iterations = resolved.title, resolved.iterations
         self._model, self._least_share, self._domain = model, schedule.prefit.indirect_share, domain
         self._entry = entry
-        self._estimates, self._measured = estimates, measured
-        self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
-        self._misfit = np.minimum(domain.packing.unpack(measured[FITNESS]), 1.0)
+        self._estimates, self._measurements = estimates, measurements
+        self._indirect = domain.packing.unpack(present(measurements.shadow)) > 0
+        self._misfit = np.minimum(domain.packing.unpack(present(measurements.fitness)), 1.0)
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
-        self._sheen = domain.packing.unpack(measured.get(CHOSEN, np.zeros_like(domain.scale))) > 0
+        sheen = measurements.sheen_chosen
+        self._sheen = domain.packing.unpack(np.zeros_like(domain.scale) if sheen is None else sheen) > 0
         self._sample: np.ndarray | None = None
         self._separation = Separation.none(domain.domain.shape)
         self._adopt = adopt_pass(model, domain.defines)
@@ -128,11 +128,12 @@ class SeparationPhase(Phase):
         target = self._domain, self._estimates, self._model
         yield from adopt_where(self._adopt, bands, *target, packing.pack(chosen), packing.pack(normal))
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → packed measurement, with the separation (h, w, 14) if any light was separated."""
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Return the measurements, with the separation if any light was separated."""
         yield
-        own = {SEPARATION: self._separation.packed(self._domain.packing).values} if self._separation.any() else {}
-        return {**self._measured, **own}
+        if not self._separation.any():
+            return self._measurements
+        return replace(self._measurements, separation=self._separation.packed(self._domain.packing))
 
     def halo(self) -> np.ndarray:
         """Return (H, W, 1) zeros: neighbours read nothing."""
@@ -185,6 +186,6 @@ def shadow_light_steps(
         yield from phase_textures.make()
         inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
         constants = {"u_observations": domain.domain.observations}
-        yield from work.in_bands(SEPARATION, bands, seconds, phase_textures.of("light"), inputs, constants)
+        yield from work.in_bands("shadow light", bands, seconds, phase_textures.of("light"), inputs, constants)
         packed = np.concatenate([reader.read(texture) for texture in phase_textures.of("light")], axis=-1)
     return domain.packing.unpack(packed)
