@@ -31,7 +31,7 @@ from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
-from ..state.separation import SEPARATED_SHADOW, separated_steps
+from ..state.separation import separated_steps
 from ..state.separation_record import Separation
 from ..state.textures import SOLVED, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
@@ -186,31 +186,6 @@ class Recovery(RecoveryEngine):
             stack, self._stack = self._stack, None
             self._textures.give_stack(stack)
 
-    def halo(self) -> np.ndarray:
-        """Return (H, W, n): the results of this tile's texels that neighbouring tiles read; NaN elsewhere."""
-        self._finish_iteration()
-        return self._running().halo()
-
-    def set_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n) results of neighbouring tiles at their texels; NaN elsewhere. ghosts: (M, n) of the ghosts."""
-        self._finish_iteration()
-        self._running().take_halo(values, ghosts)
-
-    def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
-        self._finish_iteration()
-        return self._phase.sample() if self._phase is not None and self._phase.reach else None
-
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Take the sample of the whole domain, from ``phases.mixture.merged``."""
-        self._finish_iteration()
-        self._running().take_sample(sample)
-
-    @property
-    def reach(self) -> int:
-        """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
-        return self._phase.reach if self._phase is not None else 0
-
     def state(self, running: bool = True) -> Checkpoint:
         memory = self.memory() if running or not self._repeats else self.memory(running=False).of_stage
         rows = TexelLayout(self.domain, self._packing).rows(memory.arrays, self.particle_tiles)
@@ -305,19 +280,21 @@ class Recovery(RecoveryEngine):
         return begin_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
 
     def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
-        """Hold the measurements of the phases so far. Yields where that takes long."""
-        size = self._textures.scale.shape
-        separation = measurements.separation or Separation.none(size)
+        """Hold the measurements of the phases so far; apply them to the samples. Yields where that takes long."""
+        separation = measurements.separation or Separation.none(self._textures.scale.shape)
         if not self._textures.separation.equals(separation):
-            steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
-            self._textures, self._stack = yield from map_steps(steps, lambda part: None)
-            before.textures.pop("u_stack", None)  # a device need not hold two
-            self._diagnostics.close()
-            self._diagnostics = self._diagnosing()
-            self._separation = self._unpacked_separation()
+            yield from self._separate_samples(separation)
+        self._textures.raise_shadow(measurements.shadow_threshold)
         self._measurements = measurements
-        shadow = np.float32(0) if measurements.shadow is None else measurements.shadow
-        self._textures.raise_shadow(np.maximum(shadow, np.where(separation.separated, SEPARATED_SHADOW, 0)))
+
+    def _separate_samples(self, separation: Separation) -> Generator[None, None, None]:
+        """Replace the textures by those of the direct light. separation: (h, w), packed."""
+        steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
+        self._textures, self._stack = yield from map_steps(steps, lambda part: None)
+        before.textures.pop("u_stack", None)  # a device need not hold two
+        self._diagnostics.close()
+        self._diagnostics = self._diagnosing()
+        self._separation = self._unpacked_separation()
 
     def _unpacked_separation(self) -> Separation | None:
         separation = self._textures.separation

@@ -28,9 +28,37 @@ from .watch import Watch
 
 
 class TileRecovery(Recovery):
-    """A recovery that does not end a stage at the threshold by itself: all tiles must reach it."""
+    """A recovery whose phases read results of neighbouring tiles.
+
+    It does not end a stage at the threshold by itself: all tiles must reach it.
+    """
 
     reached = False  # whether every swarm of the tile was at the threshold after the last iteration
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n): the results of this tile's texels that neighbouring tiles read; NaN elsewhere."""
+        self._finish_iteration()
+        return self._running().halo()
+
+    def set_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n) results of neighbouring tiles at their texels; NaN elsewhere. ghosts: (M, n) of the ghosts."""
+        self._finish_iteration()
+        self._running().take_halo(values, ghosts)
+
+    def sample(self) -> np.ndarray | None:
+        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
+        self._finish_iteration()
+        return self._phase.sample() if self._phase is not None and self._phase.reach else None
+
+    def take_sample(self, sample: np.ndarray) -> None:
+        """Take the sample of the whole domain, from ``phases.mixture.merged``."""
+        self._finish_iteration()
+        self._running().take_sample(sample)
+
+    @property
+    def reach(self) -> int:
+        """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
+        return self._phase.reach if self._phase is not None else 0
 
     def finish_stage(self) -> None:
         """Begin the next stage, as at the threshold, and place its swarms."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.optional import present
-from .separation_record import Separation
+from .separation_record import SEPARATED_SHADOW, Separation
 
 # Arrays in checkpoints: field → name.
 _ARRAYS = {
@@ -28,7 +28,7 @@ class PrefitMeasurements:
 
     fitness: (h, w) of the normals' prefit. indirect_misfit: (h, w, 4) of prefit/indirect_misfit.glsl. sheen: (h, w, 4)
     normal and fitness of the prefit with sheen. sheen_chosen: (h, w) float32, above 0 where that prefit is chosen.
-    shadow: (h, w) shadow threshold raised for indirect light, 0 elsewhere. separation: (h, w) of indirect light.
+    shadow: (h, w) raised shadow threshold, 0 where the light is not indirect. separation: (h, w) of indirect light.
     """
 
     fitness: np.ndarray | None = None
@@ -51,6 +51,14 @@ class PrefitMeasurements:
         values = {field: getattr(self, field) for field in _ARRAYS}
         values["separation"] = self.separation and self.separation.values
         return {_ARRAYS[field]: value for field, value in values.items() if value is not None}
+
+    @property
+    def shadow_threshold(self) -> np.ndarray | float:
+        """(h, w), or 0: the part of a texel's scale below which samples count as shadow, because of indirect light."""
+        raised = 0.0 if self.shadow is None else self.shadow
+        if self.separation is None:
+            return raised
+        return np.maximum(raised, np.where(self.separation.separated, SEPARATED_SHADOW, 0))
 
     @property
     def sheen_normal(self) -> np.ndarray:

@@ -18,7 +18,6 @@ from ...core.optional import present
 from ...core.steps import blocking
 from ...geometry.domain import Domain, subset, with_lights
 from ...geometry.samples import SampleStack
-from ...gpu.library import defined
 from ..settings.schedule import Schedule
 from .prepare import Prepared, Texels, chunk_steps, dot, light_vectors, over_lights, percentiles, scale_steps
 from .separation_record import Separation
@@ -27,9 +26,6 @@ from .textures import DomainTextures
 
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma above this part of this percentile of the texel's light
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: the least indirect ones
-
-# Part of a texel's scale. A sample whose direct light is below it counts as shadow.
-SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 
 # Conditions on a subject. The median distance of its chromas from their middle is 0.04 to 0.06 for brass, gold, copper
 # and terracotta, 0.17 for enamel with its highlights, 0.27 for patina, 0.48 for a concave mix. Of the texels whose

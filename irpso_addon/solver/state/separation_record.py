@@ -13,6 +13,8 @@ from .packing import Packing
 
 HARMONICS = int(defined("prefit/shadow_light.glsl")["HARMONICS"])  # spherical harmonics to order 2
 SHADOW_LIGHT = HARMONICS + 3  # numbers of shadow_light.glsl: coefficients, red and green of a chroma, a share
+# Part of a texel's scale. A sample whose direct light is below it counts as shadow.
+SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 
 _FIRST, _SECOND, _SHARE, _HARMONICS = slice(2), slice(2, 4), 4, slice(5, 5 + HARMONICS)
 _NUMBERS = 5 + HARMONICS
