@@ -51,8 +51,8 @@ class Recovery(RecoveryEngine):
     fit InputError.
 
     seed: −2³¹ to 2³¹ − 1. prepared: from ``prepare``, made here where None. guess: parameter name → (H, W, components),
-    where it begins instead of the preparation's guess. memory: from ``memory``, where it begins. The others are as for
-    RecoveryEngine.
+    where it begins instead of the preparation's guess. snapshot: from ``snapshot``, where it begins. The others are as
+    for RecoveryEngine.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Recovery(RecoveryEngine):
         fixed: Mapping[str, np.ndarray] | None = None,
         entry: EntryChoice = "auto",
         prepared: Prepared | None = None,
-        memory: Checkpoint | None = None,
+        snapshot: Checkpoint | None = None,
         begin: Begin | None = None,
         guess: Mapping[str, np.ndarray] | None = None,
     ):
@@ -80,11 +80,11 @@ class Recovery(RecoveryEngine):
         self._packing = self._textures.packing
         self._separation = self._unpacked_separation()  # it outlives the textures
         self._solved = int((texel_states(domain) == SOLVED).sum())
-        self._diagnostics = self._diagnosing()
-        self._found: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
-        self._trusted: tuple[int, int] | None = None  # … of the last deviations
-        self._shown: tuple[int, int] | None = None  # … of a display's copy
-        self._finding: Iterator[None] | None = None
+        self._diagnostics = self._make_diagnostics()
+        self._measured_at: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
+        self._confidence_at: tuple[int, int] | None = None  # … of the last deviations
+        self._shown_at: tuple[int, int] | None = None  # … of a display's copy
+        self._measuring: Iterator[None] | None = None
         self._bands = Bands()
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its placing
@@ -93,8 +93,8 @@ class Recovery(RecoveryEngine):
         self._repeats = True  # whether the stage, made again from the estimates, reaches the same result
         run_steps(self._take_measurements(begin.measurements))
         self._phase: Phase | None = None
-        if memory is not None:
-            self.remember(memory)
+        if snapshot is not None:
+            self.restore_snapshot(snapshot)
         elif fresh:
             self._phase = self._begin(0, schedule)
 
@@ -124,7 +124,7 @@ class Recovery(RecoveryEngine):
         left, started = iterations, time.perf_counter()
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
-                self._work, self._finding = self._iteration(self._phase, band_seconds(time_budget_s)), None
+                self._work, self._measuring = self._iteration(self._phase, band_seconds(time_budget_s)), None
             for _ in self._work:
                 if time_budget_s is not None and time.perf_counter() >= started + time_budget_s:
                     yield
@@ -138,31 +138,31 @@ class Recovery(RecoveryEngine):
         return self._course.at(self._index, iteration, self._bands.part, self._evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        self._measure(confidence)
+        self._ensure_measured(confidence)
         return replace(self._diagnostics.maps(confidence), model=self.model)
 
     def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
-        self._measure(confidence=False)
+        self._ensure_measured(confidence=False)
         return Note(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
 
-    def _measure(self, confidence: bool) -> None:
-        """Find what maps() returns, unless it has been found."""
+    def _ensure_measured(self, confidence: bool) -> None:
+        """Measure what maps() returns, unless it has been measured."""
         at = self.at
-        if self._work is not None or self._found != at or (confidence and self._trusted != at):
-            for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
+        if self._work is not None or self._measured_at != at or (confidence and self._confidence_at != at):
+            for _ in self._measure(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work as RecoveryEngine.refresh_confidence, after the current iteration; a step in between starts it anew."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
-        if self._finding is None:
-            if self._work is None and self._found == self._trusted == self.at:
+        if self._measuring is None:
+            if self._work is None and self._measured_at == self._confidence_at == self.at:
                 return True
-            self._finding = self._look(True, band_seconds(time_budget_s), deadline is not None)
-        for _ in self._finding:
+            self._measuring = self._measure(True, band_seconds(time_budget_s), deadline is not None)
+        for _ in self._measuring:
             if deadline is not None and time.perf_counter() >= deadline:
                 return False
-        self._finding = None
+        self._measuring = None
         return True
 
     def mean_error(self) -> float:
@@ -177,7 +177,7 @@ class Recovery(RecoveryEngine):
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         fixed, fitness, defines = self.fixed, self.schedule.fitness, self._textures.defines
-        work = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
+        work = deviation_pass(self._model_with_priors(self.schedule), fixed, fitness, defines)
         return work, loss_constants(self._textures, fitness.delta)
 
     def give_stack(self) -> None:
@@ -187,22 +187,22 @@ class Recovery(RecoveryEngine):
             self._textures.give_stack(stack)
 
     def state(self, running: bool = True) -> Checkpoint:
-        memory = self.memory() if running or not self._repeats else self.memory(running=False).of_stage
-        rows = TexelLayout(self.domain, self._packing).rows(memory.arrays, self.particle_tiles)
-        return replace(memory, arrays=rows)
+        saved = self.snapshot() if running or not self._repeats else self.snapshot(running=False).of_stage
+        rows = TexelLayout(self.domain, self._packing).rows(saved.arrays, self.particle_tiles)
+        return replace(saved, arrays=rows)
 
     def restore(self, saved: Checkpoint) -> None:
         """Continue from the state of all texels here: own and halo, row by row, then the ghosts."""
         layout = TexelLayout(self.domain, self._packing)
-        self.remember(replace(saved, arrays=layout.arrays(saved.arrays, context.max_texture_size())))
+        self.restore_snapshot(replace(saved, arrays=layout.arrays(saved.arrays, context.max_texture_size())))
 
     @property
     def particle_tiles(self) -> int:
         """The number of W×H tiles in the atlas of the stage's particles; 1 where it has none."""
         return 1 if self._phase is None else phase_table(self._stages[self._index], self.model, self.schedule).tiles
 
-    def memory(self, running: bool = True) -> Checkpoint:
-        """Return the contents of all textures that outlive an iteration, for ``remember``. running: as in ``state``."""
+    def snapshot(self, running: bool = True) -> Checkpoint:
+        """Return the contents of all textures that outlive an iteration. running: as in ``state``."""
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None and running:
@@ -210,10 +210,10 @@ class Recovery(RecoveryEngine):
         begun = self._begun if self._repeats else NEVER
         return Checkpoint(*self.at, self._evaluations, arrays | self._measurements.arrays, begun=begun)
 
-    def remember(self, saved: Checkpoint) -> None:
-        """Continue from what ``memory`` returned."""
+    def restore_snapshot(self, saved: Checkpoint) -> None:
+        """Continue from what ``snapshot`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
-        self._work = self._finding = self._found = self._trusted = self._shown = None
+        self._work = self._measuring = self._measured_at = self._confidence_at = self._shown_at = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._begun, self._repeats = saved.begun, saved.begun != NEVER
@@ -262,11 +262,11 @@ class Recovery(RecoveryEngine):
         placed = self._phase is not None and self._phase.placed
         if placed:
             self.give_stack()
-            self._running().conclude_at_once()
+            self._running().write_estimates_at_once()
         return Estimates(self.model, self._estimates.values(of_next=placed))
 
     def close(self) -> None:
-        self._work = self._finding = self._stack = None  # generators first: they hold textures
+        self._work = self._measuring = self._stack = None  # generators first: they hold textures
         if self._phase is not None:
             self._phase.close()
             self._phase = None
@@ -275,7 +275,7 @@ class Recovery(RecoveryEngine):
             del self._textures, self._estimates, self._diagnostics
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
-        settings = self._stages[index], index, self._believing(schedule), schedule, self.seed
+        settings = self._stages[index], index, self._model_with_priors(schedule), schedule, self.seed
         held = self._textures, self._estimates
         return begin_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
 
@@ -293,18 +293,18 @@ class Recovery(RecoveryEngine):
         self._textures, self._stack = yield from map_steps(steps, lambda part: None)
         before.textures.pop("u_stack", None)  # a device need not hold two
         self._diagnostics.close()
-        self._diagnostics = self._diagnosing()
+        self._diagnostics = self._make_diagnostics()
         self._separation = self._unpacked_separation()
 
     def _unpacked_separation(self) -> Separation | None:
         separation = self._textures.separation
         return separation.unpacked(self._packing) if separation.any() else None
 
-    def _diagnosing(self) -> Diagnostics:
-        model = self._believing(self.schedule)
+    def _make_diagnostics(self) -> Diagnostics:
+        model = self._model_with_priors(self.schedule)
         return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.fixed)
 
-    def _believing(self, schedule: Schedule) -> ReflectanceModel:
+    def _model_with_priors(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
         everything = {p.name for p in self.model.parameters}
         return self.model.without_priors(self.fixed if schedule.fitness.priors else everything)
@@ -333,9 +333,9 @@ class Recovery(RecoveryEngine):
             yield from self._end_stage(phase, seconds)
 
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
-        yield from phase.conclude(self._bands, seconds)
+        yield from phase.write_estimates(self._bands, seconds)
         if not phase.keeps_estimates:
-            self._estimates.accept()
+            self._estimates.swap()
         if (measurements := (yield from phase.measuring(self._bands, seconds))) is not None:
             yield from self._take_measurements(measurements)
             self.give_stack()
@@ -352,7 +352,7 @@ class Recovery(RecoveryEngine):
                 pass
             self._work = None
 
-    def _look(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
+    def _measure(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Finish the iteration, then measure what maps() returns."""
         self.give_stack()
         if self._work is not None:
@@ -361,27 +361,27 @@ class Recovery(RecoveryEngine):
                 yield
             self._work = None
         at = self.at
-        self._found = self._trusted = None
-        yield from self._diagnostics.finding(self._phase, confidence, seconds, paced)
-        self._found, self._trusted = at, at if confidence else None
+        self._measured_at = self._confidence_at = None
+        yield from self._diagnostics.measuring(self._phase, confidence, seconds, paced)
+        self._measured_at, self._confidence_at = at, at if confidence else None
 
     def _show(self) -> dict[str, Texture]:
         """Return the current estimates by sampler name."""
         phase = self._phase
         if phase is None or not phase.placed:
             return self._estimates.bindings()
-        if self._shown != self.at:
+        if self._shown_at != self.at:
             phase.preview(self._estimates.shown)
-            self._shown = self.at
+            self._shown_at = self.at
         return {f"u_estimate_{i}": texture for i, texture in enumerate(self._estimates.shown)}
 
     @property
-    def looks_at_threshold(self) -> bool:
+    def checks_threshold(self) -> bool:
         """Whether swarms are compared with the threshold after the last iteration."""
         return self.schedule.threshold > 0 < self.at[1] and self.at[1] % _THRESHOLD_EVERY == 0
 
     def _reached_threshold(self) -> bool:
-        return self.looks_at_threshold and self._running().reached(self.schedule.threshold)
+        return self.checks_threshold and self._running().reached(self.schedule.threshold)
 
     def _running(self) -> Phase:
         if self._phase is None:

@@ -162,13 +162,13 @@ class TiledRecovery(RecoveryEngine):
 
         def rows(number: int) -> dict[str, np.ndarray]:
             part = self._pool.tiles[number]
-            if part.memory is None:
+            if part.snapshot is None:
                 saved = self._pool.recovery(number).state(running)
                 begun.append(saved.begun)
                 return saved.arrays
-            begun.append(part.memory.begun)
-            memory = part.memory if running else part.memory.of_stage
-            return TexelLayout(part.domain).rows(memory.arrays, particle_tiles)
+            begun.append(part.snapshot.begun)
+            snapshot = part.snapshot if running else part.snapshot.of_stage
+            return TexelLayout(part.domain).rows(snapshot.arrays, particle_tiles)
 
         parts = ((own_rows(numbers, part.box), rows(number)) for number, part in enumerate(self._pool.tiles))
         arrays = joined(self._solved, parts, self._pool.empty)
@@ -186,8 +186,8 @@ class TiledRecovery(RecoveryEngine):
             self._pool.wait(number, replace(saved, evaluations=made, begun=begun, arrays=arrays))
         self._pool.fill()
         for part in self._pool.tiles:
-            if part.memory is not None:
-                part.progress = replace(part.progress, evaluations=part.memory.evaluations)
+            if part.snapshot is not None:
+                part.progress = replace(part.progress, evaluations=part.snapshot.evaluations)
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each tile; of a waiting tile its last value, if any."""

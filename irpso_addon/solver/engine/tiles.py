@@ -75,8 +75,8 @@ class TileRecovery(Recovery):
 class Tile:
     """A tile and its recovery.
 
-    domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: state of the
-    recovery while it is not on the device. files: the arrays of ``memory``, if they are in files. round_maps: at the
+    domain: with its halo. solved: the number of its own texels. error: their last mean error. snapshot: state of the
+    recovery while it is not on the device. files: the arrays of ``snapshot``, if they are in files. round_maps: at the
     end of a round with all requested iterations, until they are read or the next round starts. watch: of own texels.
     """
 
@@ -91,7 +91,7 @@ class Tile:
     error: float | None = None
     round_maps: Maps | None = None
     watch: Watch | None = None
-    memory: Checkpoint | None = None
+    snapshot: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -152,13 +152,13 @@ class TilePool:
             # The tile used last leaves the device: the next round begins with the tiles used before it.
             last = self.tiles[self._last]
             if last.recovery is not None and sum(other.recovery is not None for other in self.tiles) == self._most:
-                last.memory = self._stored(last, last.recovery.memory())
+                last.snapshot = self._stored(last, last.recovery.snapshot())
                 last.recovery.close()
                 last.recovery = None
             tile.recovery = TileRecovery(
-                tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.memory
+                tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.snapshot
             )
-            tile.memory = None
+            tile.snapshot = None
             tile.recovery.give_stack()  # on the host one packed stack at a time; a sample needs it before an iteration
             tile.progress = tile.recovery.progress
         self._last = number
@@ -174,23 +174,23 @@ class TilePool:
         tile = self.tiles[number]
         if tile.recovery is not None:
             return tile.recovery.separation
-        packed = None if tile.memory is None else PrefitMeasurements.of_arrays(tile.memory.arrays).separation
+        packed = None if tile.snapshot is None else PrefitMeasurements.of_arrays(tile.snapshot.arrays).separation
         return None if packed is None else packed.unpacked(Packing(tile.domain.solvable, tile.domain.seams))
 
-    def wait(self, number: int, memory: Checkpoint) -> None:
-        """Take a tile off the device; it continues from ``memory`` when its turn comes."""
+    def wait(self, number: int, snapshot: Checkpoint) -> None:
+        """Take a tile off the device; it continues from ``snapshot`` when its turn comes."""
         tile = self.tiles[number]
         if tile.recovery is not None:
             tile.recovery.close()
         tile.recovery = tile.round_maps = None
-        tile.memory = self._stored(tile, memory)
+        tile.snapshot = self._stored(tile, snapshot)
 
     def close(self) -> None:
         """Free all recoveries on the device, and the files."""
         for tile in self.tiles:
             if tile.recovery is not None:
                 tile.recovery.close()
-            tile.recovery = tile.memory = tile.round_maps = None
+            tile.recovery = tile.snapshot = tile.round_maps = None
             tile.files = {}
         self._programs.close()
 
@@ -198,16 +198,16 @@ class TilePool:
         """Return zeros in memory, or in a file."""
         return np.zeros(shape, dtype) if self._scratch is None else mapped_array(self._scratch, shape, dtype)
 
-    def _stored(self, tile: Tile, memory: Checkpoint) -> Checkpoint:
+    def _stored(self, tile: Tile, snapshot: Checkpoint) -> Checkpoint:
         """Return a tile's state, moved to files if there is a folder for them."""
         if self._scratch is None:
-            return memory
+            return snapshot
         files = {}
-        for name, array in memory.arrays.items():
+        for name, array in snapshot.arrays.items():
             file = tile.files.get(name)
             if file is None or file.shape != array.shape or file.dtype != array.dtype:
                 file = self.empty(array.shape, array.dtype.type)
             file[:] = array
             files[name] = file
         tile.files = files
-        return replace(memory, arrays=files)
+        return replace(snapshot, arrays=files)

@@ -44,7 +44,7 @@ class IndirectPhase(NeighbourTest):
         """True: this phase only measures."""
         return True
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write nothing."""
         yield from ()
 

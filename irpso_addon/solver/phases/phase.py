@@ -70,16 +70,16 @@ class Phase(Protocol):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the result so far into the next estimates, in bands. The search itself does not change."""
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the result so far into other textures, before any acceptance test."""
         return None
 
-    def conclude_at_once(self) -> None:
-        """Do what ``conclude`` does, in one go."""
-        for _ in self.conclude(Bands(), BACKGROUND_BAND_SECONDS):
+    def write_estimates_at_once(self) -> None:
+        """Do what ``write_estimates`` does, in one go."""
+        for _ in self.write_estimates(Bands(), BACKGROUND_BAND_SECONDS):
             pass
 
     def reached(self, threshold: float) -> bool:

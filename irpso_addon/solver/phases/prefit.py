@@ -121,13 +121,13 @@ class PrefitPhase(Phase):
         yield from self.inner.advance(bands, seconds)
         bands.part = 0.0  # the inner phase has counted this iteration
         if self.inner.done and not self._refining:
-            yield from self.inner.conclude(bands, seconds)
-            self.own.accept()
+            yield from self.inner.write_estimates(bands, seconds)
+            self.own.swap()
             self._begin_refinement()
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals so far into the next estimates."""
-        yield from self.inner.conclude(bands, seconds)
+        yield from self.inner.write_estimates(bands, seconds)
         if not self.keeps_estimates:
             yield from self._adopt.in_one_draw(bands, self._estimates.next, self._inputs(self.own.next))
 

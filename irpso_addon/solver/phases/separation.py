@@ -116,7 +116,7 @@ class SeparationPhase(Phase):
         """Whether no light was separated."""
         return not self._separation.any()
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals of the fit to direct light into the next estimates, if light was separated."""
         if self.keeps_estimates:
             return

@@ -47,7 +47,7 @@ class SheenPhase(NeighbourTest):
         )  # fmt: skip
         self._adopt = adopt_pass(model, domain.defines)
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the chosen normals into the next estimates."""
         chosen, normals = self.read(self.decided)[..., 0] > 0, self._measurements.sheen_normal
         yield from adopt_where(self._adopt, bands, self.domain, self.estimates, self.model, chosen, normals)

@@ -171,7 +171,7 @@ class Estimates:
         chosen = self.next if of_next else self.current
         return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
 
-    def accept(self) -> None:
+    def swap(self) -> None:
         """Swap the next estimates with the current ones."""
         self.current, self.next = self.next, self.current
 

@@ -75,7 +75,7 @@ def card_of(lights, light):
 
 def raised(recovery):
     """Return (H, W) bool: the texels whose shadow has been raised."""
-    return Packing(recovery.domain.solvable).unpack(recovery.memory().arrays["prefit_shadow"]) > 0
+    return Packing(recovery.domain.solvable).unpack(recovery.snapshot().arrays["prefit_shadow"]) > 0
 
 
 def test_darker_samples_count_as_shadow_where_the_light_is_indirect_and_nowhere_else(recover):
@@ -171,7 +171,7 @@ def test_without_the_raised_shadow_a_run_that_goes_on_counts_all_samples_again(r
     recovery.step(iterations=9)
     assert recovery._textures.shadow.any()
     again = recovery.reconfigure(SHORT.replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0))
-    assert not again._textures.shadow.any() and "prefit_shadow" not in again.memory().arrays
+    assert not again._textures.shadow.any() and "prefit_shadow" not in again.snapshot().arrays
     again.step()
     again.close()
 

@@ -93,7 +93,7 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     estimates = Estimates(LAMBERT, values)
     phase = SheenPhase(ResolvedSheen(), LAMBERT, SHEEN, held, estimates, "fragment", measurements)
     run_steps(phase.advance(Bands(), 1.0))
-    run_steps(phase.conclude(Bands(), 1.0))
+    run_steps(phase.write_estimates(Bands(), 1.0))
     known = {name: pack.unpack(array) for name, array in run_steps(phase.measuring(Bands(), 1.0)).arrays.items()}
     found = pack.unpack(estimates.values()["normal"])
     phase.close()
