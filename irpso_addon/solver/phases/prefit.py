@@ -48,9 +48,14 @@ class PrefitPhase(Phase):
     """A Phase: swarms, then a refinement, on grey samples with the prefit's own model.
 
     Its result is the estimates of the recovery's model with the prefit's normals. inner: the swarms, later the
-    refinement. own: the estimates of the prefit's model. measurements: of the phases before. A prefit of
-    indirect light changes only texels with a raised shadow threshold or separated light, without neighbours. A prefit
-    with sheen changes no estimates: it solves the texels that the first one fits badly; SheenPhase adopts its normals.
+    refinement. own: the estimates of the prefit's model. measurements: of the phases before. A prefit of indirect light
+    changes only texels with a raised shadow threshold or separated light, without neighbours. A prefit with sheen
+    changes no estimates: it solves the texels that the first one fits badly; SheenPhase adopts its normals.
+
+    Start: state/prepare.py fits Lambertian normals (Prepared.guess) for the recovery's Estimates, unless a guess is
+    given. ``_first_estimates`` keeps these normals; the base is the texel's scale, the rest defaults. The swarms have
+    the settings of the recovery's own (group Swarm): SwarmPhase.constants counts the seeded particles,
+    kernels/encoding.py encodes the estimate, initialise_particle (shaders/swarm/update.glsl) places them.
     """
 
     def __init__(
