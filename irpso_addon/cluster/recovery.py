@@ -19,6 +19,7 @@ from ..solver.engine.engine import Capabilities, RecoveryEngine
 from ..solver.engine.progress import Progress
 from ..solver.settings.schedule import Schedule
 from ..solver.state.checkpoint import Checkpoint
+from ..solver.state.separation_record import Separation
 from .samples import RankedStack
 from .worker import P, Worker
 
@@ -102,7 +103,7 @@ class RankedRecovery(RecoveryEngine):
             leader.scatter(Worker.take_guess, guess)
         extra_fixed = {name: value for name, value in fixed.items() if name not in leader.worker.fixed}
         samples = stack.observations.tolist(), stack.second
-        self._separation: tuple[int, np.ndarray | None] | None = None  # stage, its separation
+        self._separation: tuple[int, Separation | None] | None = None  # stage, its separation
         self._progress = leader.ask(Worker.begin, *samples, model, schedule, seed, extra_fixed, self.entry)
 
     @property
@@ -128,7 +129,7 @@ class RankedRecovery(RecoveryEngine):
         return self._leader.ask(Worker.maps, confidence)
 
     @property
-    def separation(self) -> np.ndarray | None:
+    def separation(self) -> Separation | None:
         if self._separation is None or self._separation[0] != self._progress.stage:
             self._separation = self._progress.stage, self._leader.ask(Worker.separation)
         return self._separation[1]

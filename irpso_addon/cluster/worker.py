@@ -24,6 +24,7 @@ from ..solver.settings.schedule import Schedule
 from ..solver.state import prepare
 from ..solver.state.checkpoint import NEVER, Checkpoint, named
 from ..solver.state.layout import digest_of_texels, joined, numbered
+from ..solver.state.separation_record import Separation
 from .exchange import RankTransport
 from .partition import Partition, around
 from .transport import Ranks
@@ -188,11 +189,12 @@ class Worker:
             deviations, alternatives = named(whole, "deviation "), named(whole, "alternative ")
         return Maps(self.model, values, self.domain.solvable, whole["residual"], deviations, alternatives=alternatives)
 
-    def separation(self) -> np.ndarray | None:
+    def separation(self) -> Separation | None:
         """Return the separation of indirect light, as RecoveryEngine.separation."""
-        values = None if self._pool is None else self._pool.active.separation
-        own = {} if self._pool is None or values is None else {"own": values[own_of(self._pool.tiles[0].domain)]}
-        return self._pasted(own if self._pool is not None else None).get("own")
+        found = None if self._pool is None else self._pool.active.separation
+        own = {} if self._pool is None or found is None else {"own": found[own_of(self._pool.tiles[0].domain)].values}
+        values = self._pasted(own if self._pool is not None else None).get("own")
+        return None if values is None else Separation(values)
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank."""

@@ -1,6 +1,6 @@
 // Over W×H texels: detects indirect light. The light counts as indirect where the prefit fits the samples of a texel
 // and its neighbours badly and they are brighter than the fit, because other surfaces add light. Reads u_measured
-// (evidence.glsl) and the packing. Writes o_shadow: RAISED_SHADOW where the light is indirect, 0 elsewhere.
+// (indirect_misfit.glsl) and the packing. Writes o_shadow: RAISED_SHADOW where the light is indirect, 0 elsewhere.
 
 #include "prefit/around.glsl"
 

@@ -123,7 +123,7 @@ def ended_prefit(recovery):
     """Step to the end of a recovery's first prefit; return the phase, its estimates resolved."""
     while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
         recovery.step(iterations=1)
-    recovery.phase.conclude_at_once()
+    recovery.phase.write_estimates_at_once()
     return recovery.phase
 
 

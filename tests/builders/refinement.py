@@ -46,7 +46,7 @@ class Bench:
         while not self.refinement.done and (iterations is None or self.refinement.iteration < iterations):
             for _ in self.refinement.advance(self.bands, 0.25):
                 pass
-        self.refinement.conclude_at_once()
+        self.refinement.write_estimates_at_once()
         values = self.estimates.values()
         return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in values.items()}
 

@@ -15,8 +15,8 @@ from irpso_addon.solver.state.prepare import (
     over_lights,
     percentiles,
 )
+from irpso_addon.solver.state.separation_record import HARMONICS, SHADOW_LIGHT
 from irpso_addon.solver.state.shadow_light import harmonics
-from irpso_addon.solver.state.textures import HARMONICS
 
 _FACING = 0.2  # least cosine to the lamp of a lit sample and of a cast shadow
 _DARK = 0.15  # most direct light in a cast shadow, over the unshadowed direct light
@@ -39,7 +39,7 @@ def shadow_light(domain: Domain, normal: np.ndarray, misfit: np.ndarray, least: 
     All 0 where the share is less than ``least`` or a test fails. normal: (H, W, 3) in the texels' frames. misfit:
     (H, W), the prefit's loss, 0 to skip a texel. turn: degrees.
     """
-    result = np.zeros((*domain.shape, HARMONICS + 3))
+    result = np.zeros((*domain.shape, SHADOW_LIGHT))
     for _, (rows, columns) in chunks(domain):
         texels = rows[misfit[rows, columns] > 0], columns[misfit[rows, columns] > 0]
         own = normal[texels].astype(np.float64), misfit[texels]

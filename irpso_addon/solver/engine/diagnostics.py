@@ -23,7 +23,7 @@ _SAMPLED_WIDTH = 64
 
 
 class Diagnostics:
-    """The next estimates, their residual, deviations and alternatives: ``finding`` measures, ``maps`` returns them.
+    """The next estimates, their residual, deviations and alternatives: ``measuring`` measures, ``maps`` returns them.
 
     Raises ShaderError where the model does not compile.
     """
@@ -47,8 +47,8 @@ class Diagnostics:
         self._sample: tuple[Texture, Texture] | None = None  # places of texels, and their residuals
         self._sampled = sampled_residual_pass(model, domain.defines)
 
-    def finding(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
-        """Conclude a phase and measure its estimates, in bands of about ``seconds``; yields after each.
+    def measuring(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
+        """Write a phase's estimates and measure them, in bands of about ``seconds``; yields after each.
 
         phase: None after the last one. confidence: measure deviations and alternatives too. paced: as in Bands.
         """
@@ -56,7 +56,7 @@ class Diagnostics:
         self._of_next = False
         if phase is not None and phase.placed:
             self._of_next = True
-            yield from phase.conclude(self._bands, seconds)
+            yield from phase.write_estimates(self._bands, seconds)
         targets, inputs = [self._error], {**self._domain.textures, **self._estimates.bindings(self._of_next)}
         constants = {"u_observations": self._domain.domain.observations}
         yield from self._bands.run(
@@ -72,7 +72,7 @@ class Diagnostics:
                 yield from measure.measuring(self._domain, materials, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:
-        """Return the last measure of ``finding``."""
+        """Return the last measure of ``measuring``."""
         packing, solvable = self._domain.packing, self._domain.domain.solvable
         values = {
             name: packing.unpack(value, self._model.parameter(name).default)

@@ -28,6 +28,7 @@ from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
 from ..state.layout import digest_of_texels
 from ..state.separation import SeparatedStack
+from ..state.separation_record import Separation
 from .halo import Box
 from .progress import Progress
 from .watch import Note, note_of
@@ -75,7 +76,6 @@ class RecoveryEngine(ABC):
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self.fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
-        self._separation_share: tuple[np.ndarray, np.ndarray] | None = None  # a separation, and its share
 
     @property
     @abstractmethod
@@ -97,8 +97,8 @@ class RecoveryEngine(ABC):
         """Results besides the maps, for the report."""
         if (separation := self.separation) is None:
             return {}
-        share = separation[self.domain.solvable, 4]
-        return {"separation": {"texels": int(np.count_nonzero(separation[..., 0])), "share": float(share.mean())}}
+        share = separation.indirect_share[self.domain.solvable]
+        return {"separation": {"texels": int(np.count_nonzero(separation.separated)), "share": float(share.mean())}}
 
     @abstractmethod
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
@@ -138,10 +138,10 @@ class RecoveryEngine(ABC):
         raise NotImplementedError
 
     @property
-    def separation(self) -> np.ndarray | None:
-        """(H, W, SEPARATED) float32 by which indirect light was separated (state/separation.py); None: nowhere.
+    def separation(self) -> Separation | None:
+        """The separation (H, W) of indirect light; None: nowhere.
 
-        The array object changes only when its values change.
+        The object changes only when its values change.
         """
         return None
 
@@ -168,12 +168,7 @@ class RecoveryEngine(ABC):
         The last estimate; None before the first, and where none is made or no indirect light was detected. A new
         estimate is a new array.
         """
-        separation = self.separation
-        if separation is None:
-            return None
-        if self._separation_share is None or self._separation_share[0] is not separation:
-            self._separation_share = separation, separation[..., 4]
-        return self._separation_share[1]
+        return None if (separation := self.separation) is None else separation.indirect_share
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Compute the result of ``maps`` for about ``time_budget_s``; return whether it is ready: then maps() is fast.

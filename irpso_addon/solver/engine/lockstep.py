@@ -155,7 +155,7 @@ class LockStep:
         self._iterations_made = count or 0
         self._exchange()
         reached = all(tile.reached for tile in self._pool.tiles)
-        if self._pool.active.looks_at_threshold and all(self._transport.allgather(reached)):
+        if self._pool.active.checks_threshold and all(self._transport.allgather(reached)):
             yield from self._finish_stage()
 
     def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
@@ -169,7 +169,7 @@ class LockStep:
 
     def _reached(self, recovery: TileRecovery) -> bool:
         """Return whether the first tile of any process has reached the threshold."""
-        return recovery.looks_at_threshold and any(self._transport.allgather(recovery.reached))
+        return recovery.checks_threshold and any(self._transport.allgather(recovery.reached))
 
     def _finish_stage(self) -> Iterator[None]:
         """Begin the next stage on all tiles: the whole domain has reached the threshold."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..settings.groups import Fitness
 from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit, ResolvedSheen, ResolvedSurface, ResolvedSwarm
 from ..settings.schedule import Schedule
 from ..state import prepare
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
 from ..state.textures import DomainTextures, Estimates
 
@@ -30,7 +31,7 @@ class Begin:
     estimates: Estimates
     index: int = 0
     evaluations: int = 0
-    prefit: Mapping[str, np.ndarray] = field(default_factory=dict)
+    measurements: PrefitMeasurements = PrefitMeasurements()
 
 
 @dataclass(frozen=True)

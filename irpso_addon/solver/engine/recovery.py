@@ -19,11 +19,9 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..phases.begin import MEASURED, begin_phase, check_seed, measured_by
-from ..phases.indirect import SHADOW
+from ..phases.begin import begin_phase, check_seed, made_by
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
-from ..phases.prefit import FITNESS, AcceptanceTest
-from ..phases.separation import SEPARATION
+from ..phases.prefit import AcceptanceTest
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.levels import warm_started
@@ -31,8 +29,10 @@ from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
-from ..state.separation import SEPARATED_SHADOW, separated_steps
+from ..state.separation import separated_steps
+from ..state.separation_record import Separation
 from ..state.textures import SOLVED, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
@@ -51,8 +51,8 @@ class Recovery(RecoveryEngine):
     fit InputError.
 
     seed: −2³¹ to 2³¹ − 1. prepared: from ``prepare``, made here where None. guess: parameter name → (H, W, components),
-    where it begins instead of the preparation's guess. memory: from ``memory``, where it begins. The others are as for
-    RecoveryEngine.
+    where it begins instead of the preparation's guess. snapshot: from ``snapshot``, where it begins. The others are as
+    for RecoveryEngine.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Recovery(RecoveryEngine):
         fixed: Mapping[str, np.ndarray] | None = None,
         entry: EntryChoice = "auto",
         prepared: Prepared | None = None,
-        memory: Checkpoint | None = None,
+        snapshot: Checkpoint | None = None,
         begin: Begin | None = None,
         guess: Mapping[str, np.ndarray] | None = None,
     ):
@@ -80,21 +80,21 @@ class Recovery(RecoveryEngine):
         self._packing = self._textures.packing
         self._separation = self._unpacked_separation()  # it outlives the textures
         self._solved = int((texel_states(domain) == SOLVED).sum())
-        self._diagnostics = self._diagnosing()
-        self._found: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
-        self._trusted: tuple[int, int] | None = None  # … of the last deviations
-        self._shown: tuple[int, int] | None = None  # … of a display's copy
-        self._finding: Iterator[None] | None = None
+        self._diagnostics = self._make_diagnostics()
+        self._measured_at: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
+        self._confidence_at: tuple[int, int] | None = None  # … of the last deviations
+        self._shown_at: tuple[int, int] | None = None  # … of a display's copy
+        self._measuring: Iterator[None] | None = None
         self._bands = Bands()
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its placing
         self._index, self._evaluations = begin.index, begin.evaluations
         self._begun = begin.evaluations  # at the begin of the stage
         self._repeats = True  # whether the stage, made again from the estimates, reaches the same result
-        run_steps(self._take_prefit(begin.prefit))
+        run_steps(self._take_measurements(begin.measurements))
         self._phase: Phase | None = None
-        if memory is not None:
-            self.remember(memory)
+        if snapshot is not None:
+            self.restore_snapshot(snapshot)
         elif fresh:
             self._phase = self._begin(0, schedule)
 
@@ -107,7 +107,7 @@ class Recovery(RecoveryEngine):
         return self._phase
 
     @property
-    def separation(self) -> np.ndarray | None:
+    def separation(self) -> Separation | None:
         return self._separation
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
@@ -124,7 +124,7 @@ class Recovery(RecoveryEngine):
         left, started = iterations, time.perf_counter()
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
-                self._work, self._finding = self._iteration(self._phase, band_seconds(time_budget_s)), None
+                self._work, self._measuring = self._iteration(self._phase, band_seconds(time_budget_s)), None
             for _ in self._work:
                 if time_budget_s is not None and time.perf_counter() >= started + time_budget_s:
                     yield
@@ -138,31 +138,31 @@ class Recovery(RecoveryEngine):
         return self._course.at(self._index, iteration, self._bands.part, self._evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        self._measure(confidence)
+        self._ensure_measured(confidence)
         return replace(self._diagnostics.maps(confidence), model=self.model)
 
     def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
-        self._measure(confidence=False)
+        self._ensure_measured(confidence=False)
         return Note(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
 
-    def _measure(self, confidence: bool) -> None:
-        """Find what maps() returns, unless it has been found."""
+    def _ensure_measured(self, confidence: bool) -> None:
+        """Measure what maps() returns, unless it has been measured."""
         at = self.at
-        if self._work is not None or self._found != at or (confidence and self._trusted != at):
-            for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
+        if self._work is not None or self._measured_at != at or (confidence and self._confidence_at != at):
+            for _ in self._measure(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work as RecoveryEngine.refresh_confidence, after the current iteration; a step in between starts it anew."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
-        if self._finding is None:
-            if self._work is None and self._found == self._trusted == self.at:
+        if self._measuring is None:
+            if self._work is None and self._measured_at == self._confidence_at == self.at:
                 return True
-            self._finding = self._look(True, band_seconds(time_budget_s), deadline is not None)
-        for _ in self._finding:
+            self._measuring = self._measure(True, band_seconds(time_budget_s), deadline is not None)
+        for _ in self._measuring:
             if deadline is not None and time.perf_counter() >= deadline:
                 return False
-        self._finding = None
+        self._measuring = None
         return True
 
     def mean_error(self) -> float:
@@ -177,7 +177,7 @@ class Recovery(RecoveryEngine):
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         fixed, fitness, defines = self.fixed, self.schedule.fitness, self._textures.defines
-        work = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
+        work = deviation_pass(self._model_with_priors(self.schedule), fixed, fitness, defines)
         return work, loss_constants(self._textures, fitness.delta)
 
     def give_stack(self) -> None:
@@ -186,63 +186,38 @@ class Recovery(RecoveryEngine):
             stack, self._stack = self._stack, None
             self._textures.give_stack(stack)
 
-    def halo(self) -> np.ndarray:
-        """Return (H, W, n): the results of this tile's texels that neighbouring tiles read; NaN elsewhere."""
-        self._finish_iteration()
-        return self._running().halo()
-
-    def set_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n) results of neighbouring tiles at their texels; NaN elsewhere. ghosts: (M, n) of the ghosts."""
-        self._finish_iteration()
-        self._running().take_halo(values, ghosts)
-
-    def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
-        self._finish_iteration()
-        return self._phase.sample() if self._phase is not None and self._phase.reach else None
-
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Take the sample of the whole domain, from ``phases.mixture.merged``."""
-        self._finish_iteration()
-        self._running().take_sample(sample)
-
-    @property
-    def reach(self) -> int:
-        """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
-        return self._phase.reach if self._phase is not None else 0
-
     def state(self, running: bool = True) -> Checkpoint:
-        memory = self.memory() if running or not self._repeats else self.memory(running=False).of_stage
-        rows = TexelLayout(self.domain, self._packing).rows(memory.arrays, self.particle_tiles)
-        return replace(memory, arrays=rows)
+        saved = self.snapshot() if running or not self._repeats else self.snapshot(running=False).of_stage
+        rows = TexelLayout(self.domain, self._packing).rows(saved.arrays, self.particle_tiles)
+        return replace(saved, arrays=rows)
 
     def restore(self, saved: Checkpoint) -> None:
         """Continue from the state of all texels here: own and halo, row by row, then the ghosts."""
         layout = TexelLayout(self.domain, self._packing)
-        self.remember(replace(saved, arrays=layout.arrays(saved.arrays, context.max_texture_size())))
+        self.restore_snapshot(replace(saved, arrays=layout.arrays(saved.arrays, context.max_texture_size())))
 
     @property
     def particle_tiles(self) -> int:
         """The number of W×H tiles in the atlas of the stage's particles; 1 where it has none."""
         return 1 if self._phase is None else phase_table(self._stages[self._index], self.model, self.schedule).tiles
 
-    def memory(self, running: bool = True) -> Checkpoint:
-        """Return the contents of all textures that outlive an iteration, for ``remember``. running: as in ``state``."""
+    def snapshot(self, running: bool = True) -> Checkpoint:
+        """Return the contents of all textures that outlive an iteration. running: as in ``state``."""
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None and running:
             arrays |= {PHASE + name: array for name, array in self._phase.state().items()}
         begun = self._begun if self._repeats else NEVER
-        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit}, begun=begun)
+        return Checkpoint(*self.at, self._evaluations, arrays | self._measurements.arrays, begun=begun)
 
-    def remember(self, saved: Checkpoint) -> None:
-        """Continue from what ``memory`` returned."""
+    def restore_snapshot(self, saved: Checkpoint) -> None:
+        """Continue from what ``snapshot`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
-        self._work = self._finding = self._found = self._trusted = self._shown = None
+        self._work = self._measuring = self._measured_at = self._confidence_at = self._shown_at = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._begun, self._repeats = saved.begun, saved.begun != NEVER
-        run_steps(self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED}))
+        run_steps(self._take_measurements(PrefitMeasurements.of_arrays(saved.arrays)))
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
@@ -269,7 +244,7 @@ class Recovery(RecoveryEngine):
         if not goes_on.samples:
             held, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
-        known = measured_by(self._stages[: goes_on.index], self._prefit)
+        known = made_by(self._stages[: goes_on.index], self._measurements)
         begin = Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         new._repeats = False  # it goes on with other swarms, or begins around what has been found
@@ -287,11 +262,11 @@ class Recovery(RecoveryEngine):
         placed = self._phase is not None and self._phase.placed
         if placed:
             self.give_stack()
-            self._running().conclude_at_once()
+            self._running().write_estimates_at_once()
         return Estimates(self.model, self._estimates.values(of_next=placed))
 
     def close(self) -> None:
-        self._work = self._finding = self._stack = None  # generators first: they hold textures
+        self._work = self._measuring = self._stack = None  # generators first: they hold textures
         if self._phase is not None:
             self._phase.close()
             self._phase = None
@@ -300,41 +275,44 @@ class Recovery(RecoveryEngine):
             del self._textures, self._estimates, self._diagnostics
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
-        settings = self._stages[index], index, self._believing(schedule), schedule, self.seed
+        settings = self._stages[index], index, self._model_with_priors(schedule), schedule, self.seed
         held = self._textures, self._estimates
-        return begin_phase(*settings, *held, self.entry, self._acceptance, self._prefit)
+        return begin_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
 
-    def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> Generator[None, None, None]:
-        """Hold what prefits that have ended measured, packed, by name. Yields where that takes long."""
-        separation = measured.get(SEPARATION, np.zeros_like(self._textures.separation))
-        if not np.array_equal(self._textures.separation, separation):
-            steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
-            self._textures, self._stack = yield from map_steps(steps, lambda part: None)
-            before.textures.pop("u_stack", None)  # a device need not hold two
-            self._diagnostics.close()
-            self._diagnostics = self._diagnosing()
-            self._separation = self._unpacked_separation()
-        self._prefit = measured
-        shadow = np.broadcast_to(np.float32(measured.get(SHADOW, 0.0)), separation.shape[:2])
-        self._textures.raise_shadow(np.maximum(shadow, np.where(separation[..., 0] > 0, SEPARATED_SHADOW, 0)))
+    def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
+        """Hold the measurements of the phases so far; apply them to the samples. Yields where that takes long."""
+        separation = measurements.separation or Separation.none(self._textures.scale.shape)
+        if not self._textures.separation.equals(separation):
+            yield from self._separate_samples(separation)
+        self._textures.raise_shadow(measurements.shadow_threshold)
+        self._measurements = measurements
 
-    def _unpacked_separation(self) -> np.ndarray | None:
+    def _separate_samples(self, separation: Separation) -> Generator[None, None, None]:
+        """Replace the textures by those of the direct light. separation: (h, w), packed."""
+        steps, before = separated_steps(self.domain, self._textures, separation, self.schedule), self._textures
+        self._textures, self._stack = yield from map_steps(steps, lambda part: None)
+        before.textures.pop("u_stack", None)  # a device need not hold two
+        self._diagnostics.close()
+        self._diagnostics = self._make_diagnostics()
+        self._separation = self._unpacked_separation()
+
+    def _unpacked_separation(self) -> Separation | None:
         separation = self._textures.separation
-        return self._packing.unpack(separation) if separation.any() else None
+        return separation.unpacked(self._packing) if separation.any() else None
 
-    def _diagnosing(self) -> Diagnostics:
-        model = self._believing(self.schedule)
+    def _make_diagnostics(self) -> Diagnostics:
+        model = self._model_with_priors(self.schedule)
         return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.fixed)
 
-    def _believing(self, schedule: Schedule) -> ReflectanceModel:
+    def _model_with_priors(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
         everything = {p.name for p in self.model.parameters}
         return self.model.without_priors(self.fixed if schedule.fitness.priors else everything)
 
     def _acceptance(self) -> AcceptanceTest | None:
-        if FITNESS not in self._prefit:
+        if (fitness := self._measurements.fitness) is None:
             return None
-        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, self._prefit[FITNESS])
+        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, fitness)
 
     @property
     def at(self) -> tuple[int, int]:
@@ -355,11 +333,11 @@ class Recovery(RecoveryEngine):
             yield from self._end_stage(phase, seconds)
 
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
-        yield from phase.conclude(self._bands, seconds)
+        yield from phase.write_estimates(self._bands, seconds)
         if not phase.keeps_estimates:
-            self._estimates.accept()
-        if (measured := (yield from phase.measuring(self._bands, seconds))) is not None:
-            yield from self._take_prefit(measured)
+            self._estimates.swap()
+        if (measurements := (yield from phase.measuring(self._bands, seconds))) is not None:
+            yield from self._take_measurements(measurements)
             self.give_stack()
         yield  # the last one: view() must not see a closed phase
         phase.close()
@@ -374,7 +352,7 @@ class Recovery(RecoveryEngine):
                 pass
             self._work = None
 
-    def _look(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
+    def _measure(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Finish the iteration, then measure what maps() returns."""
         self.give_stack()
         if self._work is not None:
@@ -383,27 +361,27 @@ class Recovery(RecoveryEngine):
                 yield
             self._work = None
         at = self.at
-        self._found = self._trusted = None
-        yield from self._diagnostics.finding(self._phase, confidence, seconds, paced)
-        self._found, self._trusted = at, at if confidence else None
+        self._measured_at = self._confidence_at = None
+        yield from self._diagnostics.measuring(self._phase, confidence, seconds, paced)
+        self._measured_at, self._confidence_at = at, at if confidence else None
 
     def _show(self) -> dict[str, Texture]:
         """Return the current estimates by sampler name."""
         phase = self._phase
         if phase is None or not phase.placed:
             return self._estimates.bindings()
-        if self._shown != self.at:
+        if self._shown_at != self.at:
             phase.preview(self._estimates.shown)
-            self._shown = self.at
+            self._shown_at = self.at
         return {f"u_estimate_{i}": texture for i, texture in enumerate(self._estimates.shown)}
 
     @property
-    def looks_at_threshold(self) -> bool:
+    def checks_threshold(self) -> bool:
         """Whether swarms are compared with the threshold after the last iteration."""
         return self.schedule.threshold > 0 < self.at[1] and self.at[1] % _THRESHOLD_EVERY == 0
 
     def _reached_threshold(self) -> bool:
-        return self.looks_at_threshold and self._running().reached(self.schedule.threshold)
+        return self.checks_threshold and self._running().reached(self.schedule.threshold)
 
     def _running(self) -> Phase:
         if self._phase is None:

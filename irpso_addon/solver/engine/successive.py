@@ -22,6 +22,7 @@ from ..phases.phase import Phase
 from ..planning.cost import work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
+from ..state.separation_record import Separation
 from .engine import Capabilities, RecoveryEngine
 from .halo import Box
 from .progress import Progress
@@ -125,7 +126,7 @@ class Successive(RecoveryEngine):
         return replace(self._live.capabilities, watches=False)  # its maps may differ from the live recovery's
 
     @property
-    def separation(self) -> np.ndarray | None:
+    def separation(self) -> Separation | None:
         return self._live.separation if self._live.domain.shape == self.domain.shape else None
 
     @property

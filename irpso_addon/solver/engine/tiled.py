@@ -20,7 +20,7 @@ from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.checkpoint import NEVER, Checkpoint
 from ..state.layout import TexelLayout, joined, numbered
-from ..state.textures import SEPARATED
+from ..state.separation_record import Separation
 from .engine import Capabilities, RecoveryEngine
 from .halo import Box, held_rows, own_of, own_rows, part_of, rectangle
 from .lockstep import LocalTransport, LockStep
@@ -66,7 +66,7 @@ class TiledRecovery(RecoveryEngine):
             prepared = replace(prepared, guess=dict(guess))
         tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
         self._pool = TilePool(tiles, model, schedule, seed, self.entry, on_device, scratch)
-        self._separation: tuple[int, np.ndarray | None] | None = None  # the separation at a stage
+        self._separation: tuple[int, Separation | None] | None = None  # the separation at a stage
         self._driver = LockStep(self._pool, LocalTransport([part.place for part in tiles]), halo)
 
     @property
@@ -139,10 +139,10 @@ class TiledRecovery(RecoveryEngine):
         return noted_by_all(self._watched) if self._driver.settled or self.progress.done else []
 
     @property
-    def separation(self) -> np.ndarray | None:
+    def separation(self) -> Separation | None:
         stage = self.progress.stage
         if self._separation is None or self._separation[0] != stage:
-            whole = np.zeros((*self.domain.shape, SEPARATED), np.float32)
+            whole = Separation.none(self.domain.shape)
             for number, part in enumerate(self._pool.tiles):
                 if (found := self._pool.separation(number)) is not None:
                     whole[part_of(part.box)] = found[own_of(part.domain)]
@@ -162,13 +162,13 @@ class TiledRecovery(RecoveryEngine):
 
         def rows(number: int) -> dict[str, np.ndarray]:
             part = self._pool.tiles[number]
-            if part.memory is None:
+            if part.snapshot is None:
                 saved = self._pool.recovery(number).state(running)
                 begun.append(saved.begun)
                 return saved.arrays
-            begun.append(part.memory.begun)
-            memory = part.memory if running else part.memory.of_stage
-            return TexelLayout(part.domain).rows(memory.arrays, particle_tiles)
+            begun.append(part.snapshot.begun)
+            snapshot = part.snapshot if running else part.snapshot.of_stage
+            return TexelLayout(part.domain).rows(snapshot.arrays, particle_tiles)
 
         parts = ((own_rows(numbers, part.box), rows(number)) for number, part in enumerate(self._pool.tiles))
         arrays = joined(self._solved, parts, self._pool.empty)
@@ -186,8 +186,8 @@ class TiledRecovery(RecoveryEngine):
             self._pool.wait(number, replace(saved, evaluations=made, begun=begun, arrays=arrays))
         self._pool.fill()
         for part in self._pool.tiles:
-            if part.memory is not None:
-                part.progress = replace(part.progress, evaluations=part.memory.evaluations)
+            if part.snapshot is not None:
+                part.progress = replace(part.progress, evaluations=part.snapshot.evaluations)
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each tile; of a waiting tile its last value, if any."""

@@ -15,11 +15,12 @@ from ...gpu.program import ProgramCache
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import BACKGROUND_BAND_SECONDS
-from ..phases.separation import SEPARATION
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.packing import Packing
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
+from ..state.separation_record import Separation
 from .halo import Box, Place, place_of
 from .progress import Progress
 from .recovery import Recovery
@@ -27,9 +28,37 @@ from .watch import Watch
 
 
 class TileRecovery(Recovery):
-    """A recovery that does not end a stage at the threshold by itself: all tiles must reach it."""
+    """A recovery whose phases read results of neighbouring tiles.
+
+    It does not end a stage at the threshold by itself: all tiles must reach it.
+    """
 
     reached = False  # whether every swarm of the tile was at the threshold after the last iteration
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n): the results of this tile's texels that neighbouring tiles read; NaN elsewhere."""
+        self._finish_iteration()
+        return self._running().halo()
+
+    def set_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n) results of neighbouring tiles at their texels; NaN elsewhere. ghosts: (M, n) of the ghosts."""
+        self._finish_iteration()
+        self._running().take_halo(values, ghosts)
+
+    def sample(self) -> np.ndarray | None:
+        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
+        self._finish_iteration()
+        return self._phase.sample() if self._phase is not None and self._phase.reach else None
+
+    def take_sample(self, sample: np.ndarray) -> None:
+        """Take the sample of the whole domain, from ``phases.mixture.merged``."""
+        self._finish_iteration()
+        self._running().take_sample(sample)
+
+    @property
+    def reach(self) -> int:
+        """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
+        return self._phase.reach if self._phase is not None else 0
 
     def finish_stage(self) -> None:
         """Begin the next stage, as at the threshold, and place its swarms."""
@@ -46,8 +75,8 @@ class TileRecovery(Recovery):
 class Tile:
     """A tile and its recovery.
 
-    domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: state of the
-    recovery while it is not on the device. files: the arrays of ``memory``, if they are in files. round_maps: at the
+    domain: with its halo. solved: the number of its own texels. error: their last mean error. snapshot: state of the
+    recovery while it is not on the device. files: the arrays of ``snapshot``, if they are in files. round_maps: at the
     end of a round with all requested iterations, until they are read or the next round starts. watch: of own texels.
     """
 
@@ -62,7 +91,7 @@ class Tile:
     error: float | None = None
     round_maps: Maps | None = None
     watch: Watch | None = None
-    memory: Checkpoint | None = None
+    snapshot: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -123,13 +152,13 @@ class TilePool:
             # The tile used last leaves the device: the next round begins with the tiles used before it.
             last = self.tiles[self._last]
             if last.recovery is not None and sum(other.recovery is not None for other in self.tiles) == self._most:
-                last.memory = self._stored(last, last.recovery.memory())
+                last.snapshot = self._stored(last, last.recovery.snapshot())
                 last.recovery.close()
                 last.recovery = None
             tile.recovery = TileRecovery(
-                tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.memory
+                tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.snapshot
             )
-            tile.memory = None
+            tile.snapshot = None
             tile.recovery.give_stack()  # on the host one packed stack at a time; a sample needs it before an iteration
             tile.progress = tile.recovery.progress
         self._last = number
@@ -140,28 +169,28 @@ class TilePool:
         """The recovery of the last tile used."""
         return self.recovery(self._last)
 
-    def separation(self, number: int) -> np.ndarray | None:
+    def separation(self, number: int) -> Separation | None:
         """Return the separation of a tile, as RecoveryEngine.separation, without putting it on the device."""
         tile = self.tiles[number]
         if tile.recovery is not None:
             return tile.recovery.separation
-        packed = None if tile.memory is None else tile.memory.arrays.get(SEPARATION)
-        return None if packed is None else Packing(tile.domain.solvable, tile.domain.seams).unpack(packed)
+        packed = None if tile.snapshot is None else PrefitMeasurements.of_arrays(tile.snapshot.arrays).separation
+        return None if packed is None else packed.unpacked(Packing(tile.domain.solvable, tile.domain.seams))
 
-    def wait(self, number: int, memory: Checkpoint) -> None:
-        """Take a tile off the device; it continues from ``memory`` when its turn comes."""
+    def wait(self, number: int, snapshot: Checkpoint) -> None:
+        """Take a tile off the device; it continues from ``snapshot`` when its turn comes."""
         tile = self.tiles[number]
         if tile.recovery is not None:
             tile.recovery.close()
         tile.recovery = tile.round_maps = None
-        tile.memory = self._stored(tile, memory)
+        tile.snapshot = self._stored(tile, snapshot)
 
     def close(self) -> None:
         """Free all recoveries on the device, and the files."""
         for tile in self.tiles:
             if tile.recovery is not None:
                 tile.recovery.close()
-            tile.recovery = tile.memory = tile.round_maps = None
+            tile.recovery = tile.snapshot = tile.round_maps = None
             tile.files = {}
         self._programs.close()
 
@@ -169,16 +198,16 @@ class TilePool:
         """Return zeros in memory, or in a file."""
         return np.zeros(shape, dtype) if self._scratch is None else mapped_array(self._scratch, shape, dtype)
 
-    def _stored(self, tile: Tile, memory: Checkpoint) -> Checkpoint:
+    def _stored(self, tile: Tile, snapshot: Checkpoint) -> Checkpoint:
         """Return a tile's state, moved to files if there is a folder for them."""
         if self._scratch is None:
-            return memory
+            return snapshot
         files = {}
-        for name, array in memory.arrays.items():
+        for name, array in snapshot.arrays.items():
             file = tile.files.get(name)
             if file is None or file.shape != array.shape or file.dtype != array.dtype:
                 file = self.empty(array.shape, array.dtype.type)
             file[:] = array
             files[name] = file
         tile.files = files
-        return replace(memory, arrays=files)
+        return replace(snapshot, arrays=files)

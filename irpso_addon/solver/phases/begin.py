@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-
-import numpy as np
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from ...core.errors import InputError
 from ...gpu.kernel import Entry
@@ -21,25 +20,26 @@ from ..settings.resolve import (
     ResolvedSurface,
 )
 from ..settings.schedule import Schedule
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates
-from .indirect import SHADOW, IndirectPhase
+from .indirect import IndirectPhase
 from .phase import Phase
-from .prefit import EVIDENCE, FITNESS, SHEEN, AcceptanceTest, PrefitPhase
+from .prefit import AcceptanceTest, PrefitPhase
 from .refinement import RefinementPhase
-from .separation import SEPARATION, SeparationPhase
+from .separation import SeparationPhase
 from .sequential_swarm import SequentialSwarmPhase
 from .shared_materials import SharedMaterialsPhase
-from .sheen import CHOSEN, SheenPhase
+from .sheen import SheenPhase
 from .spatial_prior import SpatialPriorPhase
 from .surface import SurfacePhase
 from .synchronous_swarm import SynchronousSwarmPhase
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
-# Measurements of prefits and of the phases between them: name → kind of the stage that makes it.
-MEASURED = {
-    FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHEEN: ResolvedPrefit, SHADOW: ResolvedIndirect,
-    SEPARATION: ResolvedSeparation, CHOSEN: ResolvedSheen,
+# Fields of PrefitMeasurements by the kind of the stage that makes them.
+_MADE_BY: dict[type[Resolved], tuple[str, ...]] = {
+    ResolvedPrefit: ("fitness", "indirect_misfit", "sheen"), ResolvedIndirect: ("shadow",),
+    ResolvedSeparation: ("separation",), ResolvedSheen: ("sheen_chosen",),
 }  # fmt: skip
 
 
@@ -59,11 +59,11 @@ def begin_phase(
     estimates: Estimates,
     entry: Entry,
     acceptance: Callable[[], AcceptanceTest | None],
-    prefit: Mapping[str, np.ndarray],
+    measurements: PrefitMeasurements,
 ) -> Phase:
     """Return the phase of stage ``index``.
 
-    seed: of the recovery. acceptance: creates the test of the result. prefit: measurements of earlier prefits.
+    seed: of the recovery. acceptance: creates the test of the result. measurements: of the phases before.
     """
     # Every stage has its own random numbers: with equal ones each cycle would start at the same positions.
     seed = (seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
@@ -76,18 +76,19 @@ def begin_phase(
     if isinstance(stage, ResolvedSurface):
         return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedPrefit):
-        return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, prefit)
+        return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, measurements)
     if isinstance(stage, ResolvedSheen):
-        return SheenPhase(stage, model, schedule, domain, estimates, entry, prefit)
+        return SheenPhase(stage, model, schedule, domain, estimates, entry, measurements)
     if isinstance(stage, ResolvedIndirect):
-        return IndirectPhase(stage, model, schedule, domain, estimates, entry, prefit)
+        return IndirectPhase(stage, model, schedule, domain, estimates, entry, measurements)
     if isinstance(stage, ResolvedSeparation):
-        return SeparationPhase(stage, model, schedule, domain, estimates, entry, prefit)
+        return SeparationPhase(stage, model, schedule, domain, estimates, entry, measurements)
     kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
     return kind_of_swarm(stage, model, schedule, seed, domain, estimates, entry)
 
 
-def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def made_by(stages: Sequence[Resolved], measurements: PrefitMeasurements) -> PrefitMeasurements:
     """Return the measurements that were made by ``stages``, the first ones of a recovery."""
     ended = {type(stage) for stage in stages}
-    return {name: array for name, array in measured.items() if MEASURED[name] in ended}
+    missing = [field for kind, fields in _MADE_BY.items() if kind not in ended for field in fields]
+    return replace(measurements, **dict.fromkeys(missing))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
-
-import numpy as np
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
@@ -12,18 +11,17 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedIndirect
 from ..settings.schedule import Schedule
 from ..state.phase_textures import indirect_table
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import EVIDENCE
 
-SHADOW = "prefit_shadow"
 # Share of texels above both limits on rendered captures like DiLiGenT's: goblet 38 % and concave mix 23 %, with normal
 # errors of 55 and 27° there; convex metal 3 %, velvet 2 %, a bunny that only casts shadows 0.
 _LEAST_MISFIT, _LEAST_SURPLUS = 0.2, 0.03
 
 
 class IndirectPhase(NeighbourTest):
-    """A NeighbourTest of the evidence of indirect light. It raises the shadow threshold of texels that exceed it."""
+    """A NeighbourTest of the indirect misfit. It raises the shadow threshold of texels above the limits."""
 
     def __init__(
         self,
@@ -33,12 +31,12 @@ class IndirectPhase(NeighbourTest):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        measured: Mapping[str, np.ndarray],
+        measurements: PrefitMeasurements,
     ):
-        self._other_measurements = {name: array for name, array in measured.items() if name != EVIDENCE}
+        self._measurements = replace(measurements, indirect_misfit=None)
         super().__init__(
             resolved, model, schedule, domain, estimates, entry, indirect_table(), "prefit/indirect.glsl",
-            limits(schedule), measured.get(EVIDENCE),
+            limits(schedule), measurements.indirect_misfit,
         )  # fmt: skip
 
     @property
@@ -46,17 +44,14 @@ class IndirectPhase(NeighbourTest):
         """True: this phase only measures."""
         return True
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write nothing."""
         yield from ()
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → measurement, packed; the shadow threshold (h, w) of each texel replaces the evidence.
-
-        The threshold is 0 where the light is not indirect.
-        """
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Return the measurements; the shadow threshold of each texel replaces the misfit of indirect light."""
         yield
-        return {**self._other_measurements, SHADOW: self.read(self.decided)[..., 0]}
+        return replace(self._measurements, shadow=self.read(self.decided)[..., 0])
 
 
 def limits(schedule: Schedule) -> dict[str, float]:

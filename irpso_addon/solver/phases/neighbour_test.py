@@ -16,6 +16,7 @@ from ..settings.groups import Prior
 from ..settings.resolve import ResolvedIndirect, ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, TextureTable
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates
 from .phase import TexturePhase
 
@@ -25,8 +26,8 @@ REACH, TAPS = 8, taps_of(Prior(scales=3))
 class NeighbourTest(TexturePhase):
     """A Phase of one iteration: it compares measurements at a texel and its neighbours with limits.
 
-    table: two groups, measurements and decisions. measured: the measurements (h, w, 4), packed; None if ``restore``
-    follows. limits: by their names in the shader.
+    table: two groups, the compared values and the decisions. compared: the values (h, w, 4), packed; None if
+    ``restore`` follows. limits: by their names in the shader.
     """
 
     placed = False  # it changes no estimate
@@ -43,14 +44,14 @@ class NeighbourTest(TexturePhase):
         table: TextureTable,
         source: str,
         limits: Mapping[str, float],
-        measured: np.ndarray | None,
+        compared: np.ndarray | None,
     ):
         super().__init__(resolved, model, schedule, domain, estimates, entry)
-        self._measurements, self.decided = table.groups
-        self.shared = (self._measurements,)
+        self._compared_group, self.decided = table.groups
+        self.shared = (self._compared_group,)
         self.textures = PhaseTextures(table, *estimates.size)
         self.passes = decision_pass(source, self.decided, limits, domain.defines)
-        self._measured = measured
+        self._compared = compared
 
     @property
     def evaluations(self) -> int:
@@ -66,12 +67,12 @@ class NeighbourTest(TexturePhase):
         """Make the decisions, in bands."""
         self._ensure_inputs()
         textures = self.textures
-        inputs = {**textures.bound(self._measurements, textures.of(self._measurements)), **self.domain.textures}
+        inputs = {**textures.bound(self._compared_group, textures.of(self._compared_group)), **self.domain.textures}
         yield from self.passes.in_bands(self.title, bands, seconds, textures.of(self.decided), inputs, {})
         self.iteration += 1
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → measurement after the decisions, packed."""
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Return the measurements after the decisions."""
         raise NotImplementedError
 
     def reached(self, threshold: float) -> bool:
@@ -94,11 +95,11 @@ class NeighbourTest(TexturePhase):
         super().restore(arrays, iteration)
 
     def _ensure_inputs(self) -> None:
-        """Allocate the textures and upload the measurements, at first use."""
+        """Allocate the textures and upload the compared values, at first use."""
         self.textures.ensure()
-        if self._measured is not None:
-            self.textures.upload(self._measurements, [self._measured])
-            self._measured = None
+        if self._compared is not None:
+            self.textures.upload(self._compared_group, [self._compared])
+            self._compared = None
 
 
 def decision_pass(source: str, decided: str, limits: Mapping[str, float], defines: Defines) -> Pass:

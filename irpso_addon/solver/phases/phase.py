@@ -14,6 +14,7 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import Resolved
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.reader import Reader
 from ..state.textures import HALO, SOLVED, DomainTextures, Estimates, packed_states, texel_states
 
@@ -69,24 +70,24 @@ class Phase(Protocol):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the result so far into the next estimates, in bands. The search itself does not change."""
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the result so far into other textures, before any acceptance test."""
         return None
 
-    def conclude_at_once(self) -> None:
-        """Do what ``conclude`` does, in one go."""
-        for _ in self.conclude(Bands(), BACKGROUND_BAND_SECONDS):
+    def write_estimates_at_once(self) -> None:
+        """Do what ``write_estimates`` does, in one go."""
+        for _ in self.write_estimates(Bands(), BACKGROUND_BAND_SECONDS):
             pass
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
         return False
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray] | None]:
-        """Return, after the last iteration, name → packed measurement for later phases; None if there are none."""
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements | None]:
+        """Return, after the last iteration, all measurements for later phases; None if the phase makes none."""
         yield from ()
         return None
 

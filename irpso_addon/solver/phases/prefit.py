@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from ...capture.inspect.checks import NARROW, flatness
+from ...core.optional import present
 from ...core.paths import SHADERS
 from ...gpu import textures
 from ...gpu.bands import Bands
@@ -20,6 +22,7 @@ from ..kernels.free_parameters import build_free_parameters
 from ..kernels.refinement import NO_PENALTY
 from ..settings.resolve import ResolvedPrefit
 from ..settings.schedule import Schedule
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates, loss_constants
 from .phase import Phase
 from .refinement import RefinementPhase
@@ -30,7 +33,6 @@ from .synchronous_swarm import SynchronousSwarmPhase
 # bunny_specular, which few of its 50 lights reach, falls from 0.82 to 0.69°.
 _SAMPLES_PER_UNKNOWN = 3
 _ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally good
-FITNESS, EVIDENCE, SHEEN = "prefit_fitness", "prefit_evidence", "prefit_sheen"  # measurements
 # Least fitness of the first prefit for a second one with sheen: SheenPhase adopts none whose neighbourhood fits better
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
@@ -46,9 +48,14 @@ class PrefitPhase(Phase):
     """A Phase: swarms, then a refinement, on grey samples with the prefit's own model.
 
     Its result is the estimates of the recovery's model with the prefit's normals. inner: the swarms, later the
-    refinement. own: the estimates of the prefit's model. before: measurements of an earlier prefit. A prefit of
-    indirect light changes only texels with a raised shadow threshold or separated light, without neighbours. A prefit
-    with sheen changes no estimates: it solves the texels that the first one fits badly; SheenPhase adopts its normals.
+    refinement. own: the estimates of the prefit's model. measurements: of the phases before. A prefit of indirect light
+    changes only texels with a raised shadow threshold or separated light, without neighbours. A prefit with sheen
+    changes no estimates: it solves the texels that the first one fits badly; SheenPhase adopts its normals.
+
+    Start: state/prepare.py fits Lambertian normals (Prepared.guess) for the recovery's Estimates, unless a guess is
+    given. ``_first_estimates`` keeps these normals; the base is the texel's scale, the rest defaults. The swarms have
+    the settings of the recovery's own (group Swarm): SwarmPhase.constants counts the seeded particles,
+    kernels/encoding.py encodes the estimate, initialise_particle (shaders/swarm/update.glsl) places them.
     """
 
     def __init__(
@@ -60,17 +67,17 @@ class PrefitPhase(Phase):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        before: Mapping[str, np.ndarray],
+        measurements: PrefitMeasurements,
     ):
         self._chosen: np.ndarray | None = None
         if resolved.indirect:
-            self._chosen = (domain.shadow > 0) | (domain.separation[..., 0] > 0)
+            self._chosen = (domain.shadow > 0) | domain.separation.separated
         elif resolved.sheen:
-            self._chosen = before[FITNESS] >= _LEAST_FITNESS
+            self._chosen = present(measurements.fitness) >= _LEAST_FITNESS
         if self._chosen is not None:
             schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where(self._chosen)
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
-        self._domain, self._estimates, self._earlier = grey(domain, schedule), estimates, before
+        self._domain, self._estimates, self._measurements = grey(domain, schedule), estimates, measurements
         self._model, self.title = resolved.model, resolved.title
         self._domain.defines |= {
             "EXPONENT_COMPONENT": self._model.offset("cosine_exponent"),
@@ -79,7 +86,9 @@ class PrefitPhase(Phase):
         self.own = _first_estimates(self._model, model, estimates, domain)
         self._adopt = adopt_pass(model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
-        self._evidence = _evidence_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
+        self._indirect_misfit = (
+            _indirect_misfit_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
+        )
         self._refining = False
         if schedule.swarm.seed == "given":  # a given guess has a normal, but no parameters of the prefit's model
             schedule = schedule.replaced(seed="lambert")
@@ -118,13 +127,13 @@ class PrefitPhase(Phase):
         yield from self.inner.advance(bands, seconds)
         bands.part = 0.0  # the inner phase has counted this iteration
         if self.inner.done and not self._refining:
-            yield from self.inner.conclude(bands, seconds)
-            self.own.accept()
+            yield from self.inner.write_estimates(bands, seconds)
+            self.own.swap()
             self._begin_refinement()
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals so far into the next estimates."""
-        yield from self.inner.conclude(bands, seconds)
+        yield from self.inner.write_estimates(bands, seconds)
         if not self.keeps_estimates:
             yield from self._adopt.in_one_draw(bands, self._estimates.next, self._inputs(self.own.next))
 
@@ -139,11 +148,11 @@ class PrefitPhase(Phase):
         prefit = {f"u_prefit_{i}": texture for i, texture in enumerate(own)}
         return {**self._estimates.bindings(), **self._domain.textures, **prefit}
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → packed float32 array: the fitness (h, w) of the next estimates of the prefit's model.
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Return the measurements, with the fitness of the next estimates of the prefit's model.
 
-        Includes earlier measurements and, where the stage ``seeks`` it, the evidence of indirect light (h, w, 4). Of a
-        prefit with sheen: normals and fitness (h, w, 4). In bands.
+        Where the stage ``seeks`` indirect light, its misfit too; of a prefit with sheen, its normals and fitness. In
+        bands.
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(of_next=True), **self._domain.textures}
@@ -151,16 +160,16 @@ class PrefitPhase(Phase):
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         fitness = textures.download(targets[0])[..., 0]
         if self._chosen is not None:
-            fitness = np.where(self._chosen, fitness, self._earlier[FITNESS])
+            fitness = np.where(self._chosen, fitness, present(self._measurements.fitness))
         if self._resolved.sheen:
             normals = normals_of(self.own, self._model, of_next=True)
-            return {**self._earlier, SHEEN: np.concatenate([normals, fitness[..., None]], axis=-1)}
-        if self._evidence is None:
-            return {**self._earlier, FITNESS: fitness}
+            return replace(self._measurements, sheen=np.concatenate([normals, fitness[..., None]], axis=-1))
+        if self._indirect_misfit is None:
+            return replace(self._measurements, fitness=fitness)
         targets = [textures.empty(*self.own.size)]
         constants = {"u_observations": constants["u_observations"]}
-        yield from self._evidence.in_bands("evidence", bands, seconds, targets, inputs, constants)
-        return {FITNESS: fitness, EVIDENCE: textures.download(targets[0])}
+        yield from self._indirect_misfit.in_bands("indirect misfit", bands, seconds, targets, inputs, constants)
+        return PrefitMeasurements(fitness, indirect_misfit=textures.download(targets[0]))
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: the data that neighbours read; NaN where no texel is solved."""
@@ -188,8 +197,8 @@ class PrefitPhase(Phase):
         self.inner.close()
         self._adopt.close()
         self._measure.close()
-        if self._evidence is not None:
-            self._evidence.close()
+        if self._indirect_misfit is not None:
+            self._indirect_misfit.close()
         self.own.close()
 
     def _begin_refinement(self) -> None:
@@ -315,14 +324,14 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines)
     return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
 
 
-def _evidence_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
+def _indirect_misfit_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
     samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
     defines = {
         **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "LEAST_SAMPLES": _least_samples(model, schedule),
         "RAISED_SHADOW": f"{schedule.prefit.indirect_shadow:.9f}",
     }  # fmt: skip
-    outputs, includes = (Output("o_evidence"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/evidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
+    outputs, includes = (Output("o_indirect_misfit"),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/indirect_misfit.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
 
 
 def _least_samples(model: ReflectanceModel, schedule: Schedule) -> int:

@@ -92,7 +92,7 @@ class RefinementPhase(TexturePhase):
             self.best = self.work = target
         self.iteration += 1
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the best material so far into the next estimates; then run the acceptance test."""
         yield from self._ready(bands)
         targets = [*self.estimates.next, *self.textures.of("result")]

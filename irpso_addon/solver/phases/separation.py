@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 
+from ...core.optional import present
 from ...core.steps import map_steps
 from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
@@ -18,17 +19,16 @@ from ..kernels import kernels
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, shadow_light_table
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import lambert_steps
 from ..state.reader import Reader
-from ..state.separation import SeparatedStack, by_shadows, direct_chroma, evidence_of, separation_steps
-from ..state.textures import HARMONICS, SEPARATED, SOLVED, DomainTextures, Estimates, texel_states
-from .indirect import SHADOW
+from ..state.separation import SeparatedStack, direct_chroma, median_chromas, separation_steps
+from ..state.separation_record import SHADOW_LIGHT, Separation
+from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
 from .mixture import sampled
 from .phase import Phase
-from .prefit import FITNESS, adopt_pass, adopt_where
-from .sheen import CHOSEN
+from .prefit import adopt_pass, adopt_where
 
-SEPARATION = "prefit_separation"
 # Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
 # 0 the normal error of a dirty card is 0.54 in place of 0.16°; in hollows it is 0.1° less.
 LEAST_TURN = 3.0
@@ -40,7 +40,7 @@ class SeparationPhase(Phase):
 
     On a card, shadows separate the light of texels where colour does not. Where colour does, the result has the normals
     of a Lambertian fit to the direct light: normals with the bias of indirect light are a bad start for the next
-    prefit. measured: measurements of earlier prefits.
+    prefit. measurements: of the phases before.
     """
 
     placed = False  # nothing to show before the end
@@ -54,18 +54,19 @@ class SeparationPhase(Phase):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        measured: Mapping[str, np.ndarray],
+        measurements: PrefitMeasurements,
     ):
         self.title, self.iterations = resolved.title, resolved.iterations
         self._model, self._least_share, self._domain = model, schedule.prefit.indirect_share, domain
         self._entry = entry
-        self._estimates, self._measured = estimates, measured
-        self._indirect = domain.packing.unpack(measured[SHADOW]) > 0
-        self._misfit = np.minimum(domain.packing.unpack(measured[FITNESS]), 1.0)
+        self._estimates, self._measurements = estimates, measurements
+        self._indirect = domain.packing.unpack(present(measurements.shadow)) > 0
+        self._misfit = np.minimum(domain.packing.unpack(present(measurements.fitness)), 1.0)
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
-        self._sheen = domain.packing.unpack(measured.get(CHOSEN, np.zeros_like(domain.scale))) > 0
+        sheen = measurements.sheen_chosen
+        self._sheen = domain.packing.unpack(np.zeros_like(domain.scale) if sheen is None else sheen) > 0
         self._sample: np.ndarray | None = None
-        self._separation = np.zeros((*domain.domain.shape, SEPARATED), np.float32)
+        self._separation = Separation.none(domain.domain.shape)
         self._adopt = adopt_pass(model, domain.defines)
 
     @property
@@ -84,8 +85,8 @@ class SeparationPhase(Phase):
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
         chosen = sampled(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
         rows, columns = (chosen[:, 1 + i].astype(int) - domain.origin[1 - i] for i in range(2))
-        values = evidence_of(domain, rows, columns)
-        return np.column_stack([chosen, values, self._indirect[rows, columns]])
+        chromas = median_chromas(domain, rows, columns)
+        return np.column_stack([chosen, chromas, self._indirect[rows, columns]])
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Set the sample of the whole domain."""
@@ -102,11 +103,12 @@ class SeparationPhase(Phase):
             self._separation = yield from map_steps(steps, lambda part: None)
         # Not on a mesh: samples in its cast shadows have weight 0, so that they give no evidence.
         if self._domain.domain.card:
-            separated = self._separation[..., 0] > 0
+            separated = self._separation.separated
             work = shadow_light_pass(self._model, self._least_share, LEAST_TURN, self._domain.defines, self._entry)
             misfit = np.where(separated | self._sheen, 0, self._misfit)
             asked = shadow_light_steps(work, self._domain, self._estimates, misfit, bands, seconds)
-            self._separation = np.where(separated[..., None], self._separation, by_shadows((yield from asked)))
+            by_shadows = Separation.of_shadows((yield from asked))
+            self._separation = self._separation.where(separated, by_shadows)
         self.iteration += 1
 
     @property
@@ -114,23 +116,24 @@ class SeparationPhase(Phase):
         """Whether no light was separated."""
         return not self._separation.any()
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals of the fit to direct light into the next estimates, if light was separated."""
         if self.keeps_estimates:
             return
         domain, packing = self._domain.domain, self._domain.packing
-        chosen = domain.solvable & (self._separation[..., 2] > 0)
+        chosen = domain.solvable & self._separation.by_colour
         direct = SeparatedStack(domain, self._separation)
         steps = lambert_steps(replace(domain, stack=direct, solvable=chosen))
         normal, _ = yield from map_steps(steps, lambda part: None)
         target = self._domain, self._estimates, self._model
         yield from adopt_where(self._adopt, bands, *target, packing.pack(chosen), packing.pack(normal))
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → packed measurement, with the separation (h, w, SEPARATED) if any light was separated."""
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Return the measurements, with the separation if any light was separated."""
         yield
-        own = {SEPARATION: self._domain.packing.pack(self._separation)} if self._separation.any() else {}
-        return {**self._measured, **own}
+        if not self._separation.any():
+            return self._measurements
+        return replace(self._measurements, separation=self._separation.packed(self._domain.packing))
 
     def halo(self) -> np.ndarray:
         """Return (H, W, 1) zeros: neighbours read nothing."""
@@ -170,7 +173,7 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 def shadow_light_steps(
     work: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
 ) -> Generator[None, None, np.ndarray]:
-    """Return (H, W, 12) float32: the output of shadow_light.glsl.
+    """Return (H, W, SHADOW_LIGHT) float32: the output of shadow_light.glsl.
 
     0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss, at most 1; texels of 0 are skipped.
     work: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
@@ -178,11 +181,11 @@ def shadow_light_steps(
     phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
     with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:
         if not (domain.domain.intensities > 0).all():
-            return np.zeros((*domain.domain.shape, HARMONICS + 3), np.float32)
+            return np.zeros((*domain.domain.shape, SHADOW_LIGHT), np.float32)
         phase_textures.upload("misfit", [domain.packing.pack(misfit[..., None].astype(np.float32))])
         yield from phase_textures.make()
         inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
         constants = {"u_observations": domain.domain.observations}
-        yield from work.in_bands(SEPARATION, bands, seconds, phase_textures.of("light"), inputs, constants)
+        yield from work.in_bands("shadow light", bands, seconds, phase_textures.of("light"), inputs, constants)
         packed = np.concatenate([reader.read(texture) for texture in phase_textures.of("light")], axis=-1)
     return domain.packing.unpack(packed)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ...core.optional import present
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import sheen_table
+from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import UNFIT, DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import FITNESS, SHEEN, adopt_pass, adopt_where
+from .prefit import adopt_pass, adopt_where
 
-CHOSEN = "prefit_sheen_chosen"  # (h, w) float32, above 0 where the prefit with sheen is chosen
 # A bunny without sheen, whose base only darkens toward the terminator: the prefit with sheen fits better by a third and
 # turns the normals by 2.7°. Its mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
 _LEAST_FITNESS = 0.37
@@ -36,31 +38,31 @@ class SheenPhase(NeighbourTest):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        measured: Mapping[str, np.ndarray],
+        measurements: PrefitMeasurements,
     ):
-        self._prefits, self._ratio = dict(measured), schedule.prefit.acceptance_ratio
+        self._measurements, self._ratio = measurements, schedule.prefit.acceptance_ratio
         super().__init__(
             resolved, model, schedule, domain, estimates, entry, sheen_table(), "prefit/sheen.glsl", limits(schedule),
-            fits_of(measured[FITNESS], measured[SHEEN][..., 3]),
+            fits_of(present(measurements.fitness), measurements.sheen_fitness),
         )  # fmt: skip
         self._adopt = adopt_pass(model, domain.defines)
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the chosen normals into the next estimates."""
-        chosen, normals = self.read(self.decided)[..., 0] > 0, self._prefits[SHEEN][..., :3]
+        chosen, normals = self.read(self.decided)[..., 0] > 0, self._measurements.sheen_normal
         yield from adopt_where(self._adopt, bands, self.domain, self.estimates, self.model, chosen, normals)
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return name → prefit measurement, and the chosen texels, whose fitness is the one with sheen.
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Return the measurements with the chosen texels, whose fitness is the one with sheen.
 
         Where sheen lowers the misfit much, it is divided by the acceptance ratio: a model without must fit as well.
         """
         yield
-        chosen, measured = self.read(self.decided)[..., 0] > 0, dict(self._prefits)
-        fitness = measured.pop(SHEEN)[..., 3]
-        strict = np.where(fitness < (1 - _STRONG_GAIN) * measured[FITNESS], fitness / np.float32(self._ratio), fitness)
-        measured[FITNESS] = np.where(chosen, strict, measured[FITNESS])
-        return {**measured, CHOSEN: chosen.astype(np.float32)}
+        chosen = self.read(self.decided)[..., 0] > 0
+        first, fitness = present(self._measurements.fitness), self._measurements.sheen_fitness
+        strict = np.where(fitness < (1 - _STRONG_GAIN) * first, fitness / np.float32(self._ratio), fitness)
+        fitness, sheen_chosen = np.where(chosen, strict, first), chosen.astype(np.float32)
+        return replace(self._measurements, fitness=fitness, sheen=None, sheen_chosen=sheen_chosen)
 
     def close(self) -> None:
         """Free shaders and textures."""

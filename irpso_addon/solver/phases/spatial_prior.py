@@ -90,7 +90,7 @@ class SpatialPriorPhase(TexturePhase):
             textures.swap("work", "status")
         self.iteration += 1
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the most probable materials into the next estimates; the current ones before the last iteration."""
         if not self.done:
             yield from self._copy(bands, self.estimates.current, self.estimates.next)

@@ -85,7 +85,7 @@ class SurfacePhase(TexturePhase):
                 textures.swap("field")
         self.iteration += 1
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the materials with bent normals into the next estimates."""
         textures, passes = self.textures, self.passes
         slopes = textures.spares("field")

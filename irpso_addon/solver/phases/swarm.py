@@ -84,7 +84,7 @@ class SwarmPhase(TexturePhase):
             "u_start_speed": swarm.start_speed,
         }
 
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the global bests into the next estimates, in one band: it is a short pass."""
         yield from self.textures.make()
         targets = self.estimates.next

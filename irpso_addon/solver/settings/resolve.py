@@ -89,7 +89,7 @@ class ResolvedMaterials(ResolvedRefinement):
 class ResolvedPrefit:
     """The prefit: swarms and a refinement with the prefit's own model.
 
-    indirect: solves only texels with indirect light. seeks: also measures the evidence of indirect light. sheen: uses
+    indirect: solves only texels with indirect light. seeks: also measures the misfit of indirect light. sheen: uses
     the model with sheen.
     """
 

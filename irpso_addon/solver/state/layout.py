@@ -9,9 +9,9 @@ import numpy as np
 from ...geometry.domain import Domain
 from .packing import Packing
 from .phase_textures import Atlas, plan_atlas
+from .prefit_measurements import FLAT_ARRAYS
 from .textures import SOLVED, packed_states
 
-_FLAT = frozenset({"prefit_fitness", "prefit_shadow", "prefit_sheen_chosen"})  # arrays without channels
 _TABLE = "phase_materials"  # no rows of texels; a phase without it computes it again
 
 # SplitMix64 (Steele, Lea and Flood 2014, Fast Splittable Pseudorandom Number Generators).
@@ -39,7 +39,7 @@ class TexelLayout:
     def arrays(self, rows: Mapping[str, np.ndarray], limit: int) -> dict[str, np.ndarray]:
         """Return textures from the rows of all texels, with halo and ghosts. limit: largest side of a texture."""
         size = self._packing.width, self._packing.height
-        return {name: _array(value, size, limit, name in _FLAT) for name, value in rows.items()}
+        return {name: _array(value, size, limit, name in FLAT_ARRAYS) for name, value in rows.items()}
 
 
 def numbered(solvable: np.ndarray) -> np.ndarray:

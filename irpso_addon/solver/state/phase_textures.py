@@ -119,9 +119,9 @@ def sheen_table() -> TextureTable:
 
 
 def indirect_table() -> TextureTable:
-    """Return the table of the detection of indirect light: shaders/prefit/evidence.glsl, and its result."""
+    """Return the table of the detection of indirect light: shaders/prefit/indirect_misfit.glsl, its result."""
     return TextureTable({
-        "evidence": TextureGroup(("u_measured",), ("evidence",)),
+        "misfit": TextureGroup(("u_measured",), ("evidence",)),
         "shadow": TextureGroup(("u_shadow",), ("shadow",), "R32F"),
     })  # fmt: skip
 

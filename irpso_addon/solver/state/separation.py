@@ -18,17 +18,14 @@ from ...core.optional import present
 from ...core.steps import blocking
 from ...geometry.domain import Domain, subset, with_lights
 from ...geometry.samples import SampleStack
-from ...gpu.library import defined
 from ..settings.schedule import Schedule
 from .prepare import Prepared, Texels, chunk_steps, dot, light_vectors, over_lights, percentiles, scale_steps
+from .separation_record import Separation
 from .shadow_light import light_of
-from .textures import HARMONICS, HARMONICS_AT, SEPARATED, DomainTextures
+from .textures import DomainTextures
 
 _LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma above this part of this percentile of the texel's light
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: the least indirect ones
-
-# Part of a texel's scale. A sample whose direct light is below it counts as shadow.
-SEPARATED_SHADOW = defined("common/frame.glsl", "SEPARATED_")["SHADOW"]
 
 # Conditions on a subject. The median distance of its chromas from their middle is 0.04 to 0.06 for brass, gold, copper
 # and terracotta, 0.17 for enamel with its highlights, 0.27 for patina, 0.48 for a concave mix. Of the texels whose
@@ -45,7 +42,7 @@ _LEAST_SATURATION, _MOST_SATURATION, _MOST_DISTANCE = 1.2, 4.0, 0.15
 _LEAST_WEIGHT = 0.1
 
 
-def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def median_chromas(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return (T, 3): the chromas of T texels, each channel the median over its lit samples; NaN without any.
 
     All are NaN if a light lacks a channel.
@@ -58,8 +55,8 @@ def evidence_of(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.nda
 def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None:
     """Return (3,): the chroma of the direct light of a subject of one colour; None for other subjects.
 
-    chroma: (T, 3) from ``evidence_of``, of a sample of the subject's texels. indirect: (T,) bool, those whose shading
-    shows indirect light.
+    chroma: (T, 3) from ``median_chromas``, of a sample of the subject's texels. indirect: (T,) bool, those whose
+    shading shows indirect light.
     """
     known = np.isfinite(chroma).all(axis=-1)
     direct, hollow = chroma[known & ~indirect], chroma[known & indirect]
@@ -80,14 +77,13 @@ def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None
 
 def separation_steps(
     domain: Domain, indirect: np.ndarray, direct: np.ndarray, least: float
-) -> Generator[float, None, np.ndarray]:
-    """Return (H, W, SEPARATED) float32: red and green of the chroma of a texel's direct light, the same for its light
-    after one more bounce, and the indirect part of the texel's light; then zeros.
+) -> Generator[float, None, Separation]:
+    """Return the separation (H, W) by colour.
 
-    0 where the shading shows no indirect light and its part by colour is below ``least``. indirect: (H, W) bool, from
-    the shading. direct: (3,) from ``direct_chroma``. Yields the fraction done.
+    None where the shading shows no indirect light and its part by colour is below ``least``. indirect: (H, W) bool,
+    from the shading. direct: (3,) from ``direct_chroma``. Yields the fraction done.
     """
-    result = np.zeros((*domain.shape, SEPARATED), np.float32)
+    result = Separation.none(domain.shape)
 
     def work(start: int, texels: Texels) -> None:
         samples = domain.stack.texels(*texels)
@@ -96,27 +92,18 @@ def separation_steps(
         (own,) = percentiles(_saturation_of(chroma, direct)[0], [_DIRECT])
         known = np.isfinite(own)
         own = np.where(hollow | ~known, 1.0, np.maximum(own, 1.0))[:, None]
-        pair = np.concatenate([_chroma(direct**power)[:, :2] for power in (own, own + 1)], axis=-1, dtype=np.float32)
+        once, twice = (_chroma(direct**power)[:, :2].astype(np.float32) for power in (own, own + 1))
         light = _radiance(samples, domain.intensities) * (samples[..., 3:] > 0)
-        direct_part = _all_light(_without(light, pair)) / np.maximum(_all_light(light), 1e-30)
+        direct_part = _all_light(_without(light, once, twice)) / np.maximum(_all_light(light), 1e-30)
         chosen = known & (hollow | (1 - direct_part >= least))
-        result[(*texels, slice(HARMONICS_AT))] = np.where(chosen[:, None], np.column_stack([pair, 1 - direct_part]), 0)
+        found = Separation.of_colours(once, twice, 1 - direct_part)
+        result[texels] = found.where(chosen, Separation.none(chosen.shape))
 
     yield from chunk_steps(domain, work)
     return result
 
 
 separation_of = blocking("separation_of", separation_steps)
-
-
-def by_shadows(output: np.ndarray) -> np.ndarray:
-    """Return the separation (H, W, SEPARATED) float32 from the output of shadow_light.glsl, ``output`` (H, W, 12).
-
-    Red and green of the indirect light's chroma, zeros in place of a second one, its share, and the coefficients.
-    """
-    coefficients, chroma, share = output[..., :HARMONICS], output[..., HARMONICS:-1], output[..., -1:]
-    ends = np.where(share > 0, np.maximum(chroma, 1e-6), 0), np.zeros((*share.shape[:-1], 2))
-    return np.concatenate([*ends, share, coefficients], axis=-1, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +115,11 @@ class SeparatedStack:
     becomes d² / (d² + r²), at least _LEAST_WEIGHT. Samples separated by shadows keep their weights: with the same
     formula, a concave mix is off by 8.82 in place of 8.80°, a goblet of enamel by 3.51 in place of 3.52°.
 
-    separation: (H, W, SEPARATED) as from ``separation_of`` or ``by_shadows``.
+    separation: (H, W).
     """
 
     domain: Domain
-    separation: np.ndarray
+    separation: Separation
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -141,7 +128,7 @@ class SeparatedStack:
 
     def layer(self, observation: int) -> np.ndarray:
         """Return (H, W, 4): the samples of one observation."""
-        rows, columns = np.nonzero(self.separation[..., 0])
+        rows, columns = np.nonzero(self.separation.separated)
         layer = self.domain.stack.layer(observation).copy()
         one = slice(observation, observation + 1)
         domain = with_lights(self.domain, self.domain.lights[one], self.domain.intensities[one])
@@ -182,26 +169,26 @@ class SeparatedStack:
 
 
 def separated_steps(
-    domain: Domain, held: DomainTextures, separation: np.ndarray, schedule: Schedule
+    domain: Domain, held: DomainTextures, separation: Separation, schedule: Schedule
 ) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
     """Return textures of a domain without its indirect light, and the stack to upload to them.
 
-    separation: (h, w, n), packed; 0 keeps all light. held: current textures of the domain. Yields the fraction done of
+    separation: (h, w), packed. held: current textures of the domain. Yields the fraction done of
     each sweep in turn.
     """
     if separation.any():
-        unpacked = held.packing.unpack(separation)
-        domain = replace(domain, stack=SeparatedStack(domain, unpacked))
+        domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(held.packing)))
     scale = yield from scale_steps(domain, schedule.fitness.percentile)
     prepared = yield from Prepared(scale, {}, held.brightness).packing_steps(domain, schedule)
     numbers = held.packing.pack(scale), held.brightness, prepared.arrays
     return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)
 
 
-def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
-    """Return samples (K, T, 4) of a domain's T texels minus their indirect light. separation: (T, SEPARATED)."""
-    result, coloured = samples.copy(), separation[:, 2] > 0
-    for chosen, subtract in ((coloured, _without_bounces), (~coloured & (separation[:, 0] > 0), _without_shadow_light)):
+def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: Separation) -> np.ndarray:
+    """Return samples (K, T, 4) of a domain's T texels minus their indirect light. separation: (T,)."""
+    result, by_colour = samples.copy(), separation.by_colour
+    by_shadows = separation.separated & ~by_colour
+    for chosen, subtract in ((by_colour, _without_bounces), (by_shadows, _without_shadow_light)):
         if chosen.any():
             rows, columns = texels
             part = samples[:, chosen]
@@ -210,31 +197,31 @@ def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.
     return result
 
 
-def _without_bounces(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
+def _without_bounces(domain: Domain, texels: Texels, samples: np.ndarray, separation: Separation) -> np.ndarray:
     """Return (K, T, 4): samples minus their components of the indirect chromas, with the weights of SeparatedStack."""
     light = _radiance(samples, domain.intensities)
-    direct = _without(light, separation)
+    direct = _without(light, separation.direct_chroma, separation.bounced_chroma)
     kept, removed = (dot(part, part) for part in (direct, light - direct))
     weight = np.maximum(1 - removed / np.maximum(kept + removed, 1e-30), _LEAST_WEIGHT) * samples[..., 3]
     return np.concatenate([direct * domain.intensities[:, None], weight[..., None]], axis=-1)
 
 
-def _without_shadow_light(domain: Domain, texels: Texels, samples: np.ndarray, separation: np.ndarray) -> np.ndarray:
+def _without_shadow_light(domain: Domain, texels: Texels, samples: np.ndarray, separation: Separation) -> np.ndarray:
     """Return (K, T, 4): samples minus the indirect light that was estimated from shadows."""
     vectors, irradiance = light_vectors(domain, texels)
-    chroma = _completed(separation[:, :2].astype(np.float64))
-    indirect = light_of(vectors, separation[:, HARMONICS_AT:].astype(np.float64), chroma) * irradiance
+    chroma = _completed(separation.shadow_chroma.astype(np.float64))
+    indirect = light_of(vectors, separation.harmonics.astype(np.float64), chroma) * irradiance
     direct = np.maximum(np.nan_to_num(samples[..., :3]) - indirect, 0)
     return np.concatenate([direct, samples[..., 3:]], axis=-1)
 
 
-def _without(light: np.ndarray, separation: np.ndarray) -> np.ndarray:
+def _without(light: np.ndarray, direct: np.ndarray, bounced: np.ndarray) -> np.ndarray:
     """Return light (K, T, 3) minus its components of the indirect chromas, by non-negative least squares in float64.
 
-    Inside the cone of the three chromas a sample has three components; outside, it is projected to the nearest side of
-    the cone, which has two chromas.
+    direct, bounced: chromas (T, 2), as in Separation. Inside the cone of the three chromas a sample has three
+    components; outside, it is projected to the nearest side of the cone, which has two chromas.
     """
-    u, v = (_completed(separation[:, 2 * i : 2 * i + 2].astype(np.float64)) for i in range(2))
+    u, v = (_completed(chroma.astype(np.float64)) for chroma in (direct, bounced))
     w = _chroma(v**3 / np.maximum(u, 1e-9) ** 2)  # v has one bounce more than u, w has three more
     volume = dot(u, np.cross(v, w))
     volume = np.where(np.abs(volume) > 1e-15, volume, 1e-15)[:, None]

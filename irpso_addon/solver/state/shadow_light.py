@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .textures import HARMONICS
+from .separation_record import HARMONICS
 
 
 def harmonics(vectors: np.ndarray) -> np.ndarray:

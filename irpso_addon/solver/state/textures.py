@@ -14,11 +14,10 @@ from ...gpu.library import defined
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from .packing import Packing
+from .separation_record import Separation
 
 UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # fitness of a material that was never evaluated
 OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
-HARMONICS_AT, HARMONICS = 5, 9  # numbers in a separation (separation.py): before the harmonics; harmonics
-SEPARATED = HARMONICS_AT + HARMONICS
 
 
 class DomainTextures:
@@ -26,8 +25,8 @@ class DomainTextures:
 
     stack: (K, h, w, 4), the packed samples and weights; None if ``give_stack`` uploads them later, which takes 0.1 s
     for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default the lights' mean
-    intensity. arrays: from ``domain_arrays``, None to compute them. separation: (h, w, SEPARATED), by which indirect
-    light was subtracted from the samples (separation.py); 0 where nothing was.
+    intensity. arrays: from ``domain_arrays``, None to compute them. separation: (h, w), packed, of the
+    indirect light that was subtracted from the samples (separation.py).
     """
 
     def __init__(
@@ -38,10 +37,10 @@ class DomainTextures:
         scale: np.ndarray,
         brightness: float | None = None,
         arrays: dict[str, np.ndarray] | None = None,
-        separation: np.ndarray | None = None,
+        separation: Separation | None = None,
     ):
         self.domain, self.packing = domain, packing
-        self.separation = np.zeros((*scale.shape, SEPARATED), np.float32) if separation is None else separation
+        self.separation = Separation.none(scale.shape) if separation is None else separation
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = kernel_defines(domain)
         self.scale, self.shadow = scale, np.zeros_like(scale)
@@ -172,7 +171,7 @@ class Estimates:
         chosen = self.next if of_next else self.current
         return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
 
-    def accept(self) -> None:
+    def swap(self) -> None:
         """Swap the next estimates with the current ones."""
         self.current, self.next = self.next, self.current
 

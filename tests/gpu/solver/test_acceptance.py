@@ -39,7 +39,7 @@ def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(re
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
     pack = Packing(domain.solvable)
-    theirs = pack.unpack(recovery.memory().arrays["prefit_fitness"])
+    theirs = pack.unpack(recovery.snapshot().arrays["prefit_fitness"])
     while recovery.progress.title != "refinement":
         recovery.step(iterations=1)
     before = {n: pack.unpack(v) for n, v in recovery.phase.estimates.values(of_next=False).items()}
@@ -145,7 +145,7 @@ def test_the_acceptance_test_skips_texels_with_too_few_samples(recover, uneven):
     domain = with_samples(domain, stack)
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
-    fitness = Packing(domain.solvable).unpack(recovery.memory().arrays["prefit_fitness"])
+    fitness = Packing(domain.solvable).unpack(recovery.snapshot().arrays["prefit_fitness"])
     assert (fitness[few] >= 1e29).all() and (fitness[~few] < 1).all()
     recovery.step()
     kept = (recovery.maps(confidence=False).values["normal"] == prefit).all(axis=-1)

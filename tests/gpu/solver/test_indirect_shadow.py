@@ -17,6 +17,7 @@ from irpso_addon.solver.phases.indirect import IndirectPhase
 from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.prefit_measurements import PrefitMeasurements
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import (
     angles_of,
@@ -74,7 +75,7 @@ def card_of(lights, light):
 
 def raised(recovery):
     """Return (H, W) bool: the texels whose shadow has been raised."""
-    return Packing(recovery.domain.solvable).unpack(recovery.memory().arrays["prefit_shadow"]) > 0
+    return Packing(recovery.domain.solvable).unpack(recovery.snapshot().arrays["prefit_shadow"]) > 0
 
 
 def test_darker_samples_count_as_shadow_where_the_light_is_indirect_and_nowhere_else(recover):
@@ -87,11 +88,11 @@ def test_darker_samples_count_as_shadow_where_the_light_is_indirect_and_nowhere_
     assert all(angles[~between].mean() < 0.05 for angles in found)
 
 
-def test_the_evidence_matches_float64(recover):
+def test_the_misfit_of_indirect_light_matches_float64(recover):
     domain, _, _ = corner((6, 10))
     recovery = recover(domain, LAMBERT, RAISED)
     phase, pack = ended_prefit(recovery), Packing(domain.solvable)
-    evidence = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_evidence"])
+    measured = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).indirect_misfit)
     own = {name: np.float64(pack.unpack(value)) for name, value in phase.own.values().items()}
     shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)
     scale = np.percentile(shown, RAISED.fitness.percentile, axis=0)
@@ -99,10 +100,10 @@ def test_the_evidence_matches_float64(recover):
     error = np.minimum(confidence_oracle.radiance(domain, "base_lobe", own).mean(axis=-1), scale) - counted
     light = counted.sum(axis=0)
     assert (shown < RAISED.fitness.shadow * scale).mean() > 0.1  # samples in shadow count
-    np.testing.assert_allclose(evidence[..., 0], np.minimum(np.abs(error).sum(axis=0) / light, 1), rtol=2e-3, atol=1e-5)
-    np.testing.assert_allclose(evidence[..., 1], np.maximum(-error, 0).sum(axis=0) / light, rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(measured[..., 0], np.minimum(np.abs(error).sum(axis=0) / light, 1), rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(measured[..., 1], np.maximum(-error, 0).sum(axis=0) / light, rtol=2e-3, atol=1e-5)
     enough = (shown >= 0.5 * scale).sum(axis=0) >= 18  # three for each of the prefit's six free numbers
-    np.testing.assert_array_equal(evidence[..., 2], enough)
+    np.testing.assert_array_equal(measured[..., 2], enough)
 
 
 @pytest.mark.parametrize("holes", [False, True])
@@ -110,9 +111,9 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
     context.ensure()
     domain = make_domain(19, 23, observations=4, holes=holes)
     rng = np.random.default_rng(5)
-    evidence = np.float32(rng.random((*domain.shape, 4)) * (0.5, 0.1, 1, 0) + (0, 0, 0, 1))
-    evidence[..., 2] = evidence[..., 2] > 0.2
-    evidence *= domain.solvable[..., None]
+    measured = np.float32(rng.random((*domain.shape, 4)) * (0.5, 0.1, 1, 0) + (0, 0, 0, 1))
+    measured[..., 2] = measured[..., 2] > 0.2
+    measured *= domain.solvable[..., None]
     pack = Packing(domain.solvable)
     held = DomainTextures(
         domain, pack, pack_layers(pack, domain.stack.values), pack.pack(np.ones(domain.shape, np.float32))
@@ -120,15 +121,15 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
     values = {p.name: pack.pack(np.zeros((*domain.shape, p.components), np.float32)) for p in LAMBERT.parameters}
     phase = IndirectPhase(
         ResolvedIndirect(), LAMBERT, RAISED, held, Estimates(LAMBERT, values), "fragment",
-        {"prefit_evidence": pack.pack(evidence)},
+        PrefitMeasurements(indirect_misfit=pack.pack(measured)),
     )  # fmt: skip
     run_steps(phase.advance(Bands(), 1.0))
-    found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_shadow"])
+    found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).shadow)
     phase.close()
-    sums = around(evidence)
+    sums = around(measured)
     with np.errstate(all="ignore"):
         misfit, surplus = sums[..., 0] / sums[..., 3], sums[..., 1] / sums[..., 3]
-    wanted = (evidence[..., 2] > 0) & (misfit > LIMITS[0]) & (surplus > LIMITS[1])
+    wanted = (measured[..., 2] > 0) & (misfit > LIMITS[0]) & (surplus > LIMITS[1])
     assert 0.1 < wanted[domain.solvable].mean() < 0.9
     np.testing.assert_array_equal(found, np.where(wanted, np.float32(0.5), 0))
 
@@ -156,7 +157,7 @@ def test_tiles_find_the_same_maps(whole, resident):
 
 @pytest.mark.parametrize("iterations", [6, 7, 8, 10, 16])
 def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
-    # After 7 the evidence is there, after 8 the shadow, then the second prefit and what follows it.
+    # After 7 its misfit is there, after 8 the shadow, then the second prefit and what follows it.
     assert resumed(recover, corner()[0], LAMBERT, SHORT, iterations) == [whole, whole]
 
 
@@ -170,7 +171,7 @@ def test_without_the_raised_shadow_a_run_that_goes_on_counts_all_samples_again(r
     recovery.step(iterations=9)
     assert recovery._textures.shadow.any()
     again = recovery.reconfigure(SHORT.replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0))
-    assert not again._textures.shadow.any() and "prefit_shadow" not in again.memory().arrays
+    assert not again._textures.shadow.any() and "prefit_shadow" not in again.snapshot().arrays
     again.step()
     again.close()
 

@@ -12,7 +12,8 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.phases.separation import shadow_light_pass, shadow_light_steps
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
-from irpso_addon.solver.state.separation import SeparatedStack, by_shadows
+from irpso_addon.solver.state.separation import SeparatedStack
+from irpso_addon.solver.state.separation_record import Separation
 from irpso_addon.solver.state.shadow_light import harmonics, light_of
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import make_domain, unit
@@ -83,7 +84,7 @@ def test_what_is_left_is_the_direct_light(near, card):
     told = share > 0.05  # on a bumpy mesh the wall hides some texels from few lamps
     assert told[inside].mean() >= (1 if card else 0.75) and not share[~inside].any() and not coefficients[~told].any()
     np.testing.assert_allclose(chroma[told], np.broadcast_to(CHROMA[:2], (told.sum(), 2)), atol=1e-3)
-    left, errors = SeparatedStack(domain, by_shadows(told_by)), []
+    left, errors = SeparatedStack(domain, Separation.of_shadows(told_by)), []
     for observation in range(LIGHTS):
         errors.append(left.layer(observation)[..., :3] - direct[observation])
         np.testing.assert_array_equal(left.layer(observation)[~inside], domain.stack.layer(observation)[~inside])
@@ -172,7 +173,7 @@ def test_bounds_and_samples_of_no_weight_neither_tell_nor_change():
     domain = with_samples(domain, values)
     told_by = found(domain, normal)
     assert (told_by[inside][:, -1] > 0.05).all() and np.isfinite(told_by).all()
-    left = SeparatedStack(domain, by_shadows(told_by))
+    left = SeparatedStack(domain, Separation.of_shadows(told_by))
     for observation in (0, 1):
         np.testing.assert_array_equal(left.layer(observation), domain.stack.layer(observation))
     np.testing.assert_array_equal(left.layer(2)[..., 3], domain.stack.layer(2)[..., 3])

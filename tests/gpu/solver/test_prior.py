@@ -73,7 +73,7 @@ class Bench:
 
     def found(self):
         """What was found, name → (H, W, components) float64."""
-        self.prior.conclude_at_once()
+        self.prior.write_estimates_at_once()
         values = self.estimates.values()
         return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in values.items()}
 

@@ -10,6 +10,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiles import TileRecovery
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import SHORT, bits_of, recoveries, run_tiled, subject
 
@@ -126,30 +127,30 @@ def test_tiles_of_several_stages_are_the_whole_bit_for_bit(whole, recover):
     assert run_tiled(domain, LAMBERT, schedule, 2) == wanted
 
 
-def test_a_tile_reports_when_it_reads_neighbours(recover):
+def test_a_tile_reports_when_it_reads_neighbours():
     schedule = SHORT.replaced(neighbourhood=5, c3_until=0.5, neighbour_every=5)
-    recovery = recover(subject(5, 4)[0], schedule=schedule)
-    found = [recovery.reach]
-    for _ in range(12):
-        recovery.step(iterations=1)
-        found.append(recovery.reach)
+    with TileRecovery(subject(5, 4)[0], LAMBERT, schedule, 1, entry="fragment") as recovery:
+        found = [recovery.reach]
+        for _ in range(12):
+            recovery.step(iterations=1)
+            found.append(recovery.reach)
     # Nothing while swarms are placed, the window's while Eq. 4 counts, one texel in every fifth iteration.
     assert found == [0] + [2] * 5 + [0, 0, 0, 1, 0, 0, 0]
 
 
-def test_a_received_halo_moves_no_own_texel(recover):
+def test_a_received_halo_moves_no_own_texel():
     domain, _ = subject()
     part = tile(domain, 3, 3, 6, 6, halo=2)
-    recovery = recover(part)
-    recovery.step(iterations=3)
-    before = recovery.halo()
-    recovery.set_halo(np.full_like(before, 0.25))
-    after = recovery.halo()
+    with TileRecovery(part, LAMBERT, SHORT, 1, entry="fragment") as recovery:
+        recovery.step(iterations=3)
+        before = recovery.halo()
+        recovery.set_halo(np.full_like(before, 0.25))
+        after, evaluations = recovery.halo(), recovery.progress.evaluations
     own = np.zeros(part.shape, bool)
     own[2:-2, 2:-2] = True
     np.testing.assert_array_equal(after[own], before[own])
     assert (after[~own & part.solvable] == 0.25).all()
-    assert recovery.progress.evaluations == (6 + 3) * (own & part.solvable).sum()
+    assert evaluations == (6 + 3) * (own & part.solvable).sum()
 
 
 # ---- checkpoints -------------------------------------------------------------------------------------------------

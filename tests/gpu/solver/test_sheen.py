@@ -17,6 +17,7 @@ from irpso_addon.solver.phases.sheen import SheenPhase
 from irpso_addon.solver.settings.resolve import ResolvedSheen
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.prefit_measurements import PrefitMeasurements
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import (
     angles_of,
@@ -87,15 +88,13 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     up = np.float32([0, 0, 1])
     values = {"normal": pack.pack(np.broadcast_to(up, (*domain.shape, 3)).copy()),
               "base_color": pack.pack(np.full((*domain.shape, 3), 0.5, np.float32))}  # fmt: skip
-    measured = {
-        "prefit_fitness": pack.pack(first),
-        "prefit_sheen": pack.pack(np.concatenate([normals, second[..., None]], axis=-1)),
-    }
+    sheen = pack.pack(np.concatenate([normals, second[..., None]], axis=-1))
+    measurements = PrefitMeasurements(pack.pack(first), sheen=sheen)
     estimates = Estimates(LAMBERT, values)
-    phase = SheenPhase(ResolvedSheen(), LAMBERT, SHEEN, held, estimates, "fragment", measured)
+    phase = SheenPhase(ResolvedSheen(), LAMBERT, SHEEN, held, estimates, "fragment", measurements)
     run_steps(phase.advance(Bands(), 1.0))
-    run_steps(phase.conclude(Bands(), 1.0))
-    known = {name: pack.unpack(array) for name, array in run_steps(phase.measuring(Bands(), 1.0)).items()}
+    run_steps(phase.write_estimates(Bands(), 1.0))
+    known = {name: pack.unpack(array) for name, array in run_steps(phase.measuring(Bands(), 1.0)).arrays.items()}
     found = pack.unpack(estimates.values()["normal"])
     phase.close()
     counted = domain.solvable & (first < UNFIT)

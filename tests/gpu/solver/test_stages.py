@@ -182,12 +182,12 @@ def test_swarms_stop_at_the_threshold_and_then_the_run(recover):
     schedule = SHORT.replaced(iterations=1000, loss="l1", threshold=0.08, search=["diffuse"])
     recovery = recover(domain, schedule=schedule, fixed={"normal": np.array([0, 0, 1.0])})
     recovery.step(iterations=60)
-    before = recovery.phase.fitness(), recovery.halo()
+    before = recovery.phase.fitness(), recovery.phase.halo()
     reached = before[0] <= 0.08
     assert 0 < reached.sum() < reached.size
     recovery.step(iterations=20)
     np.testing.assert_array_equal(recovery.phase.fitness()[reached], before[0][reached])
-    np.testing.assert_array_equal(recovery.halo()[reached], before[1][reached])
+    np.testing.assert_array_equal(recovery.phase.halo()[reached], before[1][reached])
     easy = recover(domain, schedule=schedule.replaced(threshold=0.5))
     progress = easy.step()
     assert progress.done and progress.evaluations < 200 * domain.solvable.sum()
@@ -235,7 +235,7 @@ def test_reading_maps_often_keeps_no_memory(recover):
     for _ in range(5):
         recovery.step(iterations=1)
         recovery.maps()
-        recovery.halo()
+        recovery.phase.halo()
     assert len(recovery._diagnostics._residual._framebuffers) == 1
     assert len(recovery.phase.reader._copy._framebuffers) <= 2
 

@@ -71,7 +71,7 @@ class Bench:
 
     def found(self):
         """What was found, name → (H, W, components) float64."""
-        self.phase.conclude_at_once()
+        self.phase.write_estimates_at_once()
         return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in self.estimates.values().items()}
 
     def close(self):

@@ -133,7 +133,7 @@ def test_the_bests_are_what_is_resolved(bench):
     b.stage.iteration = 0
     b.randomise()
     state = b.read()
-    b.stage.conclude_at_once()
+    b.stage.write_estimates_at_once()
     found = {name: b.packing.unpack(value) for name, value in b.estimates.values().items()}
     wanted = b.problem.material(state.g, state.w)
     seen = b.domain.solvable

@@ -37,7 +37,7 @@ def some_texels(domain, count=6):
 
 def decoded(recovery, stage, model, estimates):
     """(positions, bests (m, H, W, n), fitness (m, H, W), global best (H, W, n)) of a checkpoint's arrays, in numpy."""
-    domain, schedule, arrays = recovery.domain, recovery.schedule, recovery.memory().arrays
+    domain, schedule, arrays = recovery.domain, recovery.schedule, recovery.snapshot().arrays
     packing, scale = Packing(domain.solvable), prepare(domain, recovery.model, schedule).scale
     height, width = packing.height, packing.width
     phase, _ = texel_probe.running_swarm(recovery)

@@ -82,7 +82,7 @@ def make_passes(resolved, model, schedule):
             make_passes(part, resolved.model, schedule)
         prefit.adopt_pass(model, DOMAIN)
         prefit._measure_pass(resolved.model, schedule, DOMAIN)
-        prefit._evidence_pass(resolved.model, schedule, DOMAIN)
+        prefit._indirect_misfit_pass(resolved.model, schedule, DOMAIN)
         prefit._acceptance_pass(model, schedule, DOMAIN)
     else:
         codec = build_encoding(model, resolved, schedule.swarm.normal)

@@ -19,6 +19,7 @@ from irpso_addon.solver.state import checkpoint
 from irpso_addon.solver.state.layout import TexelLayout, digest_of_texels, joined, numbered
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.phase_textures import plan_atlas
+from irpso_addon.solver.state.prefit_measurements import PrefitMeasurements
 from tests.builders.domains import make_domain
 
 WHO = {"seed": 3, "model": "lambert"}
@@ -269,3 +270,16 @@ def test_the_state_per_texel_equals_the_atlas(tiles):
         parts.append((own_rows(numbers, box), TexelLayout(held).rows(moved, tiles)))
     again = joined(10, parts)
     assert again.keys() == rows.keys() and all((again[name] == rows[name]).all() for name in rows)
+
+
+def test_a_prefits_measurements_keep_their_names_and_shapes():
+    flat, channels = ("fitness", "shadow", "sheen_chosen"), {"evidence": 4, "sheen": 4, "separation": 14}
+    arrays = {f"prefit_{name}": np.random.default_rng(3).random((3, 4), np.float32) for name in flat}
+    arrays |= {f"prefit_{name}": np.ones((3, 4, count), np.float32) for name, count in channels.items()}
+    measurements = PrefitMeasurements.of_arrays({**arrays, "estimate_0": np.ones((3, 4, 4))})
+    assert all(getattr(measurements, field.name) is not None for field in dataclasses.fields(measurements))
+    assert {name: id(array) for name, array in measurements.arrays.items()} == {n: id(a) for n, a in arrays.items()}
+    layout = TexelLayout(make_domain(3, 4, holes=False))
+    again = layout.arrays(layout.rows(measurements.arrays, 1), 64)
+    assert again.keys() == arrays.keys() and all(np.array_equal(again[name], arrays[name]) for name in arrays)
+    assert PrefitMeasurements.of_arrays({}).arrays == {}

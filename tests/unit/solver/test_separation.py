@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import nnls
 
 from irpso_addon.geometry.domain import with_samples
-from irpso_addon.solver.state.separation import SeparatedStack, direct_chroma, evidence_of, separation_of
-from irpso_addon.solver.state.textures import SEPARATED
+from irpso_addon.solver.state.separation import SeparatedStack, direct_chroma, median_chromas, separation_of
+from irpso_addon.solver.state.separation_record import Separation
 from tests.builders.domains import make_domain
 
 BRASS = np.array([0.5, 0.33, 0.17])
@@ -41,7 +41,7 @@ def hollow(shape=(6, 8), least=0.2):
 
 def found(domain, indirect, least=0.05):
     rows, columns = np.nonzero(domain.solvable)
-    direct = direct_chroma(evidence_of(domain, rows, columns), indirect[rows, columns])
+    direct = direct_chroma(median_chromas(domain, rows, columns), indirect[rows, columns])
     assert direct is not None
     return direct, separation_of(domain, indirect, direct, least)
 
@@ -50,13 +50,13 @@ def test_a_hollow_of_brass_is_left_with_its_direct_light():
     domain, direct, thrown, where = hollow()
     chroma, separation = found(domain, where)
     np.testing.assert_allclose(chroma, BRASS, atol=2e-3)
-    np.testing.assert_array_equal(separation[..., 0] > 0, where)
+    np.testing.assert_array_equal(separation.separated, where)
     left = SeparatedStack(domain, separation)
     for observation in range(LIGHTS):
         light = left.layer(observation)[..., :3] / domain.intensities[observation]
         np.testing.assert_allclose(light, direct[observation], atol=0.004)
     share = thrown.sum(axis=(0, -1)) / (direct + thrown).sum(axis=(0, -1))
-    np.testing.assert_allclose(separation[..., 4], share, atol=0.004)
+    np.testing.assert_allclose(separation.indirect_share, share, atol=0.004)
 
 
 def test_samples_match_non_negative_least_squares():
@@ -64,7 +64,7 @@ def test_samples_match_non_negative_least_squares():
     domain = seen(rng.uniform(0, 1, (LIGHTS, 3, 5, 3)) ** 2)
     own = chroma_of(rng.uniform(0.1, 1, (3, 5, 3)))
     chromas = np.stack([own, chroma_of(own * BRASS), chroma_of(own * BRASS**3)], axis=-2)
-    separation = np.pad(np.float32(chromas[..., :2, :2].reshape(3, 5, 4)), ((0, 0), (0, 0), (0, SEPARATED - 4)))
+    separation = Separation.of_colours(chromas[..., 0, :2], chromas[..., 1, :2], np.zeros((3, 5)))
     left = SeparatedStack(domain, separation)
     light, some = domain.stack.values[..., :3] / domain.intensities[:, None, None].astype(np.float64), 0
     for k, y, x in np.ndindex(LIGHTS, 3, 5):
@@ -102,7 +102,17 @@ def test_a_texel_of_another_saturation_keeps_its_light_where_the_shading_is_dire
     _, separation = found(seen(light), suspected)
     assert not separation[tuple(red.T)].any()
     # The last column of the hollow is separated by its colour alone.
-    assert (separation[:, 7, 0] > 0).all()
+    assert separation.separated[:, 7].all()
+
+
+def test_a_checkpoint_holds_two_chromas_the_share_and_nine_harmonics():
+    colours = Separation.of_colours(np.array([[0.5, 0.3]]), np.array([[0.6, 0.2]]), np.array([0.4]))
+    np.testing.assert_array_equal(colours.values, np.float32([[0.5, 0.3, 0.6, 0.2, 0.4, *[0] * 9]]))
+    shadows = Separation.of_shadows(np.array([[*range(1, 10), 0.7, 0.0, 0.25], [0.0] * 12]))
+    np.testing.assert_array_equal(shadows.values, np.float32([[0.7, 1e-6, 0, 0, 0.25, *range(1, 10)], [0] * 14]))
+    both = Separation(np.concatenate([colours.values, shadows.values]))
+    np.testing.assert_array_equal(both.separated, [True, True, False])
+    np.testing.assert_array_equal(both.by_colour, [True, False, False])
 
 
 def refused(kind):
@@ -121,7 +131,7 @@ def refused(kind):
         light = direct + thrown.sum(axis=-1, keepdims=True) * (0.1, 0.2, 0.7)
     domain = seen(light)
     rows, columns = np.nonzero(domain.solvable)
-    return direct_chroma(evidence_of(domain, rows, columns), indirect[rows, columns])
+    return direct_chroma(median_chromas(domain, rows, columns), indirect[rows, columns])
 
 
 def seen_grey(light):

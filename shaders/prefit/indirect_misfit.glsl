@@ -1,6 +1,7 @@
-// Over W×H texels: misfit of the prefit over all samples, those in shadow included. Writes o_evidence: x sum of errors,
-// y sum of errors where the sample is brighter, both as fractions of the light, at most 1; z 1 if LEAST_SAMPLES samples
-// reach RAISED_SHADOW times the texel's scale, else 0; w 1. Samples and fit are clamped to the scale (no highlights).
+// Over W×H texels: misfit of the prefit over all samples, those in shadow included. Writes o_indirect_misfit: x sum of
+// errors, y sum of errors where the sample is brighter, both as fractions of the light, at most 1; z 1 if LEAST_SAMPLES
+// samples reach RAISED_SHADOW times the texel's scale, else 0; w 1. Samples and fit are clamped to the scale (no
+// highlights).
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -8,7 +9,7 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    o_evidence = vec4(0.0);
+    o_indirect_misfit = vec4(0.0);
     if (state_at(texel) == TEXEL_SOLVED) {
         Texel t = observed_texel(texel);
         Material s = estimate_at(texel);
@@ -23,10 +24,10 @@ bool texel_kernel(ivec2 texel)
             misfit += vec2(abs(error), max(-error, 0.0));
             bright += o.radiance.r >= RAISED_SHADOW * t.radiance_scale ? 1 : 0;
         }
-        o_evidence.x = misfit.x < light ? misfit.x / light : 1.0;
-        o_evidence.y = misfit.y < light ? misfit.y / light : 1.0;
-        o_evidence.z = bright >= LEAST_SAMPLES ? 1.0 : 0.0;
-        o_evidence.w = 1.0;
+        o_indirect_misfit.x = misfit.x < light ? misfit.x / light : 1.0;
+        o_indirect_misfit.y = misfit.y < light ? misfit.y / light : 1.0;
+        o_indirect_misfit.z = bright >= LEAST_SAMPLES ? 1.0 : 0.0;
+        o_indirect_misfit.w = 1.0;
     }
     return true;
 }
