@@ -17,6 +17,7 @@ from irpso_addon.solver.engine.engine import Capabilities
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.views.display import Display, Shown
 from tests.builders.domains import SHORT, makers, recoveries, subject
+from tests.builders.rounds import SINGLE, matt_bowl, rounds_of
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -263,6 +264,18 @@ def test_a_coarse_level_is_shown_at_its_size(show):
         np.testing.assert_allclose(picture[..., :3], srgb_from_linear(maps.values["base_color"]), atol=HALF)
         np.testing.assert_allclose(error[..., :3], false_color(maps.residual, 0.1), atol=2 * HALF)
         display.close()
+
+
+def test_a_confidence_shown_in_a_round_follows_to_the_next(show):
+    schedule = SINGLE.replaced(interreflection_matte_rounds=1, interreflection_rounds=0)
+    with rounds_of(matt_bowl(), schedule) as recovery:
+        display, parameter = show(recovery), Shown("confidence", "normal", limit=0.05)
+        recovery.step(1)
+        held = textures.download(display.picture(parameter))
+        recovery.step()
+        found, afresh = (textures.download(each.picture(parameter)) for each in (display, show(recovery)))
+    np.testing.assert_array_equal(found, afresh)
+    assert (held != found).any()
 
 
 def test_missing_pictures_are_refused_in_a_line(running, show):
