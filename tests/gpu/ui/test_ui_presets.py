@@ -163,6 +163,17 @@ def test_matte_rounds_count_on_meshes_alone_and_go_off_with_the_switch():
     assert schedule() == irpso_addon.load_schedule("standard")
 
 
+@pytest.mark.parametrize("subject", ["MESH", "CARD"])
+def test_the_switch_off_and_on_keeps_the_rounds_of_the_preset(subject):
+    bpy.context.scene.irpso.subject = subject
+    settings().preset = "thorough"
+    settings().interreflection = False
+    settings().interreflection = True
+    found, wanted = schedule().interreflection, irpso_addon.load_schedule("thorough").interreflection
+    assert found.rounds == wanted.rounds
+    assert subject == "CARD" or found == wanted
+
+
 def test_an_own_preset_holds_its_schedules_name_and_what_differs_and_comes_back(user_folder):
     settings().preset = "swarm"
     settings().delta, settings().particles = 0.07, 24
