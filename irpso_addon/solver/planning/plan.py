@@ -14,9 +14,9 @@ from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
 BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
-_EXCHANGED = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
+_TRANSPORT = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
 _INDIRECT = 48  # host bytes per texel of a round's light: number 4, elements 16, weights 16, albedo 12
-_RAY = 104  # host bytes per ray while an exchange is made (measured)
+_RAY = 104  # host bytes per ray while light transport is computed (measured)
 _TREE = 480  # host bytes per triangle of the tree at which rays are cast (measured)
 PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
@@ -371,10 +371,10 @@ def _storage(
 
 
 def exchange_bytes(cost: Cost, texels: int) -> int:
-    """Return the host bytes while light is exchanged over a domain's texels; 0 without rounds of interreflection."""
+    """Return the host bytes of the light transport over a domain's texels; 0 without rounds of interreflection."""
     if not cost.rounds:
         return 0
-    return _EXCHANGED * texels + _RAY * cost.rays * cost.elements + _TREE * cost.triangles
+    return _TRANSPORT * texels + _RAY * cost.rays * cost.elements + _TREE * cost.triangles
 
 
 def stack_bytes(cost: Cost, texels: int) -> int:
