@@ -346,10 +346,10 @@ def _storage(
     stack = stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
-    transient = max(tile.host for tile in tiles)  # while a tile is prepared, or light is exchanged between recoveries
+    transient = max(tile.host for tile in tiles)  # while a tile is prepared, or indirect light is estimated
     needed = _PREPARING + (BAKE + PREPARED) * texels + maps
     if cost.rounds:
-        transient = max(transient, exchange_bytes(cost, texels) - _INDIRECT * texels)
+        transient = max(transient, light_transport_bytes(cost, texels) - _INDIRECT * texels)
         lights = max(cost.recoveries - 1, 1)  # that are kept: on a card a round's depends on those before
         needed += (_INDIRECT * lights + FLOAT * (cost.components + 1) * cost.rounds) * texels
         needed += 3 * FLOAT * cost.observations * cost.rounds * cost.elements
@@ -362,7 +362,7 @@ def _storage(
             return host, scratch, *places
     how = " even with the images in a scratch file" if scratch else ""
     remedy = "choose a smaller --resolution"
-    if cost.rounds and host - exchange_bytes(cost, texels) <= memory.host:
+    if cost.rounds and host - light_transport_bytes(cost, texels) <= memory.host:
         remedy = "recover without interreflection (interreflection_rounds=0, interreflection_matte_rounds=0)"
     raise InputError(
         f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(host)}{how}; allow more,"
@@ -370,7 +370,7 @@ def _storage(
     )
 
 
-def exchange_bytes(cost: Cost, texels: int) -> int:
+def light_transport_bytes(cost: Cost, texels: int) -> int:
     """Return the host bytes of the light transport over a domain's texels; 0 without rounds of interreflection."""
     if not cost.rounds:
         return 0
