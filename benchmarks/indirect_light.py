@@ -3,10 +3,11 @@
 Usage: python -m benchmarks.indirect_light [--quick] [--samples 16,64] [--cache .cache/hollows] [NAME …]
 
 The bodies are those of benchmarks/scenes/hollows.py. The reference is what Cycles renders for four of the 40 lights, by
-default with 256 samples a pixel and 8 bounces, projected to the texels. *Gather* is solver/views/indirect.py by the
-settings of the preset *thorough*, or with as many bounces as the reference. *Bake* is Cycles' bake of indirect light,
-viewed from the camera, one for each light, with its own seed. Seconds are of all cores together (CPU time), for 40
-lights. Ratio: of the sums over texels and lights. Error: the mean absolute one over the mean of the reference.
+default with 256 samples a pixel and 8 bounces, projected to the texels. *Gather* is the program's estimate
+(solver/interreflection/indirect_light.py) by the settings of the preset *thorough*, or with as many bounces as the
+reference. *Bake* is Cycles' bake of indirect light, viewed from the camera, one for each light, with its own seed.
+Seconds are of all cores together (CPU time), for 40 lights. Ratio: of the sums over texels and lights. Error: the mean
+absolute one over the mean of the reference.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ from irpso_addon.capture.types import Observation
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.build import domain_from_mesh
 from irpso_addon.geometry.domain import Domain
-from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.geometry.light.light_transport import light_transport_steps
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.interreflection.indirect_light import IndirectLight
 from irpso_addon.solver.settings.schedule import load_schedule
-from irpso_addon.solver.views.indirect import IndirectLight
 
 _CACHE = report.CACHE.parent / "hollows"
 _CHOSEN = (0, 13, 26, 39)  # lights of the reference, from the middle of the dome to its rim
@@ -73,7 +74,7 @@ class Body:
             "metallic": (self.body.metallic,), "specular": (0.5,),
         }  # fmt: skip
         maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, len(value))) for name, value in true.items()}
-        steps = exchange_steps(
+        steps = light_transport_steps(
             self.mesh, domain.bake, domain.lights, ray_caster(self.mesh), settings.resolution, settings.rays
         )
         with closing(IndirectLight(domain, run_steps(steps), model, maps, domain.solvable, bounces)) as light:

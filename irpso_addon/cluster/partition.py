@@ -19,8 +19,8 @@ from ..solver.planning.plan import (
     Limits,
     Tile,
     divided,
-    exchange_bytes,
     fits_textures,
+    light_transport_bytes,
     stack_bytes,
     tile_of,
 )
@@ -61,8 +61,8 @@ class Split:
         """Return the host bytes of a tile's rank: its samples and solved state, and the geometry of the whole."""
         _, _, width, height = around(self.shape, (tile.x0, tile.y0, tile.width, tile.height), self.halo)
         samples = self.cost.stacks * stack_bytes(self.cost, width * height)
-        exchange = exchange_bytes(self.cost, self.shape[0] * self.shape[1]) if tile is self.tiles[0] else 0  # rank 0's
-        return self.geometry + PREPARED * width * height + samples + max(tile.host, exchange)
+        of_rank_0 = light_transport_bytes(self.cost, self.shape[0] * self.shape[1]) if tile is self.tiles[0] else 0
+        return self.geometry + PREPARED * width * height + samples + max(tile.host, of_rank_0)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the split as plain data."""

@@ -27,7 +27,7 @@ from ..geometry.seams.seams import SeamMap
 from ..geometry.surface.bake import surface_bake
 from ..gpu import context, probe
 from ..solver.engine.engine import RecoveryEngine
-from ..solver.engine.interreflection import InterreflectionRounds
+from ..solver.interreflection.rounds import InterreflectionRounds
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
@@ -70,12 +70,12 @@ class RankedRun(Run):
     def _begin(self, domain: Domain) -> Generator[None, None, None]:
         yield from ()
         job, solve = self.job, partial(RankedRecovery, self._leader)
-        surroundings = self._surroundings()
+        geometry = self._interreflection_geometry()
         settings = subset(domain, job.fitted), job.model, job.schedule, job.seed, self.fixed, job.entry
-        if surroundings is None:
+        if geometry is None:
             self.recovery = solve(*settings)
         else:
-            self.recovery = InterreflectionRounds(*settings, surroundings, solve=solve)
+            self.recovery = InterreflectionRounds(*settings, geometry, solve=solve)
 
     def _described(self, recovery: RecoveryEngine) -> dict[str, Any]:
         messages, sent = zip(*self._leader.ask(Worker.sent), strict=True)

@@ -19,18 +19,19 @@ from ..core.optional import present
 from ..core.steps import map_steps, one_step, run_steps
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, GeometryBake, subset
-from ..geometry.light.surroundings import CardSurroundings, MeshSurroundings, Surroundings
+from ..geometry.light.interreflection_geometry import CardInterreflection, InterreflectionGeometry, MeshInterreflection
 from ..geometry.samples import place_of
 from ..geometry.surface.bake import surface_bake
 from ..results.maps import Maps
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
 from ..solver.engine.progress import Progress
+from ..solver.factory import planned_recovery
 from ..solver.lights.refine import Lights, can_tell, chosen_steps
 from ..solver.lights.sample import draw
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
-from ..solver.planning.planning import covered_texels, make_plan, planned_recovery, untiled
+from ..solver.planning.planning import covered_texels, make_plan, untiled
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
 from ..solver.views.held_out import relit_steps
@@ -46,19 +47,19 @@ _CACHE_SHARE = 0.1  # of the free memory, for a cached preparation
 class RunCache:
     """Cache of one run's results for the next: the domain of a ``Job.source``, its lights and its preparation.
 
-    wish: the settings of lights; basis: the settings of prepared. A domain under estimated lights is not cached.
+    lights_key, prepared_key: the settings of each. A domain under estimated lights is not cached.
     """
 
     source: tuple[Any, ...] | None = None
     domain: Domain | None = None
-    wish: tuple[Any, ...] | None = None
+    lights_key: tuple[Any, ...] | None = None
     lights: Lights | None = None
-    basis: tuple[Any, ...] | None = None
+    prepared_key: tuple[Any, ...] | None = None
     prepared: Prepared | None = None
 
     def clear(self) -> None:
         """Empty the cache."""
-        self.source = self.domain = self.wish = self.lights = self.basis = self.prepared = None
+        self.source = self.domain = self.lights_key = self.lights = self.prepared_key = self.prepared = None
 
 
 class Run:
@@ -221,9 +222,9 @@ class Run:
         """Return the estimated lights, or the cached ones of an equal job; None where they stay as given."""
         job, kept = self.job, self._kept
         self._show(LIGHTS, 0.0)
-        wish = job.lights, job.model, job.seed, job.entry
+        key = job.lights, job.model, job.seed, job.entry
         cacheable = kept.domain is domain and not job.fixed
-        if cacheable and kept.wish == wish:
+        if cacheable and kept.lights_key == key:
             return kept.lights
         sample = yield from self._elsewhere(lambda: draw(domain, job.seed, np.asarray(job.fitted)))
         steps = chosen_steps(
@@ -232,7 +233,7 @@ class Run:
         )  # fmt: skip
         estimated = yield from map_steps(steps, lambda fraction: self._show(LIGHTS, fraction))
         if cacheable:
-            kept.wish, kept.lights = wish, estimated
+            kept.lights_key, kept.lights = key, estimated
         return estimated
 
     def _lit(self, domain: Domain, lights: Lights) -> Domain:
@@ -259,33 +260,33 @@ class Run:
         yield
         self.recovery = planned_recovery(
             plan, fitted, job.model, job.schedule, job.seed, self.fixed, job.entry, job.scratch, prepared,
-            self._surroundings(),
+            self._interreflection_geometry(),
         )  # fmt: skip
 
-    def _surroundings(self) -> Surroundings | None:
-        """Return the ``Surroundings`` of interreflection; None for a schedule without its rounds."""
+    def _interreflection_geometry(self) -> InterreflectionGeometry | None:
+        """Return the geometry of interreflection; None for a schedule without its rounds."""
         job, settings = self.job, self.job.schedule.interreflection
         if settings.estimates == 0:
             return None
         fineness = settings.resolution, settings.rays
         if job.mesh is not None:
-            return MeshSurroundings(job.mesh, ray_caster, *fineness)
+            return MeshInterreflection(job.mesh, ray_caster, *fineness)
         normal = next(p.name for p in job.model.parameters if p.is_normal)
-        return CardSurroundings(job.capture.cameras[0], normal, ray_caster, *fineness)
+        return CardInterreflection(job.capture.cameras[0], normal, ray_caster, *fineness)
 
     def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
         """Return the preparation, or the cached one of an equal job. pack: as for ``prepare``."""
         schedule, kept = self.job.schedule, self._kept
-        basis = self.job.model, schedule.swarm.seed, schedule.fitness, pack
+        key = self.job.model, schedule.swarm.seed, schedule.fitness, pack
         cacheable = kept.domain is self.domain
-        if cacheable and kept.prepared is not None and kept.basis == basis:
+        if cacheable and kept.prepared is not None and kept.prepared_key == key:
             return kept.prepared
         if cacheable:
             kept.prepared = None
         model, show = self.job.model, partial(self._show, PREPARE)
         prepared = yield from self._elsewhere(lambda: prepare(fitted, model, schedule, pack, show))
         if cacheable and pack and prepared.stack.nbytes < _CACHE_SHARE * free_memory():
-            kept.basis, kept.prepared = basis, prepared
+            kept.prepared_key, kept.prepared = key, prepared
         return prepared
 
     def _described(self, recovery: RecoveryEngine) -> dict[str, Any]:

@@ -1,1 +1,4 @@
-"""From a domain to maps: settings → plan → state → phases → engine → views. One folder each, in this order."""
+"""From a domain to maps: settings → kernels → state → phases → planning → engine → views → lights → interreflection.
+
+One folder each. A folder imports only folders before it. factory.py, which makes recoveries, imports from all.
+"""

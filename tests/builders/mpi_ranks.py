@@ -20,13 +20,13 @@ from irpso_addon.cluster.recovery import Leader, RankedRecovery, serve
 from irpso_addon.cluster.transport import joined
 from irpso_addon.cluster.worker import Worker
 from irpso_addon.geometry.domain import tile
-from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
+from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection, MeshInterreflection
 from irpso_addon.geometry.samples import ArrayStack
 from irpso_addon.gpu import context
 from irpso_addon.gpu.program import ProgramCache
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.interreflection.rounds import InterreflectionRounds
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.plan import divided
 from irpso_addon.solver.settings.groups import Refinement
@@ -56,7 +56,7 @@ THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, ne
 
 
 def cases():
-    """Return name → (domain, model, schedule), and the surroundings of the last."""
+    """Return name → (domain, model, schedule), and the geometry of the last."""
     from tests.gpu.geometry.test_seams import observed, sheet
     from tests.gpu.solver import test_indirect_colour as colour
 
@@ -79,9 +79,9 @@ def cases():
             hollow,
             load_model("metallic_roughness"),
             ROUNDS,
-            MeshSurroundings(mesh, ray_caster, 24, 16),
+            MeshInterreflection(mesh, ray_caster, 24, 16),
         ),
-        "rounds on a card": (cap, LAMBERT, ROUNDS, CardSurroundings(camera, "normal", ray_caster, 19, 16)),
+        "rounds on a card": (cap, LAMBERT, ROUNDS, CardInterreflection(camera, "normal", ray_caster, 19, 16)),
         "indirect light separated by its colour": (colour.corner()[0], LAMBERT, colour.SHORT),
     }
 
@@ -128,9 +128,9 @@ def whole(case, work):
 
 def recovery_of(case, solve):
     """Return the recovery of a case. solve: makes one without rounds of interreflection."""
-    domain, model, schedule, *surroundings = case
+    domain, model, schedule, *geometry = case
     settings = domain, model, schedule, 1, {}, "fragment"
-    return InterreflectionRounds(*settings, *surroundings, solve=solve) if surroundings else solve(*settings)
+    return InterreflectionRounds(*settings, *geometry, solve=solve) if geometry else solve(*settings)
 
 
 def to_the_end(recovery):

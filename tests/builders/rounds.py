@@ -6,9 +6,9 @@ import numpy as np
 
 from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.geometry.domain import with_samples
-from irpso_addon.geometry.light.surroundings import MeshSurroundings
+from irpso_addon.geometry.light.interreflection_geometry import MeshInterreflection
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.interreflection import InterreflectionRounds
+from irpso_addon.solver.interreflection.rounds import InterreflectionRounds
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.cavity import cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
@@ -20,23 +20,23 @@ ROUNDS = SINGLE.replaced(interreflection_rounds=2)
 
 
 def matt_bowl():
-    """Return (domain, surroundings) of a matt half sphere, lit through its opening."""
+    """Return (domain, geometry) of a matt half sphere, lit through its opening."""
     mesh = cavity_mesh(opening=0.0)
     lights = dome_lights(24, 50.0) * (1, 1, -1)
-    return half_cavity(mesh, ALBEDO, lights), MeshSurroundings(mesh, ray_caster, 48, 64)
+    return half_cavity(mesh, ALBEDO, lights), MeshInterreflection(mesh, ray_caster, 48, 64)
 
 
 def without_indirect(bowl):
-    """Return (domain, surroundings) of the bowl without indirect light in its photographs."""
-    domain, surroundings = bowl
+    """Return (domain, geometry) of the bowl without indirect light in its photographs."""
+    domain, geometry = bowl
     values = domain.stack.values.copy()
     darkest = values[..., :3].min(axis=(1, 2), keepdims=True)  # samples in shadow show indirect light alone
     values[..., :3] = np.where(values[..., 3:] > 0, values[..., :3] - darkest, 0)
-    return with_samples(domain, values), surroundings
+    return with_samples(domain, values), geometry
 
 
 def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT, **options):
-    """Return the rounds of interreflection over a bowl (domain, surroundings)."""
+    """Return the rounds of interreflection over a bowl (domain, geometry)."""
     return InterreflectionRounds(bowl[0], model, schedule, 1, fixed, "fragment", bowl[1], **options)
 
 

@@ -1,1 +1,1 @@
-"""Light transport to a mesh: shadows, beam shapes, and interreflection on the mesh itself."""
+"""Light on a mesh: shadows, beam shapes, and light transport between the parts of the mesh itself."""

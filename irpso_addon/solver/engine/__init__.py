@@ -1,1 +1,1 @@
-"""Recoveries: whole, coarse to fine, in rounds of interreflection, in tiles. Steps, halos, maps, confidence."""
+"""Recoveries: whole, coarse to fine, in tiles. Steps, halos, maps, confidence."""

@@ -17,7 +17,7 @@ from .linear_weights import LinearWeights
 
 FLOAT_2D = "FLOAT_2D"
 LAYERS = "FLOAT_2D_ARRAY"
-EXCHANGED = 4  # observations in which the exchange of light is computed at once: channels of u_lit
+TRANSPORT_LIGHTS = 4  # observations of one pass of light transport: channels of u_lit
 GEOMETRY: Samplers = {"u_geometry": LAYERS}
 PACKING: Samplers = {**GEOMETRY, "u_packed": FLOAT_2D}
 OBSERVATIONS: Samplers = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
@@ -78,16 +78,16 @@ def render_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
 
 
-def exchange_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
+def light_transport_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     """Compile the pass that gathers the light that elements of a surface send to each other and to a camera."""
-    each = Packed(EXCHANGED, 4 * EXCHANGED)
+    each = Packed(TRANSPORT_LIGHTS, 4 * TRANSPORT_LIGHTS)
     samplers = {
         "u_estimate": packed(model), **OBSERVATIONS, "u_rays": LAYERS, "u_lit": FLOAT_2D, "u_received": each
     }  # fmt: skip
     constants = dict.fromkeys(("u_observation", "u_ray_count", "u_columns", "u_to_camera", "u_branches"), "INT")
-    defines = {**domain_defines, "LIGHTS": EXCHANGED}
+    defines = {**domain_defines, "LIGHTS": TRANSPORT_LIGHTS}
     outputs = (Output("o_radiance", each),)
-    return Pass(Kernel("view/exchange.glsl", outputs, samplers, constants, defines, model_includes(model)))
+    return Pass(Kernel("view/light_transport.glsl", outputs, samplers, constants, defines, model_includes(model)))
 
 
 def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: Defines) -> Pass:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ...geometry.light.exchange import MOST_ELEMENTS
+from ...geometry.light.light_transport import MOST_ELEMENTS
 from ...reflectance.model import ReflectanceModel
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
@@ -149,7 +149,7 @@ def recovery_cost(
 ) -> Cost:
     """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError.
 
-    triangles: of the surface on which light is exchanged.
+    triangles: of the surface of light transport.
     """
     fitted = observations - held_out
     levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
@@ -158,14 +158,14 @@ def recovery_cost(
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
-    exchange = (rounds, max(light.resolution**2, MOST_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
+    transport = (rounds, max(light.resolution**2, MOST_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
     counts = fitted, observations, model.components
     recoveries = 1 + light.rounds
     work = 0.0
     for halvings, (level, stages) in enumerate(reversed(levels)):
         work += sum(sum(work_of(stage, model, level, fitted)) for stage in stages) / 4**halvings
     work *= recoveries * (1 + OVERHEAD / fitted)
-    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *exchange, schedule.levels, work)
+    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *transport, schedule.levels, work)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

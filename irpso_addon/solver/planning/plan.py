@@ -14,9 +14,9 @@ from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
 BAKE = 65  # host bytes per texel: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
-_EXCHANGED = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
+_TRANSPORT = 160  # host bytes per texel while a round estimates indirect light (measured): elements, weights
 _INDIRECT = 48  # host bytes per texel of a round's light: number 4, elements 16, weights 16, albedo 12
-_RAY = 104  # host bytes per ray while an exchange is made (measured)
+_RAY = 104  # host bytes per ray while light transport is computed (measured)
 _TREE = 480  # host bytes per triangle of the tree at which rays are cast (measured)
 PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
@@ -346,10 +346,10 @@ def _storage(
     stack = stack_bytes(cost, texels) + FLOAT4 * cost.observations * coarse
     state = 0 if resident else cost.kept * sum(_grid_places(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
-    transient = max(tile.host for tile in tiles)  # while a tile is prepared, or light is exchanged between recoveries
+    transient = max(tile.host for tile in tiles)  # while a tile is prepared, or indirect light is estimated
     needed = _PREPARING + (BAKE + PREPARED) * texels + maps
     if cost.rounds:
-        transient = max(transient, exchange_bytes(cost, texels) - _INDIRECT * texels)
+        transient = max(transient, light_transport_bytes(cost, texels) - _INDIRECT * texels)
         lights = max(cost.recoveries - 1, 1)  # that are kept: on a card a round's depends on those before
         needed += (_INDIRECT * lights + FLOAT * (cost.components + 1) * cost.rounds) * texels
         needed += 3 * FLOAT * cost.observations * cost.rounds * cost.elements
@@ -362,7 +362,7 @@ def _storage(
             return host, scratch, *places
     how = " even with the images in a scratch file" if scratch else ""
     remedy = "choose a smaller --resolution"
-    if cost.rounds and host - exchange_bytes(cost, texels) <= memory.host:
+    if cost.rounds and host - light_transport_bytes(cost, texels) <= memory.host:
         remedy = "recover without interreflection (interreflection_rounds=0, interreflection_matte_rounds=0)"
     raise InputError(
         f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(host)}{how}; allow more,"
@@ -370,11 +370,11 @@ def _storage(
     )
 
 
-def exchange_bytes(cost: Cost, texels: int) -> int:
-    """Return the host bytes while light is exchanged over a domain's texels; 0 without rounds of interreflection."""
+def light_transport_bytes(cost: Cost, texels: int) -> int:
+    """Return the host bytes of the light transport over a domain's texels; 0 without rounds of interreflection."""
     if not cost.rounds:
         return 0
-    return _EXCHANGED * texels + _RAY * cost.rays * cost.elements + _TREE * cost.triangles
+    return _TRANSPORT * texels + _RAY * cost.rays * cost.elements + _TREE * cost.triangles
 
 
 def stack_bytes(cost: Cost, texels: int) -> int:

@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
-from functools import partial
+from collections.abc import Collection
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from ...capture.types import Capture
 from ...geometry.build import check_card
-from ...geometry.domain import Domain
-from ...geometry.light.surroundings import RELIEF_TRIANGLES, Surroundings
+from ...geometry.light.interreflection_geometry import RELIEF_TRIANGLES
 from ...geometry.seams.edges import seam_edges
 from ...geometry.surface.bake import uv_coverage
 from ...geometry.surface.mesh import MeshData
 from ...gpu import context
 from ...reflectance.model import ReflectanceModel
-from ..engine.coarse_to_fine import Pyramid
-from ..engine.engine import RecoveryEngine
-from ..engine.interreflection import InterreflectionRounds
-from ..engine.recovery import Recovery
-from ..engine.tiled import TiledRecovery
 from ..settings.levels import refuse_levels
 from ..settings.schedule import Schedule
-from ..state.prepare import Prepared
 from .cost import recovery_cost
 from .memory import amount, machine_memory
 from .plan import (
@@ -108,37 +99,6 @@ def scratch_folder(output: Path) -> Path:
     if temporary := os.environ.get("TMPDIR"):
         return Path(temporary)
     return next(folder for folder in output.resolve().parents if folder.is_dir())
-
-
-def planned_recovery(
-    plan: Plan,
-    domain: Domain,
-    model: ReflectanceModel,
-    schedule: Schedule,
-    seed: int,
-    fixed: Mapping[str, np.ndarray],
-    entry: Literal["auto", "fragment", "compute"],
-    scratch: Path,
-    prepared: Prepared | None = None,
-    surroundings: Surroundings | None = None,
-) -> RecoveryEngine:
-    """Return the recovery of the plan and the schedule.
-
-    scratch: folder of scratch files. prepared: from ``prepare``, packed where the domain is one tile; a domain of
-    several levels is prepared level by level. surroundings: of the domain; None without rounds of
-    interreflection.
-    """
-    settings = (domain, model, schedule, seed, fixed, entry)
-    stack_scratch = scratch if plan.stack_on == "scratch" else None
-    if schedule.levels > 1 and untiled(plan):
-        return Pyramid(*settings, stack_scratch)
-    solve: Callable[..., RecoveryEngine] = Recovery
-    if not untiled(plan):
-        folder = scratch if plan.state_on == "scratch" else None
-        solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
-    if surroundings is None:
-        return solve(*settings, prepared=prepared)
-    return InterreflectionRounds(*settings, surroundings, prepared, solve)
 
 
 def untiled(plan: Plan) -> bool:

@@ -12,7 +12,7 @@ from ...gpu.viewport import Surface
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
 from ...results.scales import PERCENT, round_up, steady_limit
-from ...solver.engine.interreflection import MOST_INDIRECT
+from ...solver.interreflection.rounds import MOST_INDIRECT
 from ...solver.views.display import Shown
 from ..common.words import iface
 from ..session.recovery import Session

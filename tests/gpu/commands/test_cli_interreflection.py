@@ -77,7 +77,7 @@ def test_an_interrupted_run_resumes_to_the_same_maps(card, tmp_path):
         assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-@pytest.mark.parametrize("memory", ["device=1.75M", "device=1.75M,host=514M"])
+@pytest.mark.parametrize("memory", ["device=2M", "device=2M,host=517M"])
 def test_no_file_of_the_result_depends_on_the_memory(card, tmp_path, monkeypatch, memory):
     settings = "--hold-out", 1, *(part for text in SMALL for part in ("--set", text))
     allowed = {"whole": (), "tiles": ("--memory", memory)}

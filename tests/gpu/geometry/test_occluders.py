@@ -15,7 +15,7 @@ from irpso_addon.capture.types import Light
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.light import shadows
-from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.geometry.light.light_transport import light_transport_steps
 from irpso_addon.geometry.project import Projector
 from irpso_addon.geometry.surface import bake
 from tests.builders.cavity import cavity_mesh
@@ -102,15 +102,15 @@ def test_an_occluder_blocks_light_and_what_a_hollow_sphere_sends_itself():
     bare = cavity_mesh()
     mesh = replace(bare, occluders=oracle.sphere(radius, 96, 48).positions)
     surface = bake.bake_uv(mesh, 48, 24, allow_overlap=True)
-    exchange = run_steps(exchange_steps(mesh, surface, light, ray_caster(mesh), 48, 256))
-    np.testing.assert_allclose((exchange.hits < 0).mean(), radius**2, rtol=0.02)
-    places = surface.position.reshape(-1, 3)[exchange.texels].astype(np.float64)
+    transport = run_steps(light_transport_steps(mesh, surface, light, ray_caster(mesh), 48, 256))
+    np.testing.assert_allclose((transport.hits < 0).mean(), radius**2, rtol=0.02)
+    places = surface.position.reshape(-1, 3)[transport.texels].astype(np.float64)
     away = light[0, :3].astype(np.float64) - places
     along = np.clip(-(places * away).sum(axis=-1) / (away**2).sum(axis=-1), 0, 1)
     passing = np.linalg.norm(places + along[:, None] * away, axis=-1) - radius
     assert (passing < 0).mean() > 0.1
     clear = np.abs(passing) > 0.03
-    np.testing.assert_array_equal(exchange.lit[0, clear], passing[clear] > 0)
+    np.testing.assert_array_equal(transport.lit[0, clear], passing[clear] > 0)
 
 
 def test_occluders_are_evaluated_objects_in_the_world():

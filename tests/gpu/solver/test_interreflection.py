@@ -10,15 +10,15 @@ import pytest
 from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.steps import run_steps
-from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
+from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection, MeshInterreflection
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.false_color import false_color
-from irpso_addon.solver.engine import interreflection
-from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.interreflection import rounds
+from irpso_addon.solver.interreflection.indirect_light import IndirectLight
+from irpso_addon.solver.interreflection.rounds import InterreflectionRounds
 from irpso_addon.solver.views.display import Display, Shown
-from irpso_addon.solver.views.indirect import IndirectLight
 from tests.builders.cavity import cap_card, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
@@ -103,16 +103,16 @@ def test_light_is_found_from_the_gloss_of_texels_that_show_it(bowl):
         values["roughness"][unsure], deviations["roughness"][unsure] = 1.0, 1.0
         values["roughness"][others], values["base_color"][others] = 0.7, 0.1
         found = replace(maps, values=values, confidence=deviations, residual=np.zeros(shape))
-        basis = run_steps(run._basis(found))
-        assert abs(basis["roughness"][unsure] - 0.5) < 0.01
-        np.testing.assert_allclose(basis["roughness"][others], 0.7, atol=0.01)
+        source_maps = run_steps(run._source_maps_of(found))
+        assert abs(source_maps["roughness"][unsure] - 0.5) < 0.01
+        np.testing.assert_allclose(source_maps["roughness"][others], 0.7, atol=0.01)
         assert values["roughness"][unsure] == 1, "the maps themselves keep what was found"
         for name in ("normal", "base_color"):
-            np.testing.assert_array_equal(basis[name], values[name])
+            np.testing.assert_array_equal(source_maps[name], values[name])
 
 
 def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch):
-    monkeypatch.setattr(interreflection, "MOST_INDIRECT", 0.2)  # of albedos of up to 0.8 a third of the light is
+    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)  # of albedos of up to 0.8 a third of the light is
     with rounds_of(bowl) as recovery:
         recovery.step()
         maps, count = recovery.maps(), recovery.findings["interreflection"]["unknown_texels"]
@@ -123,32 +123,32 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
 
 
 def test_a_wrong_material_does_not_hide_that_a_texel_owes_most_of_its_light_to_others(bowl, monkeypatch):
-    monkeypatch.setattr(interreflection, "MOST_INDIRECT", 0.27)
+    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.27)
     schedule = ROUNDS.replaced(interreflection_rounds=3)  # the first finds the direct light too bright
     with rounds_of(bowl, schedule) as recovery:
         recovery.step()
         share = recovery.indirect_share
-        assert 0.2 < recovery._dominated[bowl[0].solvable].mean() < 0.8
+        assert 0.2 < recovery._mostly_indirect[bowl[0].solvable].mean() < 0.8
     darkest = share > np.percentile(share[bowl[0].solvable], 80)
-    found, spoiled = InterreflectionRounds._basis, darkest & (np.indices(share.shape).sum(axis=0) % 5 == 0)
+    found, spoiled = InterreflectionRounds._source_maps_of, darkest & (np.indices(share.shape).sum(axis=0) % 5 == 0)
 
     def spoiling(self, maps):
-        basis = dict((yield from found(self, maps)))
-        basis["base_color"] = np.where(spoiled[..., None], np.float32(0), basis["base_color"])
-        return basis
+        source_maps = dict((yield from found(self, maps)))
+        source_maps["base_color"] = np.where(spoiled[..., None], np.float32(0), source_maps["base_color"])
+        return source_maps
 
-    monkeypatch.setattr(InterreflectionRounds, "_basis", spoiling)
+    monkeypatch.setattr(InterreflectionRounds, "_source_maps_of", spoiling)
     with rounds_of(bowl, schedule) as recovery:
         recovery.step()
-        assert recovery._dominated[spoiled].mean() > 0.8
+        assert recovery._mostly_indirect[spoiled].mean() > 0.8
         np.testing.assert_allclose(recovery.indirect_share[spoiled], share[spoiled], rtol=0.15)
 
 
 def test_neither_noise_nor_lamps_that_reach_dark_places_change_the_strength(bowl):
-    domain, surroundings = bowl
+    domain, geometry = bowl
     with rounds_of(bowl) as recovery:
         recovery.step()
-        light = run_steps(recovery._lighting(domain, recovery._bases[-1]))
+        light = run_steps(recovery._estimator(domain, recovery._source_maps[-1]))
     with closing(light):
         radiance, _ = run_steps(light.of_elements())
         wanted, rng = light.strength(radiance), np.random.default_rng(1)
@@ -219,20 +219,20 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
 
 
 def test_a_run_among_other_occluders_is_another(bowl, tmp_path):
-    domain, surroundings = bowl
+    domain, geometry = bowl
     with rounds_of(bowl) as recovery:
         recovery.step(1)
         recovery.save(tmp_path / "checkpoint.npz")
-    table = replace(surroundings.mesh, occluders=surroundings.mesh.positions[:2] + np.float32(3))
+    table = replace(geometry.mesh, occluders=geometry.mesh.positions[:2] + np.float32(3))
     with (
-        rounds_of((domain, MeshSurroundings(table, ray_caster, 48, 64))) as recovery,
+        rounds_of((domain, MeshInterreflection(table, ray_caster, 48, 64))) as recovery,
         pytest.raises(CheckpointError, match="is of another recovery: occluders differs"),
     ):
         recovery.load(tmp_path / "checkpoint.npz")
 
 
 def test_a_run_that_is_done_takes_up_an_earlier_state(bowl, monkeypatch, tmp_path):
-    monkeypatch.setattr(interreflection, "MOST_INDIRECT", 0.2)
+    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)
     with rounds_of(bowl) as recovery:
         recovery.step(1)
         recovery.save(tmp_path / "first.npz")
@@ -266,7 +266,7 @@ def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
 
 
 def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch):
-    monkeypatch.setattr(interreflection, "MOST_INDIRECT", 0.2)
+    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)
     painted = np.broadcast_to(np.float32(ALBEDO), (*bowl[0].shape, 3))
     with rounds_of(bowl, fixed={"base_color": painted}) as recovery:
         recovery.step()
@@ -276,7 +276,7 @@ def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch
 
 
 def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeypatch):
-    monkeypatch.setattr(interreflection, "MOST_INDIRECT", 0.2)
+    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)
     rough = np.linspace(0.5, 0.9, bowl[0].shape[1], dtype=np.float32)[None, :, None] * np.ones((*bowl[0].shape, 1))
     fixed = {"roughness": rough.astype(np.float32)}
     with rounds_of(bowl, fixed=fixed, model=load_model("metallic_roughness")) as recovery:
@@ -341,7 +341,7 @@ def test_several_levels_are_refused():
 def test_rounds_find_the_relief_of_a_hollow_card():
     albedo = (0.8, 0.6, 0.4)
     domain, camera, normals = cap_card(albedo, dome_lights(24, 50.0))
-    surroundings = CardSurroundings(camera, "normal", ray_caster, 40, 64)
+    geometry = CardInterreflection(camera, "normal", ray_caster, 40, 64)
 
     around = [np.roll(domain.solvable, step, axis) for step in (-1, 1) for axis in (0, 1)]
     rim = domain.solvable & ~np.all(around, axis=0)
@@ -353,7 +353,7 @@ def test_rounds_find_the_relief_of_a_hollow_card():
     with Recovery(domain, LAMBERT, SINGLE, 1, entry="fragment") as recovery:
         recovery.step()
         before = tilt(recovery.maps())
-    with rounds_of((domain, surroundings)) as recovery:
+    with rounds_of((domain, geometry)) as recovery:
         recovery.step()
         maps, strength = recovery.maps(), recovery.findings["interreflection"]["strength"][-1]
     print(f"{before:.2f}° → {tilt(maps):.2f}°, strength {strength:.2f}")

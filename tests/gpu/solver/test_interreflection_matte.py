@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender.ray_caster import ray_caster
-from irpso_addon.geometry.light.surroundings import CardSurroundings
+from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.views.indirect import IndirectLight
+from irpso_addon.solver.interreflection.indirect_light import IndirectLight
 from tests.builders.cavity import cap_card
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
@@ -145,7 +145,7 @@ def test_matte_rounds_that_do_not_help_leave_the_photographs_as_they_are(rounds,
 def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
     schedule = SINGLE.replaced(interreflection_matte_rounds=2)
     domain, camera, _ = cap_card(ALBEDO, dome_lights(24, 50.0))
-    card = domain, CardSurroundings(camera, "normal", ray_caster, 40, 64)
+    card = domain, CardInterreflection(camera, "normal", ray_caster, 40, 64)
     for subject, fixed in ((bowl, {"base_color": np.float32(ALBEDO)}), (card, {})):
         with rounds_of(subject, schedule, fixed) as recovery:
             stages = recovery.progress.stages

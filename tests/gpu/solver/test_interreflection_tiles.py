@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender.ray_caster import ray_caster
-from irpso_addon.geometry.light.surroundings import CardSurroundings
+from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.interreflection.indirect_light import IndirectLight
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.views.display import Shown
-from irpso_addon.solver.views.indirect import IndirectLight
 from irpso_addon.solver.views.tiled_view import display_of
 from tests.builders.cavity import cap_card
 from tests.builders.command_line import dome_lights
@@ -126,8 +126,8 @@ def test_a_card_in_tiles_has_the_relief_of_the_whole():
     schedule, found = ROUNDS.replaced(interreflection_rounds=1), []
     boxes = [(0, 0, 24, 11), (0, 11, 13, 13), (13, 11, 11, 13)]
     for solve in (Recovery, partial(TiledRecovery, boxes=boxes, halo=16)):
-        surroundings = CardSurroundings(camera, "normal", ray_caster, 24, 32)
-        with rounds_of((domain, surroundings), schedule, solve=solve) as recovery:
+        geometry = CardInterreflection(camera, "normal", ray_caster, 24, 32)
+        with rounds_of((domain, geometry), schedule, solve=solve) as recovery:
             recovery.step()
             found.append(all_bits_of(recovery.maps()))
     assert found[0] == found[1]

@@ -7,8 +7,8 @@ import pytest
 
 from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.core.steps import run_steps
-from irpso_addon.geometry.light import exchange as module
-from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.geometry.light import light_transport as module
+from irpso_addon.geometry.light.light_transport import light_transport_steps
 from irpso_addon.geometry.surface.mesh import MeshData
 from tests.builders.cavity import cavity, cavity_mesh
 
@@ -25,47 +25,47 @@ def scattered(mesh: MeshData, blocks=(12, 6), seed=1) -> MeshData:
     return replace(mesh, uvs=(mesh.uvs + (moved / blocks)[:, None]).astype(np.float32))
 
 
-def exchange_of(mesh: MeshData, resolution=16, rays=16):
+def transport_of(mesh: MeshData, resolution=16, rays=16):
     domain = cavity(mesh, SHAPE)
-    steps = exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays)
+    steps = light_transport_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays)
     return run_steps(steps), domain.bake
 
 
 @pytest.mark.parametrize("cut", [False, True])
 def test_texels_and_rays_have_elements_near_them_in_space(cut):
     mesh = cavity_mesh()
-    exchange, bake = exchange_of(scattered(mesh) if cut else mesh)
-    places = bake.position.reshape(-1, 3)[exchange.texels]
+    transport, bake = transport_of(scattered(mesh) if cut else mesh)
+    places = bake.position.reshape(-1, 3)[transport.texels]
     covered = bake.position[bake.coverage]
-    chosen = exchange.share > 0.01
-    away = np.linalg.norm(places[exchange.near] - covered[:, None], axis=-1)[chosen]
+    chosen = transport.share > 0.01
+    away = np.linalg.norm(places[transport.near] - covered[:, None], axis=-1)[chosen]
     assert away.max() < 4 * WIDTH
     assert np.quantile(away, 0.95) < 2 * WIDTH
-    np.testing.assert_allclose(exchange.share.sum(axis=-1), 1, atol=1e-6)
-    hit = exchange.hits >= 0
+    np.testing.assert_allclose(transport.share.sum(axis=-1), 1, atol=1e-6)
+    hit = transport.hits >= 0
     assert hit.mean() > 0.99
-    origin = np.broadcast_to(places, exchange.directions.shape)[hit]
-    direction = exchange.directions[hit]
+    origin = np.broadcast_to(places, transport.directions.shape)[hit]
+    direction = transport.directions[hit]
     met = origin - 2 * (origin * direction).sum(axis=-1, keepdims=True) * direction
-    away = np.linalg.norm(places[exchange.hits[hit]] - met, axis=-1)
+    away = np.linalg.norm(places[transport.hits[hit]] - met, axis=-1)
     assert np.quantile(away, 0.99) < 2 * WIDTH
 
 
 def test_an_island_beside_others_has_an_element_of_its_own():
     mesh = cavity_mesh()
-    whole, cut = (exchange_of(each)[0] for each in (mesh, scattered(mesh)))
+    whole, cut = (transport_of(each)[0] for each in (mesh, scattered(mesh)))
     assert len(whole.texels) < len(cut.texels) < 3 * len(whole.texels)
     assert len(np.unique(cut.texels)) == len(cut.texels)
 
 
 def test_where_there_are_too_few_elements_texels_get_no_light(monkeypatch):
     monkeypatch.setattr(module, "MOST_ELEMENTS", 1)
-    exchange, bake = exchange_of(scattered(cavity_mesh()), resolution=3)
-    assert len(exchange.texels) == 9
-    places, covered = bake.position.reshape(-1, 3)[exchange.texels], bake.position[bake.coverage]
-    total = exchange.share.sum(axis=-1)
+    transport, bake = transport_of(scattered(cavity_mesh()), resolution=3)
+    assert len(transport.texels) == 9
+    places, covered = bake.position.reshape(-1, 3)[transport.texels], bake.position[bake.coverage]
+    total = transport.share.sum(axis=-1)
     assert 0.1 < (total == 0).mean() < 0.9
-    away = np.linalg.norm(places[exchange.near] - covered[:, None], axis=-1)[exchange.share > 0]
+    away = np.linalg.norm(places[transport.near] - covered[:, None], axis=-1)[transport.share > 0]
     assert away.max() < 6 * 16 / 3 * WIDTH
-    light = exchange.at_texels(np.ones((9, 1)))
+    light = transport.at_texels(np.ones((9, 1)))
     np.testing.assert_array_equal(light[total == 0], 0)

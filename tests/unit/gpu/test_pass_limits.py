@@ -120,7 +120,8 @@ def test_every_pass_of_every_model_and_preset_fits_the_common_limits(made, name,
             make_passes(resolved, model, schedule)
         Confidence(model, (), schedule.fitness, DOMAIN)
         Alternatives(model, (), schedule.fitness, DOMAIN)
-    for make in (kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass, kernels.exchange_pass):
+    of_models = kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass, kernels.light_transport_pass
+    for make in of_models:
         make(model, DOMAIN)
     for kind in ("parameter", "error", "render", "reference", "confidence"):
         display._picture_pass(model, kind, DOMAIN)

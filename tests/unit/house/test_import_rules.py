@@ -148,6 +148,21 @@ def test_modules_import_one_another_in_no_circle():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {frozenset({"b", "c"})}
 
 
+def test_folders_of_the_solver_import_only_folders_that_its_docstring_names_before_them():
+    source = (PACKAGE / "solver" / "__init__.py").read_text(encoding="utf-8")
+    order = re.findall(r"\w+", source.split("\n")[0].split(":")[1])
+    assert sorted(order) == sorted(path.parent.name for path in (PACKAGE / "solver").glob("*/__init__.py"))
+    floor = {folder: number for number, folder in enumerate([*order, "factory"])}
+    upwards = [
+        (name, other)
+        for name, imported in module_imports().items()
+        for other in imported
+        if name.startswith("solver.") and other.startswith("solver.")
+        if floor[other.split(".")[1]] > floor[name.split(".")[1]]
+    ]
+    assert upwards == []
+
+
 def test_no_two_test_modules_have_one_name():
     names = [path.stem for path in (ROOT / "tests").rglob("test_*.py")]
     assert {name for name in names if names.count(name) > 1} == set()  # pytest could not collect both

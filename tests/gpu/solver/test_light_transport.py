@@ -10,16 +10,16 @@ from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.capture.types import Light
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.domain import domain_of
-from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.geometry.light.light_transport import light_transport_steps
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.views.indirect import IndirectLight
+from irpso_addon.solver.interreflection.indirect_light import IndirectLight
 from tests.builders.cavity import cavity, cavity_mesh
 from tests.builders.rounds import ALBEDO, LAMBERT
 from tests.oracles.reflectance import metallic_roughness
 
 
-def exchange_of(mesh, domain, resolution=48, rays=64):
-    return run_steps(exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays))
+def transport_of(mesh, domain, resolution=48, rays=64):
+    return run_steps(light_transport_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays))
 
 
 def maps_of(domain, **values):
@@ -29,8 +29,8 @@ def maps_of(domain, **values):
 
 def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
     maps = maps_of(domain, base_color=albedo, **{name: (value,) for name, value in numbers.items()})
-    exchange = exchange_of(mesh, domain, rays=rays)
-    with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
+    transport = transport_of(mesh, domain, rays=rays)
+    with closing(IndirectLight(domain, transport, model, maps, domain.solvable, bounces)) as light:
         return light.samples(run_steps(light.of_elements())[0]).at(0, *np.nonzero(light.covered))
 
 
@@ -48,7 +48,7 @@ def test_elements_say_what_the_light_itself_makes_them_send():
     mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
     domain = cavity(mesh)
     maps = maps_of(domain, base_color=albedo)
-    with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
+    with closing(IndirectLight(domain, transport_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
         np.testing.assert_allclose(run_steps(light.of_elements())[1][0], albedo.mean(), rtol=0.02)
 
 
@@ -86,7 +86,7 @@ def test_observations_of_several_cameras_are_each_as_if_alone():
     def radiances(chosen):
         stack = np.ones((len(chosen), *domain.shape, 4), np.float32)
         own = domain_of(domain.bake, stack, lights[chosen], colours[chosen], views[chosen], card=False)
-        with closing(IndirectLight(own, exchange_of(mesh, own), model, maps, own.solvable, 3)) as light:
+        with closing(IndirectLight(own, transport_of(mesh, own), model, maps, own.solvable, 3)) as light:
             return run_steps(light.of_elements())
 
     together = radiances(range(7))
@@ -144,14 +144,14 @@ def test_lobes_narrower_than_the_rays_stand_apart_are_widened():
 @pytest.mark.parametrize(("shape", "cells"), [((24, 48), (24, 48)), ((40, 80), (32, 64)), ((64, 128), (32, 64))])
 def test_elements_are_as_fine_as_the_resolution_allows(shape, cells):
     mesh = cavity_mesh()
-    exchange = exchange_of(mesh, cavity(mesh, shape), resolution=64, rays=1)
-    rows, columns = np.divmod(exchange.texels, shape[1])
+    transport = transport_of(mesh, cavity(mesh, shape), resolution=64, rays=1)
+    rows, columns = np.divmod(transport.texels, shape[1])
     # Each in a cell of its own, at the texel nearest to its middle.
     for at, texels, count in ((rows, shape[0], cells[0]), (columns, shape[1], cells[1])):
         place = (np.unique(at) + 0.5) * count / texels
         assert (np.floor(place) == np.arange(count)).all()
         assert np.abs(place - np.floor(place) - 0.5).max() <= 0.5 * count / texels
-    assert len(exchange.texels) == cells[0] * cells[1]
+    assert len(transport.texels) == cells[0] * cells[1]
 
 
 def test_a_place_whose_material_is_not_known_has_that_of_the_nearest():
@@ -162,7 +162,7 @@ def test_a_place_whose_material_is_not_known_has_that_of_the_nearest():
     albedo = np.where(known[..., None], np.float32([0.8, 0.5, 0.1]), 0)
     with closing(
         IndirectLight(
-            domain, exchange_of(mesh, domain), LAMBERT,
+            domain, transport_of(mesh, domain), LAMBERT,
             {"base_color": albedo, "normal": np.broadcast_to(np.float32([0, 0, 1]), (*domain.shape, 3))}, known, 1,
         )
     ) as light:  # fmt: skip
@@ -178,7 +178,7 @@ def test_where_no_element_is_known_solvable_ones_send_light(solvable):
     domain = replace(domain, solvable=np.full(domain.shape, solvable))
     maps = maps_of(domain, base_color=(0.8, 0.5, 0.1) if solvable else (0, 0, 0))
     none = np.zeros(domain.shape, bool)
-    with closing(IndirectLight(domain, exchange_of(mesh, domain), LAMBERT, maps, none, 1)) as light:
+    with closing(IndirectLight(domain, transport_of(mesh, domain), LAMBERT, maps, none, 1)) as light:
         sent = run_steps(light.of_elements())[0].mean(axis=(0, 1))
     # The least albedo of an element is 0.02.
     np.testing.assert_allclose(sent, np.square((0.8, 0.5, 0.1) if solvable else (0.02,) * 3), rtol=0.02)

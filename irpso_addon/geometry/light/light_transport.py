@@ -1,4 +1,4 @@
-"""Interreflection geometry of a mesh: elements, the rays between them, and the lights that each element sees.
+"""Light transport on a mesh: elements of its surface, rays between them, and the lights that each element sees.
 
 Elements are texels: one for each cell of a grid over the UV square, and more where parts of the surface that are apart
 in space share a cell. The rays of each are distributed as the cosine to its normal (Malley's method: a uniform disk,
@@ -30,7 +30,7 @@ MOST_ELEMENTS = 1 << 13  # or the cells, if these are more
 
 
 @dataclass(frozen=True)
-class Exchange:
+class LightTransport:
     """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32 unit, world.
 
     hits: (R, E) int32, the element that a ray hits, −1 for none, the back of a face or an occluder. lit: (K, E) bool,
@@ -51,16 +51,16 @@ class Exchange:
         return sum(self.share[:, i, None] * values[self.near[:, i]] for i in range(4))
 
 
-def exchange_steps(
+def light_transport_steps(
     mesh: MeshData, bake: SurfaceBake, lights: np.ndarray, cast: Cast, resolution: int, rays: int
-) -> Generator[float, None, Exchange]:
-    """Yield the fraction of the work that is done; the Exchange is the value of the generator.
+) -> Generator[float, None, LightTransport]:
+    """Yield the fraction of the work that is done; return the LightTransport.
 
     lights: (K, 4) as in Domain. resolution: cells along the longer side of the domain, at most. rays: of an element.
     """
-    grid = _Grid(bake, resolution)
-    normals = bake.normal.reshape(-1, 3)[grid.texels].astype(np.float64)
-    points, face = _ray_origins(mesh, bake, grid.texels)
+    elements = _Elements(bake, resolution)
+    normals = bake.normal.reshape(-1, 3)[elements.texels].astype(np.float64)
+    points, face = _ray_origins(mesh, bake, elements.texels)
     directions = cosine_directions(normals, rays)
     hits = np.full(directions.shape[:2], -1, np.int32)
     total = rays + len(lights)
@@ -68,17 +68,17 @@ def exchange_steps(
         up = np.flatnonzero(np.einsum("ei,ei->e", direction, face) > 0)
         triangle, place = cast(points[up], direction[up])
         hit = (triangle >= 0) & (triangle < len(mesh.positions))
-        hits[number, up[hit]] = grid.elements_at(mesh, triangle[hit], place[hit], direction[up[hit]])
+        hits[number, up[hit]] = elements.nearest(mesh, triangle[hit], place[hit], direction[up[hit]])
         yield (number + 1) / total
-    steps = lit_steps(mesh, bake, grid.texels, lights, cast)
+    steps = lit_steps(mesh, bake, elements.texels, lights, cast)
     lit = yield from map_steps(steps, lambda part: (rays + part * len(lights)) / total)
-    return Exchange(grid.texels, directions.astype(np.float32), hits, lit, *grid.around())
+    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *elements.around())
 
 
 def lit_steps(
     mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, lights: np.ndarray, cast: Cast
 ) -> Generator[float, None, np.ndarray]:
-    """Yield the fraction of the work that is done; return ``Exchange.lit`` (K, E) of elements under lights (K, 4)."""
+    """Yield the fraction of the work that is done; return ``LightTransport.lit`` (K, E) under lights (K, 4)."""
     points, face = _ray_origins(mesh, bake, texels)
     lit = np.zeros((len(lights), len(points)), bool)
     for number, light in enumerate(lights.astype(np.float64)):
@@ -114,8 +114,8 @@ def cosine_directions(normals: np.ndarray, rays: int) -> np.ndarray:
     return sum(part[..., None] * axis for part, axis in zip(local, (first, second, normals), strict=True))
 
 
-class _Grid:
-    """The cells of a domain and their elements: in each cell the covered texel nearest to its centre, and further ones.
+class _Elements:
+    """Elements of a surface: in each cell of a grid the covered texel nearest to its centre, and further ones.
 
     A further element is, of the texels that are unlike all elements of their cell, the nearest to the centre.
     """
@@ -133,7 +133,7 @@ class _Grid:
         distance = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
         self._width = stride * _texel_width(bake)
         self.texels = np.zeros(0, np.int64)
-        self._elements: list[np.ndarray] = []  # the first of each cell, the second, …; −1 for none
+        self._of_cells: list[np.ndarray] = []  # the first element of each cell, the second, …; −1 for none
         self._choose(cell, rows * width + columns, np.lexsort((distance, cell)), max(count**2, MOST_ELEMENTS))
 
     def _choose(self, cell: np.ndarray, texels: np.ndarray, left: np.ndarray, most: int) -> None:
@@ -142,7 +142,7 @@ class _Grid:
             cells, first = (found[: most - len(self.texels)] for found in np.unique(cell[left], return_index=True))
             number = np.full(self._cells[0] * self._cells[1], -1, np.int32)
             number[cells] = len(self.texels) + np.arange(len(cells))
-            self._elements.append(number)
+            self._of_cells.append(number)
             self.texels = np.append(self.texels, texels[left[first]])
             self._places, self._normals = (
                 part.reshape(-1, 3)[self.texels] for part in (self._bake.position, self._bake.normal)
@@ -156,7 +156,7 @@ class _Grid:
         facing = np.maximum(np.einsum("ti,ti->t", self._normals[element], normal), 0) ** 4
         return (element >= 0) * np.exp(-squared / (2 * self._width) ** 2) * facing
 
-    def elements_at(self, mesh: MeshData, triangle: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    def nearest(self, mesh: MeshData, triangle: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return (N,) the elements nearest to hit points (N, 3) on triangles.
 
         −1 on backs, on unsolved triangles, and where no element is near that faces the same way.
@@ -204,7 +204,7 @@ class _Grid:
         rows, columns = self._cells
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         cell = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
-        for number in self._elements:
+        for number in self._of_cells:
             yield np.where(inside, number[cell], -1)
 
 

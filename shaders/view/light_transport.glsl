@@ -1,7 +1,8 @@
 // Over the elements of a surface: radiance by interreflection in LIGHTS observations of one camera at once, from
-// u_observation on. Monte Carlo over the rays of geometry/light/exchange.py, whose density is cos/π. Writes o_radiance.
-// u_to_camera = 1: radiance toward the camera, by light of other elements; in alpha by direct light, mean of the
-// channels. u_to_camera = 0: mean over all directions, with the light of each ray leaving in the direction of another.
+// u_observation on. Monte Carlo over the rays of geometry/light/light_transport.py, whose density is cos/π.
+// Writes o_radiance. u_to_camera = 1: radiance toward the camera, by light of other elements; in alpha by direct
+// light, mean of the channels. u_to_camera = 0: mean over all directions, with the light of each ray leaving in the
+// direction of another.
 // Reads estimates, geometry and observation table; u_rays, one layer per ray: direction in world space and the element
 // that it hits (−1: none), hits first, and a last layer with their number; u_lit: fractions of the lights that reach an
 // element; u_received: the means of the previous bounces. An element's indirect light is this mean if u_branches = 0,

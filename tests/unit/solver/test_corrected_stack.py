@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from irpso_addon.geometry.light.exchange import Exchange
-from irpso_addon.solver.views.direct import DirectStack, IndirectSamples
+from irpso_addon.geometry.light.light_transport import LightTransport
+from irpso_addon.solver.interreflection.corrected_stack import CorrectedStack, IndirectSamples
 from tests.builders.domains import make_domain
 
 COUNT = 4  # elements
@@ -20,16 +20,16 @@ def lit():
     near, share = rng.integers(0, COUNT, (texels, 4)), rng.dirichlet(np.ones(4), texels)
     radiance, detail = rng.random((3, COUNT, 3), np.float32), rng.random((texels, 3), np.float32)
     none = np.zeros((0, COUNT))
-    exchange = Exchange(np.arange(COUNT), none, none, none, near, share.astype(np.float32))
+    transport = LightTransport(np.arange(COUNT), none, none, none, near, share.astype(np.float32))
     light = np.zeros((3, *covered.shape, 3))
     light[:, covered] = np.einsum("ti,ktic->ktc", share, radiance[:, near]) * detail
-    return domain, IndirectSamples(covered, exchange, radiance, detail), light
+    return domain, IndirectSamples(covered, transport, radiance, detail), light
 
 
 def test_the_light_is_subtracted_down_to_zero(lit):
     domain, indirect, light = lit
     values = domain.stack.values
-    direct = DirectStack(domain.stack, indirect)
+    direct = CorrectedStack(domain.stack, indirect)
     assert direct.shape == domain.stack.shape
     found = np.stack([*direct.layers()])
     wanted = np.where(domain.bake.coverage[..., None], np.maximum(values[..., :3] - light, 0), values[..., :3])
@@ -40,8 +40,8 @@ def test_the_light_is_subtracted_down_to_zero(lit):
 def test_a_relaxed_step_goes_part_of_the_way(lit):
     domain, indirect, light = lit
     covered, values = domain.bake.coverage, domain.stack.values[..., :3]
-    once = DirectStack(domain.stack, indirect, None, 0.75)
-    twice = DirectStack(domain.stack, indirect, once, 0.75)
+    once = CorrectedStack(domain.stack, indirect, None, 0.75)
+    twice = CorrectedStack(domain.stack, indirect, once, 0.75)
     left = np.maximum(values - light, 0)
     for stack, part in ((once, 0.25), (twice, 0.25**2)):
         found = np.stack([*stack.layers()])[..., :3]
@@ -50,7 +50,7 @@ def test_a_relaxed_step_goes_part_of_the_way(lit):
 
 def test_all_ways_to_read_agree_bit_for_bit(lit):
     domain, indirect, _ = lit
-    stack = DirectStack(domain.stack, indirect, DirectStack(domain.stack, indirect), 0.75)
+    stack = CorrectedStack(domain.stack, indirect, CorrectedStack(domain.stack, indirect), 0.75)
     whole = np.stack([*stack.layers()])
     rows, columns = np.indices(domain.shape).reshape(2, -1)
     np.testing.assert_array_equal(stack.texels(rows, columns), whole.reshape(3, -1, 4))

@@ -1,4 +1,4 @@
-"""Indirect light of a recovered subject: light that its surfaces send to each other."""
+"""Indirect light of a recovered subject: light that its surfaces send to each other, by Monte Carlo radiosity."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 
 from ...core.filters import weighted_median
 from ...geometry.domain import Domain
-from ...geometry.light.exchange import Exchange
 from ...geometry.light.light_shape import beam_shares
+from ...geometry.light.light_transport import LightTransport
 from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import EXCHANGED, exchange_pass
+from ..kernels.kernels import TRANSPORT_LIGHTS, light_transport_pass
 from ..phases.phase import BAND_SECONDS
 from ..state.prepare import light_vectors
 from ..state.textures import observation_defines
-from .direct import IndirectSamples
-from .forward import render_inputs
+from ..views.forward import render_inputs
+from .corrected_stack import IndirectSamples
 
 _CHUNK = 1 << 22  # distances between elements, computed at a time
 _LEAST_ALBEDO = 0.02  # for the detail of albedo between elements, without the noise of black ones
@@ -38,27 +38,26 @@ _COLUMNS = 1024  # of the grid of elements; software renderers share out squares
 class IndirectLight:
     """Estimates the indirect light that a subject's maps predict. Close it after use.
 
-    domain: of the maps. exchange: elements of the surface. bounces: between surfaces. values: the maps, parameter name
+    domain: of the maps. transport: elements of the surface. bounces: between surfaces. values: the maps, parameter name
     → (H, W, components). known: (H, W) bool, where the maps determine the material; other elements get the material of
     the nearest known one, or of the nearest solvable one if none is known. Elements that are not solvable have the
-    mesh's own normal. materials: of the E elements,
-    parameter name → (E, components); the light is computed with wider lobes. covered: (H, W) bool, the texels of
-    ``samples``. Radiances of elements are as photographed.
+    mesh's own normal. materials: of the E elements, parameter name → (E, components); the light is computed with wider
+    lobes. covered: (H, W) bool, the texels of ``samples``. Radiances of elements are as photographed.
     """
 
     def __init__(
         self,
         domain: Domain,
-        exchange: Exchange,
+        transport: LightTransport,
         model: ReflectanceModel,
         values: Mapping[str, np.ndarray],
         known: np.ndarray,
         bounces: int,
     ):
         context.ensure()
-        self._domain, self.exchange, self._bounces = domain, exchange, bounces
+        self._domain, self.transport, self._bounces = domain, transport, bounces
         self.covered = domain.bake.coverage
-        count = len(exchange.texels)
+        count = len(transport.texels)
         columns = min(count, _COLUMNS)
         self._shape = -(-count // columns), columns
         self.materials = self._materials(model, values, known)
@@ -72,30 +71,30 @@ class IndirectLight:
         if albedo is not None:
             self._albedo = wide[albedo]
             own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
-            self._detail = np.where(known[self.covered][:, None], own, exchange.at_texels(self._albedo))
+            self._detail = np.where(known[self.covered][:, None], own, transport.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
-        bake = domain.bake.map_arrays(lambda flat: self._grid(_flat(flat)[exchange.texels]))
+        bake = domain.bake.map_arrays(lambda flat: self._grid(_flat(flat)[transport.texels]))
         materials = {name: self._grid(value) for name, value in wide.items()}
         self._groups = _of_one_view(domain.views)
-        columns = np.concatenate([np.pad(group, (0, EXCHANGED - len(group)), "edge") for group in self._groups])
+        columns = np.concatenate([np.pad(group, (0, TRANSPORT_LIGHTS - len(group)), "edge") for group in self._groups])
         lighting = domain.lights[columns], domain.intensities[columns], domain.views[columns]
         self._inputs = render_inputs(bake, model, materials, *lighting)
-        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in _hits_first(exchange)]))
+        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in _hits_first(transport)]))
         self._unlit, *self._targets = (
-            [textures.empty(*self._shape[::-1], value=0.0) for _ in range(EXCHANGED)] for _ in range(3)
+            [textures.empty(*self._shape[::-1], value=0.0) for _ in range(TRANSPORT_LIGHTS)] for _ in range(3)
         )
-        self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
+        self._pass = light_transport_pass(model, observation_defines(domain.lights, domain.views, domain.card))
         places = self._places
         self._bands = Bands(paced=True)
         shares, divisors = zip(*(beam_shares(domain, k, places) for k in range(domain.observations)), strict=True)
-        self._lit = exchange.lit * np.float32(shares)  # (K, E) fraction of each light's axial intensity
+        self._lit = transport.lit * np.float32(shares)  # (K, E) fraction of each light's axial intensity
         self._divisors = np.stack(divisors)
 
     def samples(self, radiance: np.ndarray) -> IndirectSamples:
         """Return the samples of the texels under radiances (K, E, 3) of the elements."""
         of_elements = radiance if self._detail is None else radiance / self._albedo
         beamed = None if self._domain.beams is None else self._domain
-        return IndirectSamples(self.covered, self.exchange, of_elements, self._detail, beamed)
+        return IndirectSamples(self.covered, self.transport, of_elements, self._detail, beamed)
 
     @cached_property
     def shown(self) -> np.ndarray:
@@ -112,7 +111,7 @@ class IndirectLight:
     @property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the elements' texels."""
-        rows, columns = np.divmod(self.exchange.texels, self._domain.shape[1])
+        rows, columns = np.divmod(self.transport.texels, self._domain.shape[1])
         return rows, columns
 
     def strength(self, radiance: np.ndarray) -> float:
@@ -145,25 +144,26 @@ class IndirectLight:
 
         And (K, E): the direct radiance of the same materials, mean of the channels.
         """
-        count = len(self.exchange.texels)
+        count = len(self.transport.texels)
         indirect, direct = np.empty((*self._lit.shape, 3), np.float32), np.empty(self._lit.shape, np.float32)
         for number, group in enumerate(self._groups):
-            lit = np.zeros((count, EXCHANGED), np.float32)
+            lit = np.zeros((count, TRANSPORT_LIGHTS), np.float32)
             lit[:, : len(group)] = self._lit[group].T
             inputs = {**self._inputs, "u_lit": textures.upload(self._grid(lit))}
-            exchanged = yield from self._exchanged(number, inputs)
-            for observation, texture in zip(group, exchanged, strict=False):
+            textures_of_group = yield from self._radiances(number, inputs)
+            for observation, texture in zip(group, textures_of_group, strict=False):
                 radiance = textures.download(texture).reshape(-1, 4)[:count]
                 indirect[observation], direct[observation] = radiance[:, :3], radiance[:, 3]
         return indirect, direct
 
-    def _exchanged(
+    def _radiances(
         self, number: int, inputs: Mapping[str, textures.Texture]
     ) -> Generator[None, None, list[textures.Texture]]:
         """Yield often; return a texture for each observation of a group: indirect radiance, and direct in alpha."""
         received, (target, other) = self._unlit, self._targets
         constants = {
-            "u_observation": number * EXCHANGED, "u_ray_count": len(self.exchange.hits), "u_columns": self._shape[1]
+            "u_observation": number * TRANSPORT_LIGHTS, "u_ray_count": len(self.transport.hits),
+            "u_columns": self._shape[1],
         }  # fmt: skip
         branches = _BRANCHES if self._bounces > 1 else 0  # with branches the last pass computes two bounces
         passes = self._bounces - bool(branches)
@@ -172,7 +172,7 @@ class IndirectLight:
             bounce = {"u_to_camera": int(last), "u_branches": branches if last else 0}
             before = {f"u_received_{i}": texture for i, texture in enumerate(received)}
             given = target, {**inputs, **before}, constants | bounce
-            yield from self._pass.in_bands(f"exchange {int(last)}", self._bands, BAND_SECONDS, *given)
+            yield from self._pass.in_bands(f"transport {int(last)}", self._bands, BAND_SECONDS, *given)
             received, target, other = target, other, target
         return received
 
@@ -193,7 +193,7 @@ class IndirectLight:
         self, model: ReflectanceModel, values: Mapping[str, np.ndarray], known: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Return parameter name → (E, components) of all elements: their own, or those of the nearest known element."""
-        texels = self.exchange.texels
+        texels = self.transport.texels
         known_elements = _flat(known)[texels]
         if not known_elements.any():
             known_elements = _flat(self._domain.solvable)[texels]
@@ -208,7 +208,7 @@ class IndirectLight:
 
     def _nearest(self, known: np.ndarray) -> np.ndarray:
         """Return (E,): for each element the nearest known one; a known element is its own."""
-        places = _flat(self._domain.bake.position)[self.exchange.texels]
+        places = _flat(self._domain.bake.position)[self.transport.texels]
         nearest, others = np.arange(len(places)), np.flatnonzero(known)
         missing = np.flatnonzero(~known) if len(others) else others
         for part in np.array_split(missing, -(-len(missing) * len(others) // _CHUNK) or 1):
@@ -219,19 +219,19 @@ class IndirectLight:
 
 
 def _of_one_view(views: np.ndarray) -> list[np.ndarray]:
-    """Return the numbers of observations with views (K, 4), at most EXCHANGED together and of one view."""
+    """Return the numbers of observations with views (K, 4), at most TRANSPORT_LIGHTS together and of one view."""
     of_views, camera = np.unique(views, axis=0, return_inverse=True)
     cameras = [np.flatnonzero(camera.ravel() == number) for number in range(len(of_views))]
-    return [own[at : at + EXCHANGED] for own in cameras for at in range(0, len(own), EXCHANGED)]
+    return [own[at : at + TRANSPORT_LIGHTS] for own in cameras for at in range(0, len(own), TRANSPORT_LIGHTS)]
 
 
-def _hits_first(exchange: Exchange) -> np.ndarray:
+def _hits_first(transport: LightTransport) -> np.ndarray:
     """Return (R + 1, E, 4) float32: directions and hit elements, hits first, and a layer with their number."""
-    hit = exchange.hits >= 0
+    hit = transport.hits >= 0
     order = np.argsort(~hit, axis=0, kind="stable")
-    rays = np.zeros((len(order) + 1, len(exchange.texels), 4), np.float32)
-    rays[:-1, :, :3] = np.take_along_axis(exchange.directions, order[..., None], axis=0)
-    rays[:-1, :, 3] = np.take_along_axis(exchange.hits, order, axis=0)
+    rays = np.zeros((len(order) + 1, len(transport.texels), 4), np.float32)
+    rays[:-1, :, :3] = np.take_along_axis(transport.directions, order[..., None], axis=0)
+    rays[:-1, :, 3] = np.take_along_axis(transport.hits, order, axis=0)
     rays[-1, :, 0] = hit.sum(axis=0)
     return rays
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from irpso_addon.geometry.light.alike import shrunk_to_similar_colours
+from irpso_addon.solver.interreflection.shrinkage import shrunk_to_similar_colours
 
 CELLS, WIDTH = 24, 0.06
 

@@ -1,4 +1,4 @@
-"""Photographs without the indirect light of a subject: a sample stack that is computed where it is read."""
+"""Photographs corrected for the indirect light of a subject: a sample stack that is computed where it is read."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from ...geometry.domain import Domain
-from ...geometry.light.exchange import Exchange
 from ...geometry.light.light_shape import beam_shares
+from ...geometry.light.light_transport import LightTransport
 from ...geometry.samples import SampleStack
 
 
@@ -18,13 +18,13 @@ from ...geometry.samples import SampleStack
 class IndirectSamples:
     """Indirect light of the covered texels of a domain, as their samples have it.
 
-    radiance: (K, E, 3) of the elements of ``exchange``, interpolated to the texels; divided by the albedo of the
+    radiance: (K, E, 3) of the elements of ``transport``, interpolated to the texels; divided by the albedo of the
     elements if there is detail: (T, 3), the albedo of the T covered texels, row by row. beamed: the domain if its
     lights have beams, by which samples are divided.
     """
 
     covered: np.ndarray
-    exchange: Exchange
+    transport: LightTransport
     radiance: np.ndarray
     detail: np.ndarray | None
     beamed: Domain | None = None
@@ -32,7 +32,7 @@ class IndirectSamples:
     def at(self, observation: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (N, 3) float32: the light at N covered texels in one observation."""
         number = self._number[rows, columns]
-        near, share = self.exchange.near[number], self.exchange.share[number]
+        near, share = self.transport.near[number], self.transport.share[number]
         of_elements = self.radiance[observation]
         light = sum(share[:, i, None] * of_elements[near[:, i]] for i in range(near.shape[1]))
         if self.detail is not None:
@@ -48,7 +48,7 @@ class IndirectSamples:
 
 
 @dataclass(frozen=True, eq=False)
-class DirectStack:
+class CorrectedStack:
     """A read-only ``SampleStack``: photographs minus the light of ``indirect``, at covered texels.
 
     Computed at each read, it takes no memory beside the photographs. before: the stack of the round before, None for
@@ -72,7 +72,7 @@ class DirectStack:
         """Return (H, W, 4): the samples of one observation."""
         layer, covered = self.photographs.layer(observation).copy(), self._covered
         before = layer if self.before is None else self.before.layer(observation)
-        layer[covered] = self._direct(observation, layer[covered], before[covered], *covered)
+        layer[covered] = self._corrected(observation, layer[covered], before[covered], *covered)
         return layer
 
     def layers(self) -> Iterator[np.ndarray]:
@@ -89,17 +89,17 @@ class DirectStack:
         before = samples if self.before is None else self.before.texels(rows, columns)
         for observation, own in enumerate(samples):
             others = before[observation, covered], rows[covered], columns[covered]
-            own[covered] = self._direct(observation, own[covered], *others)
+            own[covered] = self._corrected(observation, own[covered], *others)
         return samples
 
-    def subset(self, observations: np.ndarray) -> DirectStack:
+    def subset(self, observations: np.ndarray) -> CorrectedStack:
         """Return the stack of some observations."""
         numbers = np.arange(self.shape[0]) if self.observations is None else self.observations
         before = self.before and self.before.subset(observations)
         photographs = self.photographs.subset(observations)
         return replace(self, photographs=photographs, before=before, observations=numbers[observations])
 
-    def window(self, rows: slice, columns: slice) -> DirectStack:
+    def window(self, rows: slice, columns: slice) -> CorrectedStack:
         """Return the texels of a window."""
         photographs, before = self.photographs.window(rows, columns), self.before and self.before.window(rows, columns)
         first = self.first[0] + rows.start, self.first[1] + columns.start
@@ -120,7 +120,7 @@ class DirectStack:
         """Rows and columns of the covered texels."""
         return np.nonzero(self._coverage)
 
-    def _direct(
+    def _corrected(
         self, observation: int, samples: np.ndarray, before: np.ndarray, rows: np.ndarray, columns: np.ndarray
     ) -> np.ndarray:
         """Return (N, 4): samples of the photographs in one observation, without the indirect light."""

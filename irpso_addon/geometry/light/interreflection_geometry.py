@@ -1,4 +1,4 @@
-"""Surfaces on which interreflection is computed: a subject's mesh, or the relief of a card."""
+"""Geometry of interreflection: the surface of the subject itself, a mesh or the relief of a card."""
 
 from __future__ import annotations
 
@@ -15,42 +15,50 @@ from ..domain import Domain
 from ..relief.relief import card_height
 from ..surface.bake import SurfaceBake, surface_bake
 from ..surface.mesh import MeshData
-from .exchange import Cast, Exchange, exchange_steps, lit_steps
+from .light_transport import Cast, LightTransport, light_transport_steps, lit_steps
 
 Values = Mapping[str, np.ndarray]  # parameter name → (H, W, components)
-InterreflectionSurface = tuple[Domain, Exchange, Values]
 CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
 RELIEF_TRIANGLES = 2  # of a card's relief, per texel
 _KEPT_LIGHTS = 3  # sets of lights: of the fitted photographs, before and after a change, and of the held-out ones
 
 
-class Surroundings(Protocol):
-    """Builds the surface of interreflection from a domain and its maps.
+@dataclass(frozen=True, eq=False)
+class InterreflectionSurface:
+    """A surface that lights itself. domain: its texels. transport: between its elements. values: the maps on it."""
 
-    shape_known: whether the surface is independent of the maps. identity: what must be equal, besides the domain, to
+    domain: Domain
+    transport: LightTransport
+    values: Values
+
+
+class InterreflectionGeometry(Protocol):
+    """Builds the surface of the subject from a domain and its maps.
+
+    known_shape: whether the surface is independent of the maps. identity: what must be equal, besides the domain, to
     resume a checkpoint.
     """
 
-    shape_known: bool
+    known_shape: bool
 
     @property
     def identity(self) -> dict[str, str]: ...
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
-        """Yield the fraction of the work done; return the surface's domain, its exchange, and the maps on it."""
+        """Yield the fraction of the work done; return the surface."""
 
 
 @dataclass
-class MeshSurroundings:
-    """Surroundings of a mesh: maps do not change its shape. resolution, rays: as for ``exchange_steps``."""
+class MeshInterreflection:
+    """A mesh: maps do not change its shape. resolution, rays: as for ``light_transport_steps``."""
 
     mesh: MeshData
     caster_of: CasterOf
     resolution: int
     rays: int
-    shape_known: bool = True
-    _exchange: Exchange | None = None
-    _lit: dict[bytes, np.ndarray] = field(default_factory=dict)  # of the last lights (K, 4): Exchange.lit
+    known_shape: bool = True
+    _transport: LightTransport | None = None
+    _lit: dict[bytes, np.ndarray] = field(default_factory=dict)  # of the last lights (K, 4): LightTransport.lit
 
     @property
     def identity(self) -> dict[str, str]:
@@ -60,39 +68,39 @@ class MeshSurroundings:
         return {"occluders": hashlib.sha256(mesh.occluders.tobytes() + others.tobytes()).hexdigest()}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
-        """As Surroundings. The first call casts all rays, a call under new lights only those to the lights."""
+        """As InterreflectionGeometry. The first call casts all rays, one under new lights only those to the lights."""
         shape, lights = (self.mesh, surface_bake(domain.bake)), domain.lights.tobytes()
-        if self._exchange is None:
+        if self._transport is None:
             cast = self.caster_of(self.mesh)
-            self._exchange = yield from exchange_steps(*shape, domain.lights, cast, self.resolution, self.rays)
-            self._lit[lights] = self._exchange.lit
+            self._transport = yield from light_transport_steps(*shape, domain.lights, cast, self.resolution, self.rays)
+            self._lit[lights] = self._transport.lit
         if lights not in self._lit:
-            texels = self._exchange.texels
+            texels = self._transport.texels
             lit = yield from lit_steps(*shape, texels, domain.lights, self.caster_of(self.mesh))
             while len(self._lit) >= _KEPT_LIGHTS:
                 self._lit.pop(next(iter(self._lit)))
             self._lit[lights] = lit
-        return domain, replace(self._exchange, lit=self._lit[lights]), values
+        return InterreflectionSurface(domain, replace(self._transport, lit=self._lit[lights]), values)
 
 
 @dataclass
-class CardSurroundings:
-    """Surroundings of a card: the relief integrated from its normals. normal: the parameter's name."""
+class CardInterreflection:
+    """The relief of a card, integrated from its normals. normal: the parameter's name."""
 
     camera: Camera
     normal: str
     caster_of: CasterOf
     resolution: int
     rays: int
-    shape_known: bool = False
+    known_shape: bool = False
 
     @property
     def identity(self) -> dict[str, str]:
-        """As Surroundings."""
+        """As InterreflectionGeometry."""
         return {}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
-        """As Surroundings. Every call casts all rays: the relief depends on the maps."""
+        """As InterreflectionGeometry. Every call casts all rays: the relief depends on the maps."""
         mesh, bake = card_surface(self.camera, domain, values[self.normal])
         if not len(mesh.positions):
             raise InputError(
@@ -100,10 +108,10 @@ class CardSurroundings:
                 " with --set interreflection_rounds=0"
             )
         cast = self.caster_of(mesh)
-        exchange = yield from exchange_steps(mesh, bake, domain.lights, cast, self.resolution, self.rays)
+        transport = yield from light_transport_steps(mesh, bake, domain.lights, cast, self.resolution, self.rays)
         own = np.zeros((*domain.shape, 3), np.float32)
         own[..., 2] = 1
-        return replace(domain, bake=bake, card=False), exchange, {**values, self.normal: own}
+        return InterreflectionSurface(replace(domain, bake=bake, card=False), transport, {**values, self.normal: own})
 
 
 def card_surface(camera: Camera, domain: Domain, normals: np.ndarray) -> tuple[MeshData, SurfaceBake]:

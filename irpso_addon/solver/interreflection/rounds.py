@@ -13,33 +13,32 @@ from ...core.errors import InputError
 from ...core.optional import present
 from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
-from ...geometry.light.alike import shrunk_to_similar_colours
-from ...geometry.light.surroundings import Surroundings
+from ...geometry.light.interreflection_geometry import InterreflectionGeometry
 from ...geometry.samples import SampleStack
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..engine.engine import RecoveryEngine
+from ..engine.recovery import Recovery
+from ..engine.successive import Successive
 from ..phases.phase import BAND_SECONDS
-from ..settings.levels import warm_started
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
-from ..views.direct import DirectStack
-from ..views.indirect import IndirectLight
-from .engine import RecoveryEngine
-from .recovery import Recovery
-from .successive import Successive
+from .corrected_stack import CorrectedStack
+from .indirect_light import IndirectLight
+from .schedules import RoundSchedules, round_schedules
+from .shrinkage import shrunk_to_similar_colours
 
 _AT = "interreflection"  # checkpoint array: the round, and the evaluations of the rounds before it
 _ERRORS = "interreflection_errors"
-_EXPLAINED = "explained"  # with the maps of a basis: (H, W, 1), 1 where they explain the photographs
-_BASIS = "interreflection_of_{}_"  # prefix of the maps from which a round's light was estimated
+_WELL_FITTED = "explained"  # among source maps: (H, W, 1), 1 where they fit the photographs; its name in checkpoints
+_SOURCE_MAPS = "interreflection_of_{}_"  # prefix of the maps from which a round's light was estimated
 # Relaxation factor of the subtracted light. Too bright an albedo gives too much of it, and then the next albedo is too
 # dark: with 1 the rounds oscillate about the solution, with 0.75 two rounds reach it. With fixed normals the first
 # estimate is closer, and the factor is 1.
 _RELAXATION = 0.75
-_MATTE_STEPS = 6  # of Levenberg–Marquardt in a matte round
-# Part of the texels that the first matte round does not explain; with more, a full round follows. In a bowl of metal
+# Part of the texels that the first matte round does not fit well; with more, a full round follows. In a bowl of metal
 # paint it is 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at
 # most 0.015.
 _MOST_UNEXPLAINED = 0.02
@@ -48,7 +47,7 @@ _MOST_UNEXPLAINED = 0.02
 _WORSE = 1.25
 _MOST_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
 _LEAST_SHARE = 0.003  # of the light of the photographs; with less there is no further round
-_MOST_RESIDUAL = 0.5  # of a texel's light: above it the maps do not explain the photographs
+_MOST_RESIDUAL = 0.5  # of a texel's light: above it the maps do not fit the photographs
 # Indirect part of a texel's light. Above it, the direct rest is mostly the error of the indirect light: in a bowl of
 # metal paint the normal error is 1.6° where the part is 0.5 to 0.7, and 20° where it is more than 0.9.
 MOST_INDIRECT = 2 / 3
@@ -57,17 +56,17 @@ MOST_INDIRECT = 2 / 3
 class InterreflectionRounds(Successive):
     """A ``RecoveryEngine`` that recovers a domain, then ``interreflection.rounds`` times without indirect light.
 
-    After each recovery the indirect light that its maps predict (views/indirect.py) is subtracted from the photographs,
-    and the domain is recovered again. Where the surroundings know the shape, all recoveries but the last fix its
-    normals: in a hollow of metal, indirect light biases estimated normals. The last one starts from the materials of
-    the others. The first ``interreflection.matte_rounds`` recoveries find base colours alone, with all else at the
-    model's defaults; where these do not explain the photographs, a full round follows in any case. If the last of them
-    fits worse than the first, their light is not subtracted. Without notable indirect light the maps are those of a
-    Recovery. Texels whose part of the surface has no element keep all light.
+    After each recovery the indirect light that its maps predict (indirect_light.py) is subtracted from the photographs,
+    and the domain is recovered again (Nayar, Ikeuchi & Kanade 1991). Where the shape is known, all recoveries but the
+    last fix its normals: in a hollow of metal, indirect light biases estimated normals. The last one starts from the
+    materials of the others. The first ``interreflection.matte_rounds`` recoveries find base colours alone, with all
+    else at the model's defaults; where these do not fit the photographs, a full round follows in any case. If the last
+    of them fits worse than the first, their light is not subtracted. Without notable indirect light the maps are those
+    of a Recovery. Texels whose part of the surface has no element keep all light.
 
-    surroundings: surfaces that send the light. prepared: from ``prepare``, of the original photographs. solve: creates
-    one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, and one of prepared
-    and guess. The others are as for Recovery.
+    geometry: builds the surface that sends the light. prepared: from ``prepare``, of the original photographs. solve:
+    creates one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, and one of
+    prepared and guess. The others are as for Recovery.
     """
 
     def __init__(
@@ -78,20 +77,14 @@ class InterreflectionRounds(Successive):
         seed: int,
         fixed: Mapping[str, np.ndarray] | None,
         entry: EntryChoice,
-        surroundings: Surroundings,
+        geometry: InterreflectionGeometry,
         prepared: Prepared | None = None,
         solve: Callable[..., RecoveryEngine] = Recovery,
     ):
-        free = any(not p.is_normal and p.name not in (fixed or {}) for p in model.parameters)
-        self._known_shape = surroundings.shape_known and free  # in all recoveries but the last
-        coloured = any(p.is_albedo and p.name not in (fixed or {}) for p in model.parameters)
-        self._matte = schedule.interreflection.matte_rounds if self._known_shape and coloured else 0
-        self._full = schedule.interreflection.rounds
-        self._warm = self._known_shape  # whether the last recovery starts from earlier estimates
-        self._restarted: int | None = None  # the recovery that is the last because there is no light to subtract
-        super().__init__(domain, model, schedule, seed, fixed, entry, self._schedules_of(schedule))
-        self._surroundings, self._solve = surroundings, solve
-        self._dominated = np.zeros(domain.shape, bool)  # texels whose light is mostly indirect
+        self._rounds = round_schedules(schedule, model, fixed or {}, geometry.known_shape)
+        super().__init__(domain, model, schedule, seed, fixed, entry, self._rounds.schedules(schedule))
+        self._geometry, self._solve = geometry, solve
+        self._mostly_indirect = np.zeros(domain.shape, bool)  # texels whose light is mostly indirect
         self._substitutes: dict[str, np.ndarray] = {}  # maps for these texels
         self._samples: SampleStack | None = None  # without indirect light
         self._share: np.ndarray | None = None  # (H, W), indirect part of the photographed light, from the last round
@@ -99,7 +92,7 @@ class InterreflectionRounds(Successive):
         self._foreign = 0.0  # part of the texels without an element
         self._errors: list[float] = []  # mean residuals at the ends of the rounds
         self._strengths: list[float] = []  # factors on each round's light
-        self._bases: list[dict[str, np.ndarray]] = []  # the maps from which each round's light was estimated
+        self._source_maps: list[dict[str, np.ndarray]] = []  # from which each round's light was estimated
         self._count()
         self._live = self._begin(domain, prepared)
 
@@ -111,23 +104,23 @@ class InterreflectionRounds(Successive):
         """
         maps = self._live.maps(confidence)
         values, deviations = dict(maps.values), maps.confidence and dict(maps.confidence)
-        if self._normals_fixed(self._at):
-            held = self._fixed_in(self._at).keys() - self.fixed.keys()
+        if self._rounds.normals_fixed_in(self._at):
+            held = self._rounds.fixed_in(self._at, self.model).keys() - self.fixed.keys()
             for p in self.model.parameters:
                 if deviations and p.name in held:
                     deviations[p.name] = np.full_like(deviations[p.name], p.width)
             return replace(maps, confidence=deviations)
         for p in self.model.parameters if self._substitutes else ():
             if p.name not in self.fixed:
-                values[p.name] = np.where(self._dominated[..., None], self._substitutes[p.name], values[p.name])
+                values[p.name] = np.where(self._mostly_indirect[..., None], self._substitutes[p.name], values[p.name])
                 if deviations:
                     widest = np.float32(p.width)
-                    deviations[p.name] = np.where(self._dominated[..., None], widest, deviations[p.name])
+                    deviations[p.name] = np.where(self._mostly_indirect[..., None], widest, deviations[p.name])
         return replace(maps, values=values, confidence=deviations)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        if self._normals_fixed(self._at):
+        if self._rounds.normals_fixed_in(self._at):
             return (
                 f"stopped in round {self._at + 1} of {len(self._schedules)} of interreflection: normals are recovered"
                 " in the last, until then they are the mesh's own; resume to find them",
@@ -139,7 +132,7 @@ class InterreflectionRounds(Successive):
                 " too few elements, and keep the light of the rest of the subject; raise interreflection_resolution,"
                 " or unwrap the mesh into larger islands"
             )
-        full = self._errors[self._matte :]
+        full = self._errors[self._rounds.matte :]
         if full and self.progress.done:
             last = self._mean_residual(self._live.maps(confidence=False))
             if last > full[0]:
@@ -153,12 +146,12 @@ class InterreflectionRounds(Successive):
     @property
     def findings(self) -> dict[str, Any]:
         rounds = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
-        unknown = {"unknown_texels": int(np.count_nonzero(self._dominated))}
+        unknown = {"unknown_texels": int(np.count_nonzero(self._mostly_indirect))}
         return {**self._live.findings, "interreflection": rounds | unknown}
 
     @property
     def identity(self) -> dict[str, Any]:
-        return super().identity | self._surroundings.identity
+        return super().identity | self._geometry.identity
 
     def indirect(self, observation: int) -> np.ndarray | float:
         own = self._live.indirect(observation)
@@ -170,7 +163,7 @@ class InterreflectionRounds(Successive):
         if self._at == 0 or self._samples is None:
             return lambda observation: 0.0
         number = self._at - 1  # the round whose light was subtracted before the current recovery
-        light = yield from self._lighting(replace(domain, solvable=self.domain.solvable), self._bases[number])
+        light = yield from self._estimator(replace(domain, solvable=self.domain.solvable), self._source_maps[number])
         with closing(light):
             radiance, _ = yield from light.of_elements()
             samples = light.samples(self._strengths[number] * radiance)
@@ -189,28 +182,28 @@ class InterreflectionRounds(Successive):
     def state(self, running: bool = True) -> Checkpoint:
         """Return the state of the current round, its number, and the maps that gave the light of all rounds."""
         state, solved = self._live.state(running), self.domain.solvable
-        bases = {
-            _BASIS.format(number) + name: value[solved]
-            for number, basis in enumerate(self._bases)
-            for name, value in basis.items()
+        sources = {
+            _SOURCE_MAPS.format(number) + name: value[solved]
+            for number, maps in enumerate(self._source_maps)
+            for name, value in maps.items()
         }
         own = {_AT: np.array([self._at, self._earlier_evaluations]), _ERRORS: np.array(self._errors)}
-        return replace(state, arrays=state.arrays | own | bases)
+        return replace(state, arrays=state.arrays | own | sources)
 
     def restore(self, saved: Checkpoint) -> None:
         self.close()
-        self._warm, self._dominated, self._substitutes = self._known_shape, np.zeros(self.domain.shape, bool), {}
-        self._full, self._restarted = self.schedule.interreflection.rounds, None
-        self._schedules = self._schedules_of(self.schedule)
+        self._mostly_indirect, self._substitutes = np.zeros(self.domain.shape, bool), {}
+        self._rounds = round_schedules(self.schedule, self.model, self.fixed, self._geometry.known_shape)
+        self._schedules = self._rounds.schedules(self.schedule)
         self._at, self._earlier_evaluations = (int(number) for number in saved.arrays[_AT])
         self._errors = saved.arrays[_ERRORS].tolist()[: self._at]  # without that of a round whose light is not known
         self._share, self._mean_share = None, 0.0
-        self._bases, self._strengths, domain = [], [], self.domain
+        self._source_maps, self._strengths, domain = [], [], self.domain
         for number in range(self._at):
-            sizes = {p.name: p.components for p in self.model.parameters} | {_EXPLAINED: 1}
-            self._bases.append({name: np.zeros((*domain.shape, n), np.float32) for name, n in sizes.items()})
-            for name, value in self._bases[-1].items():
-                value[domain.solvable] = saved.arrays[_BASIS.format(number) + name]
+            sizes = {p.name: p.components for p in self.model.parameters} | {_WELL_FITTED: 1}
+            self._source_maps.append({name: np.zeros((*domain.shape, n), np.float32) for name, n in sizes.items()})
+            for name, value in self._source_maps[-1].items():
+                value[domain.solvable] = saved.arrays[_SOURCE_MAPS.format(number) + name]
             domain = self._after_round(number, run_steps(self._subtract_indirect()))
         self._count()
         self._live = self._begin(domain)
@@ -222,7 +215,7 @@ class InterreflectionRounds(Successive):
         if schedule.interreflection != self.schedule.interreflection:
             raise InputError("Interreflection: a running recovery keeps its settings; set them back, or begin another")
         self._end_transition()
-        return self._reconfigured(schedule, self._schedules_of(schedule), seed)
+        return self._reconfigured(schedule, self._rounds.schedules(schedule), seed)
 
     def _texels(self, number: int) -> int:
         return int(np.count_nonzero(self.domain.solvable))
@@ -230,41 +223,26 @@ class InterreflectionRounds(Successive):
     def _title_suffix(self, number: int) -> str:
         return f", round {number} of interreflection" if number else ""
 
-    def _normals_fixed(self, number: int) -> bool:
-        """Return whether a recovery fixes the normals of the known shape."""
-        return self._known_shape and number < len(self._schedules) - 1
-
-    def _of_matte(self, number: int) -> bool:
-        """Return whether a recovery finds base colours alone."""
-        return number < self._matte and self._normals_fixed(number)
-
     def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
-        held: dict[str, np.ndarray] = {}
-        for p in self.model.parameters:
-            if p.is_normal and self._normals_fixed(number):
-                held[p.name] = np.array((0, 0, 1), np.float32)
-            elif not (p.is_normal or p.is_albedo) and self._of_matte(number):
-                held[p.name] = np.atleast_1d(np.asarray(p.default, np.float32))
-        return held | dict(self.fixed)
+        return self._rounds.fixed_in(number, self.model) | dict(self.fixed)
 
     def _begin(self, domain: Domain, prepared: Prepared | None = None) -> RecoveryEngine:
         schedule = self._schedules[self._at]
         begin: dict[str, Any] = {"prepared": prepared} if prepared else {}
-        if schedule.swarm.seed == "given" and self._bases:
-            begin = {"guess": {p.name: self._bases[-1][p.name] for p in self.model.parameters}}
+        if schedule.swarm.seed == "given" and self._source_maps:
+            begin = {"guess": {p.name: self._source_maps[-1][p.name] for p in self.model.parameters}}
         fixed = self._fixed_in(self._at)
         return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)
 
     def _next(self) -> Iterator[None]:
-        while self._known_shape and not self._live.refresh_confidence(BAND_SECONDS):
+        while self._rounds.fixes_normals and not self._live.refresh_confidence(BAND_SECONDS):
             yield
-        maps = self._live.maps(confidence=self._known_shape)
-        self._bases.append((yield from self._basis(maps)))
+        maps = self._live.maps(confidence=self._rounds.fixes_normals)
+        self._source_maps.append((yield from self._source_maps_of(maps)))
         self._errors.append(self._mean_residual(maps))
         domain = yield from self._subtract_indirect()
-        if domain is None and not self._normals_fixed(self._at):
-            self._schedules = self._schedules[: self._at + 1]
-            self._count()
+        if domain is None and not self._rounds.normals_fixed_in(self._at):
+            self._set_rounds(replace(self._rounds, end=self._at))
             return
         domain = self._after_round(self._at, domain)
         self._earlier_evaluations += self._live.progress.evaluations
@@ -279,42 +257,40 @@ class InterreflectionRounds(Successive):
         notably worse, where the surfaces are not matte. There a full round follows, even if there are to be none.
         """
         if domain is None:
-            return self._restart_with_all_light(number + 1)
-        if number == self._matte - 1:
-            explained = self._bases[0][_EXPLAINED][self.domain.solvable]
-            matte = 1 - explained.mean(dtype=np.float64) <= _MOST_UNEXPLAINED
-            if self._full == 0 and not matte:
-                self._full = 1
-                self._schedules = self._schedules_of(self.schedule)
-                self._count()
+            self._set_rounds(replace(self._rounds, end=number + 1))
+            return self._all_light()
+        if number == self._rounds.matte - 1:
+            well_fitted = self._source_maps[0][_WELL_FITTED][self.domain.solvable]
+            matte = 1 - well_fitted.mean(dtype=np.float64) <= _MOST_UNEXPLAINED
+            if self._rounds.full == 0 and not matte:
+                self._set_rounds(replace(self._rounds, full=1))
             if self._errors[number] > (1.0 if matte else _WORSE) * self._errors[0]:
                 return self._all_light()
         return domain
 
-    def _schedules_of(self, schedule: Schedule) -> tuple[Schedule, ...]:
-        """Return the schedule of each recovery."""
-        single = schedule.without_rounds()
-        last = warm_started(single) if self._warm and self._full else single
-        all_of_them = (*(_of_colours(single),) * self._matte, *(single,) * self._full, last)
-        return all_of_them if self._restarted is None else (*all_of_them[: self._restarted], single)
+    def _set_rounds(self, rounds: RoundSchedules) -> None:
+        """Change the rounds that are still to come."""
+        self._rounds = rounds
+        self._schedules = self._rounds.schedules(self.schedule)
+        self._count()
 
     def _mean_residual(self, maps: Maps) -> float:
         return float(present(maps.residual)[self.domain.solvable].mean(dtype=np.float64))
 
-    def _basis(self, maps: Maps) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Yield often; return the live maps by name, and a mask of the texels at which they explain the photographs."""
+    def _source_maps_of(self, maps: Maps) -> Generator[None, None, dict[str, np.ndarray]]:
+        """Yield often; return the live maps by name, and a mask of the texels at which they fit the photographs."""
         light, count = np.zeros(self.domain.shape), np.zeros(self.domain.shape)
         for layer in self._live.domain.stack.layers():
             counted = layer[..., 3] > 0
             light += counted * layer[..., :3].mean(axis=-1)
             count += counted
             yield
-        explained = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
-        full = self._known_shape and not self._of_matte(self._at)
-        values = self._stabilised(maps, explained) if full else maps.values
-        return {**values, _EXPLAINED: (explained & ~self._dominated)[..., None].astype(np.float32)}
+        well_fitted = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
+        full = self._rounds.fixes_normals and not self._rounds.is_matte(self._at)
+        values = self._shrunk(maps, well_fitted) if full else maps.values
+        return {**values, _WELL_FITTED: (well_fitted & ~self._mostly_indirect)[..., None].astype(np.float32)}
 
-    def _stabilised(self, maps: Maps, explained: np.ndarray) -> dict[str, np.ndarray]:
+    def _shrunk(self, maps: Maps, well_fitted: np.ndarray) -> dict[str, np.ndarray]:
         """Return the live maps; a weakly determined gloss is drawn to that of texels of similar colour.
 
         Subtracting light that was estimated from a wrong gloss would make the next round estimate more of that gloss.
@@ -328,20 +304,13 @@ class InterreflectionRounds(Successive):
             if not (p.is_normal or p.is_albedo or p.name in self.fixed or deviation is None):
                 values[p.name] = values[p.name].copy()
                 own = values[p.name][solved], deviation[solved]
-                values[p.name][solved] = shrunk_to_similar_colours(*own, colour, explained[solved])
+                values[p.name][solved] = shrunk_to_similar_colours(*own, colour, well_fitted[solved])
         return values
-
-    def _restart_with_all_light(self, last: int) -> Domain:
-        """Make recovery ``last`` the final one, independent of all earlier ones; return its domain."""
-        self._warm, self._restarted = False, last
-        self._schedules = self._schedules_of(self.schedule)
-        self._count()
-        return self._all_light()
 
     def _all_light(self) -> Domain:
         """Forget what was subtracted; return the domain with all light."""
         self._samples, self._substitutes, self._foreign = None, {}, 0.0
-        self._dominated = np.zeros(self.domain.shape, bool)
+        self._mostly_indirect = np.zeros(self.domain.shape, bool)
         self._set_share(np.zeros(self.domain.shape))
         return self.domain
 
@@ -351,10 +320,10 @@ class InterreflectionRounds(Successive):
         None if that light is negligible.
         """
         domain = self.domain
-        first, relaxation = len(self._bases) == 1, 1.0 if self._known_shape else _RELAXATION
-        with closing((yield from self._lighting(domain, self._bases[-1]))) as light:
-            exchange, covered = light.exchange, light.covered
-            self._foreign = float((exchange.share.sum(axis=-1) == 0)[domain.solvable[covered]].mean(dtype=np.float64))
+        first, relaxation = len(self._source_maps) == 1, 1.0 if self._rounds.fixes_normals else _RELAXATION
+        with closing((yield from self._estimator(domain, self._source_maps[-1]))) as light:
+            transport, covered = light.transport, light.covered
+            self._foreign = float((transport.share.sum(axis=-1) == 0)[domain.solvable[covered]].mean(dtype=np.float64))
             radiance, direct = yield from light.of_elements()
             strength = light.strength(radiance)
             self._strengths.append(strength)
@@ -363,8 +332,8 @@ class InterreflectionRounds(Successive):
                     self._set_share(np.zeros(domain.shape))
                 return None
             indirect = light.samples(strength * radiance)
-            before = None if self._known_shape else self._samples
-            samples = self._samples = domain.stack.kept(DirectStack(domain.stack, indirect, before, relaxation))
+            before = None if self._rounds.fixes_normals else self._samples
+            samples = self._samples = domain.stack.kept(CorrectedStack(domain.stack, indirect, before, relaxation))
             subtracted, shown = np.zeros((2, int(covered.sum())))
             for observation, layer in enumerate(domain.stack.layers()):
                 light_of_texels = indirect.at(observation, *np.nonzero(covered))
@@ -375,36 +344,36 @@ class InterreflectionRounds(Successive):
             share = np.zeros(domain.shape)
             share[covered] = np.divide(subtracted, shown, out=np.zeros_like(subtracted), where=shown > 0)
             self._set_share(share)
-            if self._known_shape:
-                counted = light.seen | ~light.seen.any(axis=0)  # all, for an element that no photograph shows
-                own = (counted * direct).sum(axis=0, dtype=np.float64)
-                others = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
-                part = others / np.maximum(others + own, 1e-12)
-                self._dominated[covered] = exchange.at_texels(part[:, None])[:, 0] > MOST_INDIRECT
-                self._dominated &= domain.solvable
-                for name, value in light.materials.items():
-                    self._substitutes[name] = np.zeros((*domain.shape, value.shape[-1]), np.float32)
-                    self._substitutes[name][covered] = exchange.at_texels(value)
+            if self._rounds.fixes_normals:
+                self._find_mostly_indirect(light, strength, radiance, direct)
         return replace(domain, stack=samples)
 
-    def _lighting(self, domain: Domain, basis: Mapping[str, np.ndarray]) -> Generator[None, None, IndirectLight]:
-        """Yield often; return the estimator of the indirect light of a basis in the observations of a domain."""
-        bounces, steps = self.schedule.interreflection.bounces, self._surroundings.steps(domain, basis)
-        surface, exchange, values = yield from map_steps(steps, lambda part: None)
-        known = domain.solvable & (values[_EXPLAINED][..., 0] > 0)
-        return IndirectLight(surface, exchange, self.model, values, known, bounces)
+    def _find_mostly_indirect(
+        self, light: IndirectLight, strength: float, radiance: np.ndarray, direct: np.ndarray
+    ) -> None:
+        """Store which texels have mostly indirect light, and their substitutes.
+
+        strength: the factor on radiance. radiance, direct: (K, E, 3) and (K, E), from ``IndirectLight.of_elements``.
+        """
+        covered, transport = light.covered, light.transport
+        counted = light.seen | ~light.seen.any(axis=0)  # all, for an element that no photograph shows
+        own = (counted * direct).sum(axis=0, dtype=np.float64)
+        others = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
+        part = others / np.maximum(others + own, 1e-12)
+        self._mostly_indirect[covered] = transport.at_texels(part[:, None])[:, 0] > MOST_INDIRECT
+        self._mostly_indirect &= self.domain.solvable
+        for name, value in light.materials.items():
+            self._substitutes[name] = np.zeros((*self.domain.shape, value.shape[-1]), np.float32)
+            self._substitutes[name][covered] = transport.at_texels(value)
+
+    def _estimator(self, domain: Domain, source_maps: Mapping[str, np.ndarray]) -> Generator[None, None, IndirectLight]:
+        """Yield often; return the estimator of the indirect light of maps in the observations of a domain."""
+        bounces, steps = self.schedule.interreflection.bounces, self._geometry.steps(domain, source_maps)
+        surface = yield from map_steps(steps, lambda part: None)
+        known = domain.solvable & (surface.values[_WELL_FITTED][..., 0] > 0)
+        return IndirectLight(surface.domain, surface.transport, self.model, surface.values, known, bounces)
 
     def _set_share(self, share: np.ndarray) -> None:
         """Store the indirect part (H, W) of the light of the photographs."""
         self._share = np.where(self.domain.solvable, np.minimum(share, 1), 0).astype(np.float32)
         self._mean_share = float(self._share[self.domain.solvable].mean())
-
-
-def _of_colours(schedule: Schedule) -> Schedule:
-    """Return the schedule of a matte round: robust least squares, as base colours are linear weights."""
-    settings = {
-        "prefit_iterations": 0, "refinement_iterations": _MATTE_STEPS, "refinement_starts": False,
-        "refinement_rounds": 0, "materials_rounds": 0, "prior_rounds": 0, "surface_rounds": 0,
-    }  # fmt: skip
-    stages = tuple(replace(stage, iterations=0) for stage in schedule.stages)
-    return replace(schedule.replaced(**settings), stages=stages)
