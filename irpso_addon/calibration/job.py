@@ -28,7 +28,7 @@ from .balls.second_opinion import contradiction
 from .photographs import calibrated_table
 
 AUTO = "auto"
-_LEAST_LIT = 0.5  # least fraction of the photographs with a light
+_MIN_LIT = 0.5  # least fraction of the photographs with a light
 _SEARCH = 0.7  # fraction of the work in the search for balls
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
@@ -177,7 +177,7 @@ def calibrate_steps(
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     lit = sum(light.light is not None for light in result.lights)
-    if lit < max(1, _LEAST_LIT * len(shots)):
+    if lit < max(1, _MIN_LIT * len(shots)):
         missing = next(i for i, light in enumerate(result.lights) if light.light is None)
         raise InputError(
             f"{names[missing]}: {'; '.join(result.lights[missing].warnings)} ({len(shots) - lit} of {len(shots)}"

@@ -31,7 +31,7 @@ from .job import Job
 from .run import Run
 
 _NO_EXTRAS = DerivedMaps()
-_LEAST_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
+_MIN_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
@@ -97,7 +97,7 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     """Return a warning where the photographs show next to nothing of a mesh: it may stand elsewhere."""
     whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
-    if domain.card or seen >= _LEAST_SEEN * whole:
+    if domain.card or seen >= _MIN_SEEN * whole:
         return []
     return [
         f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"

@@ -19,7 +19,7 @@ from ...core.files import check_unused, new_folder
 from ...core.steps import map_steps
 from ..radiometry.develop import developed, registration_steps
 from ..radiometry.source import Source
-from ..register import SMALLEST_MOVE, moved_back
+from ..register import MIN_MOVE, moved_back
 from .corrections_file import FOLDER, photograph_of, write_corrections
 from .measure import Measured, MeasureOptions, Output, Progress, finite, measure_steps
 
@@ -120,7 +120,7 @@ class _Work:
         rgba, figures = image.rgba, {"name": shots[index].name, **image.figures}
         if self.shifts is not None:
             (right, up), agreement, trusted = (values[index] for values in self.shifts)
-            moved = bool(max(abs(right), abs(up)) >= SMALLEST_MOVE)
+            moved = bool(max(abs(right), abs(up)) >= MIN_MOVE)
             figures |= {"shift": [round(float(right), 4), round(float(up), 4)], "agreement": finite(float(agreement)),
                         "trusted": bool(trusted), "moved": moved}  # fmt: skip
             if moved:

@@ -19,17 +19,17 @@ from .pictures import picture_steps
 from .tracks import Tracks, feature_tracks, marker_tracks
 
 Box = tuple[float, float, float, float]
-ENOUGH, FEWEST = 30, 8  # photographs
+ENOUGH, MIN_PHOTOGRAPHS = 30, 8  # photographs
 _GRID = 28  # points along a side of the card, for the fit of the flash
 _BLURRED = 0.6  # of the median sharpness
-_LEAST_VIEW_ANGLE = 6.0  # degrees: least root mean square angle between views
+_MIN_VIEW_ANGLE = 6.0  # degrees: least root mean square angle between views
 _WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a board
 _UNEVEN = 0.08  # standard deviation of the strengths' logarithm: above, exposures differ
 _CONTRADICTS, _MUCH_SURER = 2.5, 0.5  # standard errors; of the other fit's standard error
-_LEAST_PAPER = 10  # points of bare paper that each photograph must show unclipped
+_MIN_PAPER = 10  # points of bare paper that each photograph must show unclipped
 _UNSURE = 0.02  # of the distance: largest usable standard error of the flash's position
 _TRIM = 0.5  # percent of the features at each side, excluded from the extent of the card
-_LEAST_IN_VIEW = 0.6  # of the photographs that must show a point of a card without a board
+_MIN_IN_VIEW = 0.6  # of the photographs that must show a point of a card without a board
 _SIDE = 96  # samples along a side of the square for the test of ambiguous positions
 _ALIKE = "the card looks the same after a turn or a shift, so its position is uncertain in"
 _BOARD = "lay a marker board (`irpso markers`) around it"
@@ -97,7 +97,7 @@ def handheld_steps(
     numbers = sharp[list(placed.tracks.used)]
     field, cameras = _in_unit(_field(tracks.board, placed), placed.cameras, tracks.board)
     angle = _view_angle(cameras)
-    if angle < _LEAST_VIEW_ANGLE:
+    if angle < _MIN_VIEW_ANGLE:
         raise InputError(
             f"the photographs are all from one place: their views differ by {angle:.1f}°; the flash moves with the"
             " lens, so go around the card, from straight above to 50° from the side"
@@ -132,8 +132,8 @@ def _check_size(capture: Capture) -> None:
 
 
 def _check_count(count: int, why: str) -> None:
-    if count < FEWEST:
-        raise InputError(f"{count} photographs can be used, {FEWEST} are needed and {ENOUGH} are better{why}")
+    if count < MIN_PHOTOGRAPHS:
+        raise InputError(f"{count} photographs can be used, {MIN_PHOTOGRAPHS} are needed and {ENOUGH} are better{why}")
 
 
 def _listed(names: np.ndarray) -> str:
@@ -143,7 +143,7 @@ def _listed(names: np.ndarray) -> str:
 def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[str]]:
     """Return tracks of markers, else of features, and warnings. Raises InputError if there are neither."""
     tracks = marker_tracks(codes)
-    if tracks is not None and len(tracks.used) >= max(FEWEST, len(codes) // 2):
+    if tracks is not None and len(tracks.used) >= max(MIN_PHOTOGRAPHS, len(codes) // 2):
         return tracks, []
     if needs_markers:
         raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
@@ -164,8 +164,8 @@ def _field(board: Board | None, placed: Placed) -> Box:
         width, height = board.field
         return -width / 2, -height / 2, width / 2, height / 2
     in_view = np.stack([_in_view(camera, placed.points[:, :2]) for camera in placed.cameras])
-    covered = in_view.mean(axis=0) >= _LEAST_IN_VIEW
-    if covered.sum() < FEWEST:
+    covered = in_view.mean(axis=0) >= _MIN_IN_VIEW
+    if covered.sum() < MIN_PHOTOGRAPHS:
         raise InputError("no part of the card is in most of the photographs; keep it in the middle of all of them")
     (x0, y0), (x1, y1) = np.percentile(placed.points[covered, :2], [_TRIM, 100 - _TRIM], axis=0)
     return float(x0), float(y0), float(x1), float(y1)
@@ -239,7 +239,7 @@ def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> 
     if board is not None and offset is None:
         count = len(board.white)
         paper = Samples(samples.places[:count], samples.cameras, samples.radiance[:, :count])
-        if (usable_samples(paper).sum(axis=1) >= _LEAST_PAPER).all():
+        if (usable_samples(paper).sum(axis=1) >= _MIN_PAPER).all():
             by_paper = flash_of(paper)
             difference = np.abs(by_paper.offset - flash.offset)[:2]
             surer = np.linalg.norm(by_paper.error) < _MUCH_SURER * np.linalg.norm(flash.error)

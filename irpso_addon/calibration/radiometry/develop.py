@@ -16,7 +16,7 @@ from ...capture.images.image import ImageRef, ImageStore
 from ...capture.inspect.checks import middle_window
 from ...core.errors import InputError
 from ...core.steps import map_steps
-from ..register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
+from ..register import MIN_MOVE, find_shifts, moved_back, shift_steps
 from .bursts import averaged
 from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
 from .hdr import SATURATED, merge
@@ -114,7 +114,7 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
     shifts = find_shifts(np.stack(greys), len(frames) // 2)
     result = []
     for frame, (right, up) in zip(frames, shifts.pixels, strict=True):
-        if max(abs(right), abs(up)) < SMALLEST_MOVE:
+        if max(abs(right), abs(up)) < MIN_MOVE:
             result.append(frame)
             continue
         rgba = moved_back(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), right, up)

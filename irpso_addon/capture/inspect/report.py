@@ -163,7 +163,7 @@ def _image_steps(
 def _room_light_findings(capture: Capture, frames: Frames, pixels: np.ndarray) -> Iterator[Finding]:
     """Yield a finding of room light, under distant lights only: near ones need the pixels' positions."""
     lights = [capture.observations[index].light for index in frames.indices]
-    if len(lights) < sufficiency.FEWEST or not all(light.distant for light in lights):
+    if len(lights) < sufficiency.MIN_LIGHTS or not all(light.distant for light in lights):
         return
     lamps = np.array([np.multiply(light.vector, np.mean(light.intensity)) for light in lights])
     if text := room_light_message(room_light(pixels, pixels > 0, lamps[:, None])):

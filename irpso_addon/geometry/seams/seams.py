@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Texels past a border with known neighbours: the reach of the prior in the shipped presets (2^4).
 SEAM_REACH = 16
 # Up to this halo a tile selects the places that its texels reach; with a wider halo nearly all are reached.
-LARGEST_SEARCHED_HALO = 4
+MAX_SEARCHED_HALO = 4
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..settings.resolve import Resolved
 
-_LEAST_FRACTION = 0.003  # of the work: least sample for the pace of the run
-_LEAST_OF_STAGE = 0.02  # of the work: least sample for the pace of the stage
+_MIN_FRACTION = 0.003  # of the work: least sample for the pace of the run
+_MIN_STAGE_FRACTION = 0.02  # of the work: least sample for the pace of the stage
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,10 @@ class TimeLeft:
             self._stage, self._number = now, progress.stage
         if progress.done:
             return 0.0
-        pace = _pace(self._run, now, _LEAST_FRACTION)
+        pace = _pace(self._run, now, _MIN_FRACTION)
         if pace is None:
             return None
-        stage_pace = _pace(self._stage, now, _LEAST_OF_STAGE)
+        stage_pace = _pace(self._stage, now, _MIN_STAGE_FRACTION)
         stage_left = max(0.0, progress.stage_end - progress.fraction)
         return stage_left * (pace if stage_pace is None else stage_pace) + (1 - progress.fraction - stage_left) * pace
 

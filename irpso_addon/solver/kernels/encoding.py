@@ -9,7 +9,7 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
 
-_MOST_DIMENSIONS = 8  # of a particle
+_MAX_DIMENSIONS = 8  # of a particle
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Encoding:
     @property
     def packed(self) -> Packed:
         """Layout of a particle in textures."""
-        return Packed(self.blocks, _MOST_DIMENSIONS)
+        return Packed(self.blocks, _MAX_DIMENSIONS)
 
 
 def blocks_of(dimensions: int) -> int:

@@ -160,7 +160,7 @@ def _step_pass(
 def _settings(prior: Prior, refinement: Refinement) -> Defines:
     numbers = {
         "NOISE_FREEDOM": prior.noise_freedom, "SCALAR_BANDWIDTH": prior.likeness,
-        "COLOR_BANDWIDTH": prior.likeness_color, "SPREAD": prior.spread, "LEAST_SHARE": prior.share,
+        "COLOR_BANDWIDTH": prior.likeness_color, "SPREAD": prior.spread, "MIN_SHARE": prior.share,
         "TOLERANCE": prior.tolerance,
     }  # fmt: skip
     return {

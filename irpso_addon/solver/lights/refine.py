@@ -24,7 +24,7 @@ from .fit import GAINS, MOVES, LightStep, Moving, axes_of, brightened, light_ste
 from .sample import LightSample
 from .semi_calibrated import normalised
 
-MOST_DEGREES = 20.0  # of a refinement: larger errors need a calibration
+MAX_DEGREES = 20.0  # of a refinement: larger errors need a calibration
 _ROUNDS = 12
 _SETTLED = 1e-3  # RMS change (relative intensities, radians of directions) of the last round
 # δ of the fitness in the first rounds: with a narrow δ a wrong light is an outlier and stays wrong. On a relief of 3°
@@ -39,7 +39,7 @@ _CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
 # Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
 # matte model on a glossy surface, 0.01 for correct intensities.
 _EXPLAINED = 0.6
-_LEAST_LIGHTS = 8  # least number for an estimate of intensities
+_MIN_LIGHTS = 8  # least number for an estimate of intensities
 
 Intensities = Literal["auto", "given", "estimate"]
 
@@ -201,7 +201,7 @@ def can_tell(domain: Domain, fitted: np.ndarray | None = None) -> bool:
     photographs of a ball under lights within 22°, errors rise from 6.2 to 7.2°. fitted: the observations in the fit.
     """
     lights = domain.lights if fitted is None else domain.lights[fitted]
-    if not (domain.intensities == 1).all() or len(lights) < _LEAST_LIGHTS:
+    if not (domain.intensities == 1).all() or len(lights) < _MIN_LIGHTS:
         return False
     middle = domain.bake.position[domain.bake.coverage].mean(axis=0, dtype=np.float64)
     toward = lights[:, :3] - np.where(lights[:, 3:] > 0, middle, 0.0)
@@ -234,10 +234,10 @@ def _contradicted(
 
 def check(intensities: bool, refine_degrees: float) -> None:
     """Raise InputError where nothing is to be estimated, or the angle is out of range."""
-    if not 0 <= refine_degrees <= MOST_DEGREES:
+    if not 0 <= refine_degrees <= MAX_DEGREES:
         raise InputError(
             f"--refine-directions {refine_degrees:g}: give the directions' typical error in degrees, 0 to"
-            f" {MOST_DEGREES:g}"
+            f" {MAX_DEGREES:g}"
         )
     if not intensities and refine_degrees == 0:
         raise InputError("lights: choose what to estimate, intensities or directions; neither is chosen")

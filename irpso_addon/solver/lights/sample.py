@@ -13,8 +13,8 @@ from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
 _TEXELS = 1024  # at most; 5 % noise per sample then gives 0.2 % error per light
-_SAMPLES = 1 << 16  # at most, over all observations, but at least _LEAST texels
-_LEAST = 384
+_SAMPLES = 1 << 16  # at most, over all observations, but at least _MIN_TEXELS texels
+_MIN_TEXELS = 384
 _WIDTH = 64  # of the sample's grid, in texels
 _CANDIDATES = 3  # candidates per texel; each is read from all layers of a stack, which may be on disk
 _EVERY_LIGHT = 128  # texels per light, if so many are lit by it
@@ -46,7 +46,7 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     Uses numpy only, so it may run in a thread. fitted: indices of the observations in the fit. most: number of texels.
     """
     places = np.flatnonzero(domain.solvable)
-    count = min(most, max(_LEAST, _SAMPLES // domain.observations))
+    count = min(most, max(_MIN_TEXELS, _SAMPLES // domain.observations))
     rng = np.random.default_rng(seed % 2**32)
     chosen = np.sort(rng.permutation(places)[: _CANDIDATES * count])
     rows, columns = np.divmod(chosen, domain.shape[1])

@@ -15,8 +15,8 @@ _SEARCHED_BANDWIDTH, _LINEAR_BANDWIDTH = _SHADER["SEARCHED_BANDWIDTH"], _SHADER[
 _ROWS = 7  # of the table: 12 means, 12 inverse variances, the share of the material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation
-_LEAST_VARIANCE = 0.25  # of a material; features that are 1 apart differ
-_LEAST_TEXELS = 4.0  # of a material in the sample
+_MIN_VARIANCE = 0.25  # of a material; features that are 1 apart differ
+_MIN_TEXELS = 4.0  # of a material in the sample
 _MIX = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)  # SplitMix64 (Steele, Lea and Flood 2014)
 
 
@@ -92,10 +92,10 @@ def mixture(x: np.ndarray, weights: np.ndarray, count: int) -> tuple[np.ndarray,
     for _ in range(_ROUNDS):
         weight = memberships(x, share, mean, variance)
         texels = weight.sum(axis=0)
-        weight = weights[:, None] * weight[:, texels >= min(_LEAST_TEXELS, texels.max())]
+        weight = weights[:, None] * weight[:, texels >= min(_MIN_TEXELS, texels.max())]
         texels = weight.sum(axis=0)
         mean = (weight.T @ x) / texels[:, None]
-        variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _LEAST_VARIANCE)
+        variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _MIN_VARIANCE)
         share = texels / texels.sum()
     return share, mean, variance
 

@@ -36,7 +36,7 @@ _ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally g
 # Least fitness of the first prefit for a second one with sheen: SheenPhase adopts none whose neighbourhood fits better
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
-_LEAST_FITNESS = 0.3
+_MIN_FITNESS = 0.3
 _PENALTY = SHADERS / "prefit" / "exponent_penalty.glsl"
 # Of the prior on the cosine's exponent (mean 1) under narrow lights. On balls under 12 lights within 22° it lowers the
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the
@@ -73,7 +73,7 @@ class PrefitPhase(Phase):
         if resolved.indirect:
             self._chosen = (domain.shadow > 0) | domain.separation.separated
         elif resolved.sheen:
-            self._chosen = present(measurements.fitness) >= _LEAST_FITNESS
+            self._chosen = present(measurements.fitness) >= _MIN_FITNESS
         if self._chosen is not None:
             schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where(self._chosen)
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
@@ -318,7 +318,7 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines)
     samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
     defines = {
         **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
-        "LEAST_SAMPLES": _least_samples(model, schedule),
+        "MIN_SAMPLES": _min_samples(model, schedule),
     }  # fmt: skip
     outputs, includes = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
     return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
@@ -327,14 +327,14 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines)
 def _indirect_misfit_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
     samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
     defines = {
-        **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "LEAST_SAMPLES": _least_samples(model, schedule),
+        **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "MIN_SAMPLES": _min_samples(model, schedule),
         "RAISED_SHADOW": f"{schedule.prefit.indirect_shadow:.9f}",
     }  # fmt: skip
     outputs, includes = (Output("o_indirect_misfit"),), kernels.model_includes(model)
     return Pass(Kernel("prefit/indirect_misfit.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
 
 
-def _least_samples(model: ReflectanceModel, schedule: Schedule) -> int:
+def _min_samples(model: ReflectanceModel, schedule: Schedule) -> int:
     """Return the number of samples from which on a fit is a reference for others."""
     return max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 

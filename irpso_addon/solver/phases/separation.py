@@ -31,7 +31,7 @@ from .prefit import adopt_pass, adopt_where
 
 # Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
 # 0 the normal error of a dirty card is 0.54 in place of 0.16°; in hollows it is 0.1° less.
-LEAST_TURN = 3.0
+MIN_TURN = 3.0
 REACH = 1  # an iteration that needs the whole domain's sample has a reach
 
 
@@ -104,7 +104,7 @@ class SeparationPhase(Phase):
         # Not on a mesh: samples in its cast shadows have weight 0, so that they give no evidence.
         if self._domain.domain.card:
             separated = self._separation.separated
-            work = shadow_light_pass(self._model, self._least_share, LEAST_TURN, self._domain.defines, self._entry)
+            work = shadow_light_pass(self._model, self._least_share, MIN_TURN, self._domain.defines, self._entry)
             misfit = np.where(separated | self._sheen, 0, self._misfit)
             asked = shadow_light_steps(work, self._domain, self._estimates, misfit, bands, seconds)
             by_shadows = Separation.of_shadows((yield from asked))
@@ -162,8 +162,8 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
     samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_misfit": kernels.FLOAT_2D}
     normal = next(p.name for p in model.parameters if p.is_normal)
     defines = {
-        **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "LEAST_SHARE": f"{least:.9f}",
-        "LEAST_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",
+        **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "MIN_SHARE": f"{least:.9f}",
+        "MIN_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",
     }  # fmt: skip
     outputs = tuple(Output(name) for name in ("o_low", "o_middle", "o_high"))
     constants, includes = {"u_observations": "INT"}, kernels.model_includes(model)

@@ -18,7 +18,7 @@ from .refinement import RefinementPhase
 
 _TABLE = "materials"  # name in a state
 _AT_ONCE = 0.1  # seconds of a band of the alternatives
-_LEAST_WEIGHT = 0.02  # of a texel in the mixture
+_MIN_WEIGHT = 0.02  # of a texel in the mixture
 
 
 class SharedMaterialsPhase(RefinementPhase):
@@ -71,7 +71,7 @@ class SharedMaterialsPhase(RefinementPhase):
             pass
         deviances = [packing.unpack(value)[rows, columns] for value in self._alternatives.read().values()]
         ratios = np.exp(-0.5 * np.maximum(np.nan_to_num(np.concatenate(deviances, axis=-1, dtype=np.float64)), 0.0))
-        return _LEAST_WEIGHT + (1 - _LEAST_WEIGHT) * (1 - ratios.mean(axis=-1))
+        return _MIN_WEIGHT + (1 - _MIN_WEIGHT) * (1 - ratios.mean(axis=-1))
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration, as RefinementPhase does."""

@@ -45,7 +45,7 @@ FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
 _GEOMETRY = 4  # layers: position, normal, tangent, place
 # Relative costs of iterations, measured on llvmpipe with 24 lights; a sample's render is 1.
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
-STEP_DECAY, LEAST_STEP = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
+STEP_DECAY, MIN_STEP = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
 NEIGHBOUR_READ = 10.0  # of a prior or a test, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
@@ -242,8 +242,8 @@ def _refinement_work(
 ) -> tuple[float, ...]:
     """Return the work of a refinement. From a start all texels step, in its race some; from the best, ever fewer."""
     settings, (step, propagation) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
-    from_best = [step * max(LEAST_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
-    after_propagation = [propagation + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]
+    from_best = [step * max(MIN_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
+    after_propagation = [propagation + step * MIN_STEP, *[step * MIN_STEP] * (settings.round_iterations - 1)]
     from_starts: list[float] = []
     if resolved.starts:
         race = [*[step] * settings.start_iterations, *[step * RACING] * settings.race_iterations]

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ...core.errors import InputError
-from ...geometry.seams.seams import LARGEST_SEARCHED_HALO, SEAM_REACH
+from ...geometry.seams.seams import MAX_SEARCHED_HALO, SEAM_REACH
 from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
@@ -21,8 +21,8 @@ _TREE = 480  # host bytes per triangle of the tree at which rays are cast (measu
 PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
 _TEXTURE, _SHARE = 1 << 30, 8  # bytes of one texture that software GL allows; divisor of a large device memory
-_MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
-_SMALLEST = 8  # texels along the longer side: a tile this small is not cut
+_MAX_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
+_MIN_SIDE = 8  # texels along the longer side: a tile this small is not cut
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
 
@@ -50,9 +50,9 @@ class Limits:
     texture: int = _TEXTURE
 
 
-def largest_texture(free: int | None) -> int:
+def max_texture_bytes(free: int | None) -> int:
     """Return the most bytes of one texture. free: bytes that the driver reports, or None. On an H100, 8 GiB work."""
-    return min(max(_TEXTURE, (free or 0) // _SHARE), _MOST_TEXTURE)
+    return min(max(_TEXTURE, (free or 0) // _SHARE), _MAX_TEXTURE)
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def tile_of(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None)
     window = (part.shape[0] + border, part.shape[1] + border)
     if borders is not None:
         border_length = borders.length_in(box, cost.reach)
-        ghosts = int(border_length * (cost.reach if cost.reach <= LARGEST_SEARCHED_HALO else SEAM_REACH))
+        ghosts = int(border_length * (cost.reach if cost.reach <= MAX_SEARCHED_HALO else SEAM_REACH))
         texels += min(ghosts, _texels(coverage) - texels)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.
         places = _grid_places(texels)
@@ -267,7 +267,7 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         unfit = [box for box in boxes if not _fits(coverage, box, cost, memory, limits, borders, in_turns=True)]
         if not unfit:
             return boxes
-        if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
+        if small := [box for box in unfit if max(box[2:]) <= _MIN_SIDE]:
             needs = {box: tile_of(coverage, box, cost, borders).device_in_turns for box in small}
             box = max(small, key=needs.__getitem__)
             rays = ", or interreflection_rays" if cost.rays else ""
@@ -291,7 +291,7 @@ def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
         return
     x0, y0 = x0 + int(columns[0]), y0 + int(rows[0])
     width, height = int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1
-    if count == 1 or max(width, height) <= _SMALLEST:
+    if count == 1 or max(width, height) <= _MIN_SIDE:
         yield x0, y0, width, height
         return
     part = part[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

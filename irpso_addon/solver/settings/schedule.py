@@ -42,7 +42,7 @@ class Schedule:
         "How many times the search runs through all stages. Each further time starts"
         " from the maps so far and takes as long again",
         1,
-        least=1,
+        minimum=1,
         soft_max=10,
     )
     threshold: float = setting(
@@ -52,11 +52,11 @@ class Schedule:
     )  # fmt: skip
     levels: int = setting(
         "Levels", "Number of map sizes that are solved, from small to full. Each is half the next one and gives"
-        " its first guess; 1 solves the full size alone", 1, least=1, most=5,
+        " its first guess; 1 solves the full size alone", 1, minimum=1, maximum=5,
     )  # fmt: skip
     level_iterations: float = setting(
         "Finer Levels", "Iterations at all levels but the smallest, as a part of those at the smallest. Less is"
-        " faster and less exact", 0.4, above=True, most=1,
+        " faster and less exact", 0.4, exclusive_minimum=True, maximum=1,
         subtype="FACTOR",
     )  # fmt: skip
     prefit: Prefit = Prefit()

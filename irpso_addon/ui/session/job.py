@@ -14,7 +14,7 @@ from ...blender.materials import material
 from ...blender.mesh import extract_mesh
 from ...blender.occluders import WITH_SURFACE, with_occluders
 from ...blender.tiled_images import tile_images
-from ...capture.inspect.sufficiency import FEWEST, check_normal, no_normal
+from ...capture.inspect.sufficiency import MIN_LIGHTS, check_normal, no_normal
 from ...capture.read import read_spec
 from ...capture.types import Capture
 from ...core.encode import linear_from_srgb, srgb_from_linear
@@ -25,7 +25,7 @@ from ...geometry.surface.slots import listed, slot_names, slots_of_text
 from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...solver.planning.planning import scratch_folder
-from ...solver.views.held_out import FEWEST_SPARING, held_out_last, spared
+from ...solver.views.held_out import MIN_OBSERVATIONS, held_out_last, spared
 from ..common.polls import NO_CAPTURE
 from ..common.words import iface
 from ..properties import findings, preferences
@@ -64,7 +64,7 @@ def missing(context) -> str:
         count = sum(obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects)
         if not count:
             return iface("No light of this scene has a photograph: assign images to the lights, or import a capture")
-        if count < FEWEST and findings.wants_normal(settings):
+        if count < MIN_LIGHTS and findings.wants_normal(settings):
             lights = iface("1 light has a photograph")
             if count > 1:
                 lights = iface("{count} lights have photographs", count=count)
@@ -136,7 +136,7 @@ def _held_out(settings, capture: Capture) -> tuple[int, ...]:
     if not (chosen := spared(capture.listed_cameras)):
         photographs = "1 photograph" if count == 1 else f"{count} photographs"
         raise InputError(
-            f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {FEWEST_SPARING} or more"
+            f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {MIN_OBSERVATIONS} or more"
         )
     held_out = tuple(capture.numbers(chosen))
     fitted = [one.light for k, one in enumerate(capture.observations) if k not in held_out]

@@ -214,7 +214,7 @@ def test_a_refusal_of_levels_names_the_limit_that_was_met(monkeypatch):
     coverage, schedule = np.ones((128, 128), bool), PRESETS["swarm"].replaced(levels=2)
     with pytest.raises(InputError, match="does not fit in memory at once, .* allow more with --memory"):
         planning.make_plan(coverage, LAMBERT, schedule, (), 12, memory="device=8M,host=4G")
-    monkeypatch.setattr(planning, "largest_texture", lambda free: 1 << 20)
+    monkeypatch.setattr(planning, "max_texture_bytes", lambda free: 1 << 20)
     for device in ("8M", "4G"):  # more memory does not make textures larger
         with pytest.raises(InputError, match=r"exceeds this GPU's textures \(.* 1.0 MiB\), .* fewer photographs"):
             planning.make_plan(coverage, LAMBERT, schedule, (), 12, memory=f"device={device},host=4G")

@@ -210,10 +210,10 @@ def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
         assert third.progress.done and everything(third.maps()) == wanted
 
 
-@pytest.mark.parametrize("most", [0, engine._MOST_RUNNING], ids=["begin of the stage", "all"])
+@pytest.mark.parametrize("most", [0, engine._MAX_RUNNING], ids=["begin of the stage", "all"])
 @pytest.mark.parametrize("name", ["several stages", "materials", "refinement"])
 def test_a_checkpoint_does_not_depend_on_the_tiles(name, most, tmp_path, monkeypatch):
-    monkeypatch.setattr(engine, "_MOST_RUNNING", most)
+    monkeypatch.setattr(engine, "_MAX_RUNNING", most)
     (domain, wanted, progress), schedule = known(name), SCHEDULES[name]
     makes = {
         "whole": lambda: Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment"),
@@ -340,7 +340,7 @@ def test_swapped_tiles_take_at_most_the_planned_bytes(preset, budget, device):
 
 @pytest.mark.parametrize("tiles", [False, True], ids=["whole", "tiles"])
 def test_a_stage_whose_settings_changed_is_stored_whole(tiles, tmp_path, monkeypatch):
-    monkeypatch.setattr(engine, "_MOST_RUNNING", 0)
+    monkeypatch.setattr(engine, "_MAX_RUNNING", 0)
     (domain, _, _), schedule, path = known("several stages"), SCHEDULES["several stages"], tmp_path / "run.npz"
     changed = schedule.replaced(c1=1.1)
     with Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as recovery:

@@ -259,7 +259,7 @@ def test_ranks_with_another_capture_or_options_are_named(monkeypatch):
 
 
 def test_sent_messages_are_counted(monkeypatch):
-    monkeypatch.setattr("irpso_addon.cluster.transport._LARGEST", 40)
+    monkeypatch.setattr("irpso_addon.cluster.transport._MAX_BYTES", 40)
     here = SimpleNamespace(Get_rank=lambda: 0, Get_size=lambda: 3)
     sent = []
     world = SimpleNamespace(

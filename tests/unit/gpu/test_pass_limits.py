@@ -76,7 +76,7 @@ def make_passes(resolved, model, schedule):
         decision_pass("prefit/sheen.glsl", "chosen", sheen.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedSeparation):
         prefit.adopt_pass(model, DOMAIN)
-        separation.shadow_light_pass(model, 0.05, separation.LEAST_TURN, DOMAIN, "fragment")
+        separation.shadow_light_pass(model, 0.05, separation.MIN_TURN, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
             make_passes(part, resolved.model, schedule)

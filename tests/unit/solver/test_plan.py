@@ -13,7 +13,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning import memory
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory, amount, free_memory, machine_memory, parse_memory
-from irpso_addon.solver.planning.plan import Limits, device_bytes, largest_texture, plan_recovery
+from irpso_addon.solver.planning.plan import Limits, device_bytes, max_texture_bytes, plan_recovery
 from irpso_addon.solver.settings.schedule import load_schedule
 
 G, M = 1 << 30, 1 << 20
@@ -315,8 +315,8 @@ def test_unset_budgets_come_from_the_machine(monkeypatch):
 
 
 def test_a_texture_may_be_large_where_the_memory_is():
-    assert [largest_texture(free) for free in (None, G, 4 * G, 16 * G)] == [G, G, G, 2 * G]
-    assert 7 * G < largest_texture(200 * G) < 8 * G
+    assert [max_texture_bytes(free) for free in (None, G, 4 * G, 16 * G)] == [G, G, G, 2 * G]
+    assert 7 * G < max_texture_bytes(200 * G) < 8 * G
 
 
 def test_free_memory_comes_from_the_system():
