@@ -26,8 +26,8 @@ class HaloTransport(Protocol):
 
     connected: bool  # whether any tile reads another
 
-    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
-        """Publish (H, W, n) results of a tile's texels. reach: width of the halos that the next iteration reads."""
+    def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
+        """Publish (H, W, n) results of a tile's texels. halo: width of the halos that the next iteration reads."""
 
     def exchange(self) -> None:
         """Send what was published. All tiles of this process have published, at the same iteration."""
@@ -48,7 +48,7 @@ class LocalTransport:
         self._arriving: list[dict[int, Received]] = [{} for _ in places]
         self._held: list[dict[int, Received]] = [{} for _ in places]
 
-    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
         for overlap in self._overlaps[tile]:
             self._arriving[overlap.other][tile] = overlap, overlap_values(overlap, results)
 
@@ -129,7 +129,7 @@ class LockStep:
         Yields after each iteration of a tile; paced: every few milliseconds, after each band has ended.
         """
         order = self._pool.order()
-        if self._pool.recovery(order[0]).reach and not self._published:
+        if self._pool.recovery(order[0]).reads_other_tiles and not self._published:
             for number in order:
                 self._publish(number)
             self._exchange()
@@ -146,7 +146,7 @@ class LockStep:
                 yield from self._stepping(number, 1, budget)
                 made, tile.reached = made + 1, recovery.reached
                 yield
-                if turn == 0 and (recovery.reach or self._reached(recovery)):
+                if turn == 0 and (recovery.reads_other_tiles or self._reached(recovery)):
                     break
             count = made
             if made and made == most and not self._pool.resident:  # for the caller, while the tile is here
@@ -188,32 +188,29 @@ class LockStep:
     def _publish(self, number: int) -> None:
         """Publish the results of a tile's texels, if the next iteration reads them."""
         recovery = self._pool.recovery(number)
-        if not recovery.reach:
-            return
-        if recovery.reach > self._halo:
-            raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
-        if (sample := recovery.sample()) is not None:
-            self._samples.append(sample)
-        if self._transport.connected:
-            self._transport.publish(number, recovery.halo(), recovery.reach)
+        radius = recovery.stencil_radius
+        if radius > self._halo:
+            raise ValueError(f"halo {self._halo}: the next iteration reads {radius} texels away")
+        if recovery.needs_sample:
+            self._samples.append(recovery.sample())
+        if radius and self._transport.connected:
+            self._transport.publish(number, recovery.halo(), radius)
 
     def _exchange(self) -> None:
-        self._published = bool(self._pool.active.reach)
+        self._published = self._pool.active.reads_other_tiles
         samples, self._samples = self._samples, []
         self._sample = (
             merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
         )
-        if self._published and self._transport.connected:
+        if self._pool.active.stencil_radius and self._transport.connected:
             self._transport.exchange()
 
     def _receive(self, number: int) -> None:
         """Copy the published halos into a tile, if its next iteration reads them."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
-        if not recovery.reach:
-            return
-        if self._sample is not None:
+        if recovery.needs_sample and self._sample is not None:
             recovery.take_sample(self._sample)
-        if received := self._transport.received(number):
+        if recovery.stencil_radius and (received := self._transport.received(number)):
             size = received[0][1].shape[-1]
             values = np.full((*tile.domain.shape, size), np.nan, np.float32)
             ghosts = np.full((len(tile.place.ghosts), size), np.nan, np.float32)

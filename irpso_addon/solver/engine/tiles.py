@@ -45,10 +45,10 @@ class TileRecovery(Recovery):
         self._finish_iteration()
         self._running().take_halo(values, ghosts)
 
-    def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
+    def sample(self) -> np.ndarray:
+        """Return this tile's part of the whole domain's sample for the next iteration."""
         self._finish_iteration()
-        return self._phase.sample() if self._phase is not None and self._phase.reach else None
+        return self._running().sample()
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Take the sample of the whole domain, from ``phases.mixture.merged``."""
@@ -56,9 +56,19 @@ class TileRecovery(Recovery):
         self._running().take_sample(sample)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
-        return self._phase.reach if self._phase is not None else 0
+        return self._phase.stencil_radius if self._phase is not None else 0
+
+    @property
+    def reads_other_tiles(self) -> bool:
+        """Whether the next iteration needs the halo, or the sample of the whole domain."""
+        return self.stencil_radius > 0 or self.needs_sample
+
+    @property
+    def needs_sample(self) -> bool:
+        """Whether the next iteration needs the sample of the whole domain."""
+        return self._phase is not None and self._phase.needs_sample
 
     def finish_stage(self) -> None:
         """Begin the next stage, as at the threshold, and place its swarms."""

@@ -43,11 +43,11 @@ def schedule_defines(schedule: Schedule) -> Defines:
     """Return the constants of a schedule that are compiled in."""
     swarm = schedule.swarm
     return {
-        "REACH": swarm.neighbourhood // 2,
+        "WINDOW_RADIUS": swarm.neighbourhood // 2,
         **fitness_defines(schedule.fitness),
         "WALLS": _WALLS[swarm.walls.upper()],
         "NEIGHBOUR_EVERY": swarm.neighbour_every,
-        "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
+        "ALBEDO_BOUND_FACTOR": f"{swarm.linear_reach:.9f}",
     }
 
 

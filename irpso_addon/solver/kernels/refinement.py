@@ -19,7 +19,7 @@ NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
 # Largest distance, in texels, of proposals and support (shaders/refine/propagate.glsl, neighbour_support.glsl).
-PROPAGATION_REACH = 2
+PROPAGATION_RADIUS = 2
 _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
 
 

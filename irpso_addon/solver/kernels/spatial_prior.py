@@ -54,7 +54,7 @@ class PriorPasses:
             getattr(self, name).close()
 
 
-def reach_of(prior: Prior) -> int:
+def stencil_radius_of(prior: Prior) -> int:
     """Return the distance, in texels, at which a round of a prior reads neighbours."""
     return 2**prior.scales
 

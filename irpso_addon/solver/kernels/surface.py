@@ -16,7 +16,7 @@ from .refinement import jacobian_renders
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
 SWEEPS = 7  # in a round: each reads adjacent texels; then settle.glsl one texel further, and smooth.glsl a window
 _TAPS, _WINDOW = 24, 2  # neighbours, and the largest distance of them: shaders/common/taps.glsl
-NOISE_REACH, REACH = _WINDOW, SWEEPS + 1 + _WINDOW
+NOISE_STENCIL_RADIUS, STENCIL_RADIUS = _WINDOW, SWEEPS + 1 + _WINDOW
 
 
 @dataclass(frozen=True)

@@ -159,13 +159,13 @@ def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixe
                 steps.append(_Step(parameter.name, up, down, np.full(shape, 2 * _TURN), 1.0))
             continue
         low, high = parameter.range
-        reach = high - low
+        extent = high - low
         for c in range(parameter.components):
             up, down = value.copy(), value.copy()
-            up[..., c] = np.minimum(value[..., c] + _STEP * reach, high)
-            down[..., c] = np.maximum(value[..., c] - _STEP * reach, low)
+            up[..., c] = np.minimum(value[..., c] + _STEP * extent, high)
+            down[..., c] = np.maximum(value[..., c] - _STEP * extent, low)
             width = (up - down)[..., c].astype(np.float64)
-            steps.append(_Step(parameter.name, up, down, np.maximum(width, 1e-9), reach))
+            steps.append(_Step(parameter.name, up, down, np.maximum(width, 1e-9), extent))
     return steps
 
 

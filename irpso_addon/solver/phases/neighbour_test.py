@@ -20,7 +20,7 @@ from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates
 from .phase import TexturePhase
 
-REACH, TAPS = 8, taps_of(Prior(scales=3))
+STENCIL_RADIUS, TAPS = 8, taps_of(Prior(scales=3))
 
 
 class NeighbourTest(TexturePhase):
@@ -59,9 +59,9 @@ class NeighbourTest(TexturePhase):
         return 0
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return 0 if self.done else REACH
+        return 0 if self.done else STENCIL_RADIUS
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make the decisions, in bands."""

@@ -55,8 +55,13 @@ class Phase(Protocol):
         """Renders of all observations in the next iteration, at a texel that has not converged."""
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours; 0 if it reads none."""
+
+    @property
+    def needs_sample(self) -> bool:
+        """Whether the next iteration needs a sample of the whole domain (mixture.py)."""
+        return False
 
     @property
     def placed(self) -> bool:
@@ -97,12 +102,9 @@ class Phase(Protocol):
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Set (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own texels do not change."""
 
-    def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the domain's sample (mixture.py) that the next iteration needs; None if none.
-
-        An iteration that needs a sample also has a ``reach``.
-        """
-        return None
+    def sample(self) -> np.ndarray:
+        """Return this tile's part of the sample of the whole domain, where ``needs_sample``."""
+        return np.zeros((0, 3))
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Set the sample of the whole domain."""
@@ -185,7 +187,7 @@ class TexturePhase(Phase):
 
     def fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every texel's best fitness; NaN where none is solved."""
-        raise NotImplementedError
+        return np.zeros((0, 3))
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""

@@ -108,9 +108,9 @@ class PrefitPhase(Phase):
         return self.inner.evaluations
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return self.inner.reach
+        return self.inner.stencil_radius
 
     @property
     def placed(self) -> bool:

@@ -32,7 +32,6 @@ from .prefit import adopt_pass, adopt_where
 # Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
 # 0 the normal error of a dirty card is 0.54 in place of 0.16°; in hollows it is 0.1° less.
 MIN_TURN = 3.0
-REACH = 1  # an iteration that needs the whole domain's sample has a reach
 
 
 class SeparationPhase(Phase):
@@ -75,9 +74,14 @@ class SeparationPhase(Phase):
         return 0
 
     @property
-    def reach(self) -> int:
-        """REACH if the next iteration needs the whole domain's sample, else 0."""
-        return REACH if not self.done and self._sample is None else 0
+    def stencil_radius(self) -> int:
+        """0: neighbours are not read."""
+        return 0
+
+    @property
+    def needs_sample(self) -> bool:
+        """Whether the whole domain's sample is missing."""
+        return not self.done and self._sample is None
 
     def sample(self) -> np.ndarray:
         """Return this tile's part of the sample, as ``mixture.sampled``; values: chroma, and 1 for indirect light."""

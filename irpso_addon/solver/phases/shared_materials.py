@@ -9,7 +9,7 @@ import numpy as np
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.textures import Texture
-from ..kernels.refinement import PROPAGATION_REACH
+from ..kernels.refinement import PROPAGATION_RADIUS
 from ..settings.resolve import BEST, PROPAGATE, ResolvedMaterials, Track
 from ..state.alternatives import Alternatives
 from ..state.textures import SOLVED, texel_states
@@ -25,7 +25,7 @@ class SharedMaterialsPhase(RefinementPhase):
     """A Phase: a refinement whose rounds begin with the materials of a sample of the whole domain (mixture.py).
 
     Each round estimates the mixture again. A tile or a rank takes the whole domain's sample before an iteration whose
-    ``reach`` is not 0; without it, its own sample replaces the whole's. A texel's weight in the mixture is 1
+    ``needs_sample`` is true; without it, its own sample replaces the whole's. A texel's weight in the mixture is 1
     minus the likelihood ratio of its best distant alternative (state/alternatives.py), mean of the searched numbers:
     texels without a highlight, which fit matt paint as well as a polished surface, leave the decision to the others.
     """
@@ -35,9 +35,14 @@ class SharedMaterialsPhase(RefinementPhase):
     _alternatives: Alternatives | None = None
 
     @property
-    def reach(self) -> int:
-        """PROPAGATION_REACH if the next iteration needs the halo and the whole domain's sample, else 0."""
-        return PROPAGATION_REACH if self._in_round and self._table is None and not self.done else 0
+    def stencil_radius(self) -> int:
+        """PROPAGATION_RADIUS if the next iteration reads the halo, else 0."""
+        return PROPAGATION_RADIUS if self.needs_sample else 0
+
+    @property
+    def needs_sample(self) -> bool:
+        """Whether the next iteration begins a round, and its materials are missing."""
+        return self._in_round and self._table is None and not self.done
 
     def sample(self) -> np.ndarray:
         """Return this tile's part of the sample, as ``mixture.sampled`` does, with a last column of weights."""

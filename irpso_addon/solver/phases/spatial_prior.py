@@ -16,7 +16,7 @@ from ..kernels.spatial_prior import (
     PriorPasses,
     build_prior_passes,
     evaluations_of,
-    reach_of,
+    stencil_radius_of,
 )
 from ..settings.resolve import ResolvedPrior
 from ..settings.schedule import Schedule
@@ -59,9 +59,9 @@ class SpatialPriorPhase(TexturePhase):
         return evaluations_of(self.resolved, self.model, self.iteration)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return reach_of(self.resolved.prior) if NOISE < self.iteration < self._first_step else 0
+        return stencil_radius_of(self.resolved.prior) if NOISE < self.iteration < self._first_step else 0
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""

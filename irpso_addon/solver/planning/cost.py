@@ -10,9 +10,9 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
-from ..kernels.refinement import PROPAGATION_REACH, renders
-from ..phases import neighbour_test, separation
-from ..phases.swarm import particle_count, reach_at
+from ..kernels.refinement import PROPAGATION_RADIUS, renders
+from ..phases import neighbour_test
+from ..phases.swarm import particle_count, stencil_radius_at
 from ..settings.levels import level_schedules
 from ..settings.resolve import (
     Resolved,
@@ -62,14 +62,15 @@ class PhaseCost:
     """Per-texel cost of one phase, without the domain and the estimates.
 
     atlas: W×H tiles of its largest textures, which hold all particles. textures: bytes of all textures. kept: bytes of
-    the textures that persist between iterations and move with a tile that leaves the device. reach: largest distance,
-    in texels, of neighbour reads. exchanges: iterations that read neighbours. evaluations: renders of all observations.
+    the textures that persist between iterations and move with a tile that leaves the device. stencil_radius: largest
+    distance, in texels, of neighbour reads. exchanges: iterations that read other tiles. evaluations: renders
+    of all observations.
     """
 
     atlas: int
     textures: int
     kept: int
-    reach: int = 0
+    stencil_radius: int = 0
     exchanges: int = 0
     evaluations: int = 0
 
@@ -105,13 +106,13 @@ class Cost:
         return -(-self.components // 4)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Largest distance of neighbour reads of any phase: the halo of a tile."""
-        return max(phase.reach for phase in self.phases)
+        return max(phase.stencil_radius for phase in self.phases)
 
     @property
     def exchanges(self) -> int:
-        """Number of iterations that read neighbours."""
+        """Number of iterations that read other tiles: neighbours, or a sample of the whole domain."""
         return sum(phase.exchanges for phase in self.phases)
 
     @property
@@ -262,26 +263,26 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
         max(swarm.atlas, refinement.atlas),
         max(swarm.textures, refinement.textures) + 2 * own + geometry,
         max(swarm.kept, refinement.kept) + own,
-        max(swarm.reach, refinement.reach),
+        max(swarm.stencil_radius, refinement.stencil_radius),
         swarm.exchanges + refinement.exchanges,
         swarm.evaluations + refinement.evaluations,
     )
 
 
 def _neighbour_reads(resolved: _SinglePhase, schedule: Schedule) -> tuple[int, int]:
-    """Return the largest distance of neighbour reads, and the number of iterations that read neighbours."""
+    """Return the largest distance of neighbour reads, and the number of iterations that read other tiles."""
     if isinstance(resolved, ResolvedSwarm):
-        reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
-        return max(reaches), sum(reach > 0 for reach in reaches)
+        radii = [stencil_radius_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
+        return max(radii), sum(radius > 0 for radius in radii)
     if isinstance(resolved, _Tests):
-        return neighbour_test.REACH, 1
+        return neighbour_test.STENCIL_RADIUS, 1
     if isinstance(resolved, ResolvedSeparation):
-        return separation.REACH, 1
+        return 0, 1  # a sample of the whole domain
     if isinstance(resolved, ResolvedPrior):
-        return prior_kernels.reach_of(resolved.prior), 1 + resolved.prior.rounds
+        return prior_kernels.stencil_radius_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
-        return surface_kernels.REACH, 1 + resolved.surface.rounds
-    return PROPAGATION_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
+        return surface_kernels.STENCIL_RADIUS, 1 + resolved.surface.rounds
+    return PROPAGATION_RADIUS * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
 
 
 def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Schedule) -> int:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ...core.errors import InputError
-from ...geometry.seams.seams import MAX_SEARCHED_HALO, SEAM_REACH
+from ...geometry.seams.seams import MAX_SEARCHED_HALO, SEAM_RADIUS
 from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
@@ -174,7 +174,7 @@ def plan_recovery(
     texels = _texels(coverage)
     return Plan(
         (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,
-        0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, passes,
+        0 if boxes == [whole] else cost.stencil_radius, on_device, stack_on, state_on, passes,
         device, host, scratch, texels * cost.evaluations, texels * cost.work, memory,
     )  # fmt: skip
 
@@ -243,17 +243,17 @@ def _window(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
 def tile_of(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> Tile:
     """Return a box of the covered texels, (H, W) bool, as a tile."""
     own = coverage[_window(box, 0, coverage.shape)]
-    part = coverage[_window(box, cost.reach, coverage.shape)]
+    part = coverage[_window(box, cost.stencil_radius, coverage.shape)]
     texels, seams = _texels(part), 0
-    border = 0 if borders is None else 2 * SEAM_REACH
+    border = 0 if borders is None else 2 * SEAM_RADIUS
     window = (part.shape[0] + border, part.shape[1] + border)
     if borders is not None:
-        border_length = borders.length_in(box, cost.reach)
-        ghosts = int(border_length * (cost.reach if cost.reach <= MAX_SEARCHED_HALO else SEAM_REACH))
+        border_length = borders.length_in(box, cost.stencil_radius)
+        ghosts = int(border_length * (cost.stencil_radius if cost.stencil_radius <= MAX_SEARCHED_HALO else SEAM_RADIUS))
         texels += min(ghosts, _texels(coverage) - texels)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.
         places = _grid_places(texels)
-        layers = -(-int(border_length * SEAM_REACH) // places)
+        layers = -(-int(border_length * SEAM_RADIUS) // places)
         seams = FLOAT4 * (window[0] * window[1] + layers * places) - FLOAT2 * part.size
     device, host = (count(texels, part.size, cost) + seams for count in (device_bytes, host_bytes))
     return Tile(*box, _texels(own), texels, window, device, host, restored_bytes(texels, cost))
@@ -273,8 +273,8 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
             rays = ", or interreflection_rays" if cost.rays else ""
             raise InputError(
                 f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {box[2]} × {box[3]} texels"
-                f" with a halo of {cost.reach} needs at least {amount(needs[box])} at its turn; allow more, or lower"
-                f" the number of observations or the number of particles{rays}"
+                f" with a halo of {cost.stencil_radius} needs at least {amount(needs[box])} at its turn; allow more, or"
+                f" lower the number of observations or the number of particles{rays}"
             )
         count = max(count + 1, int(1.1 * count))
 

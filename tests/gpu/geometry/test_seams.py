@@ -119,7 +119,7 @@ def whole_of(domain, model, schedule):
 
 def tiled(domain, model, schedule, boxes, on_device=None):
     """Return a recovery of it in tiles, which see each other across the cut."""
-    halo = recovery_cost(model, schedule, (), domain.observations).reach
+    halo = recovery_cost(model, schedule, (), domain.observations).stencil_radius
     options = {"boxes": BOXES[boxes], "halo": halo, "on_device": on_device}
     recovery = TiledRecovery(domain, model, schedule, 1, entry="fragment", **options)
     assert sum(len(part.domain.seams.ghosts) for part in recovery._pool.tiles) > 8

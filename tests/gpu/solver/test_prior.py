@@ -346,13 +346,13 @@ def test_a_prior_reads_and_renders_as_planned(prior):
     schedule = schedule_of().replaced(iterations=0)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12).phases[-1]
     domain, truth, _ = smooth(9, 11, 12)
-    bench, reaches, renders = prior(TWO_LOBES, domain, truth, schedule), [], 0
+    bench, radii, renders = prior(TWO_LOBES, domain, truth, schedule), [], 0
     while not bench.prior.done:
-        reaches.append(bench.prior.reach)
+        radii.append(bench.prior.stencil_radius)
         renders += bench.prior.evaluations
         bench.run(bench.prior.iteration + 1)
-    wanted = cost.reach, cost.exchanges, cost.evaluations
-    assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == wanted
+    wanted = cost.stencil_radius, cost.exchanges, cost.evaluations
+    assert (max(radii), sum(radius > 0 for radius in radii), renders) == wanted
 
 
 @pytest.mark.parametrize("setting, value", [("rounds", -1), ("scales", 0), ("scales", 7), ("iterations", 0),

@@ -105,10 +105,10 @@ def test_a_prior_with_a_reach_beyond_its_tile_equals_the_whole(card, resident):
     domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
     schedule = NARROW.replaced(iterations=2, prior_rounds=2, prior_scales=2)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12)
-    assert cost.reach == 4
+    assert cost.stencil_radius == 4
     wanted, progress = whole_of(domain, schedule)
     boxes = FEW if resident else [(0, 0, 9, 13), (9, 0, 8, 13)]
-    with tiled(domain, schedule, boxes, halo=cost.reach, resident=resident) as recovery:
+    with tiled(domain, schedule, boxes, halo=cost.stencil_radius, resident=resident) as recovery:
         assert recovery.step() == progress
         assert everything(recovery.maps()) == wanted
 

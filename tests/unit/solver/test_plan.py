@@ -51,11 +51,11 @@ def test_the_bytes_of_a_texel_match_a_count_by_hand():
 def test_evaluations_and_exchanges_are_counted_over_all_iterations():
     cost = cost_of()
     # The neighbour term of 60 iterations lasts 15 of them (0 … 14); neighbours are tried at 9, 19, 29, 39, 49, 59.
-    assert (cost.reach, cost.exchanges, cost.evaluations) == (1, 15 + 5, 9 + 60)
+    assert (cost.stencil_radius, cost.exchanges, cost.evaluations) == (1, 15 + 5, 9 + 60)
     wide = recovery_cost(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_until=0.0), (), 100)
-    assert (wide.reach, wide.exchanges) == (3, 60)
+    assert (wide.stencil_radius, wide.exchanges) == (3, 60)
     alone = recovery_cost(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
-    assert (alone.reach, alone.exchanges) == (0, 0)
+    assert (alone.stencil_radius, alone.exchanges) == (0, 0)
     rounds = recovery_cost(load_model("lambert"), SWARM.replaced(interreflection_rounds=2), (), 100)
     assert rounds.evaluations == 3 * (9 + 60)
 
@@ -132,7 +132,7 @@ def test_a_single_tile_smaller_than_the_domain_has_a_halo():
     cost = cost_of()
     plan = plan_recovery(covered, cost, PLENTY, Limits(side=190))
     assert [tuple(box) for box in plan.boxes] == [(20, 10, 30, 30)]
-    assert plan.halo == cost.reach > 0
+    assert plan.halo == cost.stencil_radius > 0
 
 
 def test_more_observations_than_a_texture_has_layers_are_refused():
