@@ -29,7 +29,7 @@ from ..geometry.domain import Domain
 from ..geometry.light.shadows import ShadowCaster, texel_size
 from ..geometry.surface.bake import bake_camera, surface_bake, uv_coverage
 from ..geometry.surface.mesh import MeshData
-from ..solver.lights.sample import evenly_facing
+from ..solver.lights.light_texels import evenly_facing
 
 MIN_PHOTOGRAPHS = 4  # photographs
 _COVERED_TEXELS = 40_000  # of the mesh's domain, about: one camera sees a third

@@ -23,8 +23,8 @@ from ..geometry.domain import Domain
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.relief.relief import card_height
 from ..reflectance.model import ReflectanceModel
+from ..solver.lights.light_texels import draw_texels
 from ..solver.lights.refine import Lights, light_steps
-from ..solver.lights.sample import draw
 from ..solver.state.prepare import lambert_seed
 
 _TEXELS = 15_000  # of the reduced capture, about: lights need no more
@@ -232,8 +232,8 @@ class _Pixels:
         texels, directions = open_texels(domain, self.capture.cameras[0]), []
         for part in range(PARTS):
             rest = replace(texels, solvable=texels.solvable & (part_of != part))
-            sample = draw(rest, self.seed, np.arange(domain.observations), _JACKKNIFE_TEXELS)
-            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_FIRST_ERROR, sample=sample)
+            chosen = draw_texels(rest, self.seed, np.arange(domain.observations), _JACKKNIFE_TEXELS)
+            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_FIRST_ERROR, texels=chosen)
             refined = yield from map_steps(steps, partial(_fraction, 1 + part / PARTS, 1 / PARTS))
             directions.append(self.turned(refined, domain, part_of == part).lights[:, :3])
         return np.stack(directions).astype(np.float64)

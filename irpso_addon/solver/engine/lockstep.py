@@ -8,8 +8,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ..phases.mixture import merged
 from ..phases.phase import BAND_SECONDS
+from ..state.texel_subset import TexelSubset, merged_subset
 from .halo import HaloOverlap, Place, cells_of, overlaps_of
 from .tiles import TilePool, TileRecovery
 
@@ -72,8 +72,8 @@ class LockStep:
     def __init__(self, pool: TilePool, transport: HaloTransport, halo: int):
         self._pool, self._transport, self._halo = pool, transport, halo
         self._published = False  # whether the next iteration's halos have been exchanged
-        self._samples: list[np.ndarray] = []  # of this process's tiles, for the next iteration
-        self._sample: np.ndarray | None = None  # of all tiles
+        self._subsets: list[TexelSubset] = []  # of this process's tiles, for the next iteration
+        self._subset: TexelSubset | None = None  # of all tiles
         self._iterations_made = 0  # iterations of the last round
         self._work: Iterator[None] | None = None
 
@@ -107,7 +107,7 @@ class LockStep:
 
     def restart(self) -> None:
         """Discard the round and the published halos: the tiles' recoveries have changed."""
-        self._work, self._published, self._sample = None, False, None
+        self._work, self._published, self._subset = None, False, None
 
     @property
     def settled(self) -> bool:
@@ -191,16 +191,16 @@ class LockStep:
         radius = recovery.stencil_radius
         if radius > self._halo:
             raise ValueError(f"halo {self._halo}: the next iteration reads {radius} texels away")
-        if recovery.needs_sample:
-            self._samples.append(recovery.sample())
+        if recovery.needs_texel_subset:
+            self._subsets.append(recovery.texel_subset())
         if radius and self._transport.connected:
             self._transport.publish(number, recovery.halo(), radius)
 
     def _exchange(self) -> None:
         self._published = self._pool.active.reads_other_tiles
-        samples, self._samples = self._samples, []
-        self._sample = (
-            merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
+        subsets, self._subsets = self._subsets, []
+        self._subset = (
+            merged_subset([each for part in self._transport.allgather(subsets) for each in part]) if subsets else None
         )
         if self._pool.active.stencil_radius and self._transport.connected:
             self._transport.exchange()
@@ -208,8 +208,8 @@ class LockStep:
     def _receive(self, number: int) -> None:
         """Copy the published halos into a tile, if its next iteration reads them."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
-        if recovery.needs_sample and self._sample is not None:
-            recovery.take_sample(self._sample)
+        if recovery.needs_texel_subset and self._subset is not None:
+            recovery.take_texel_subset(self._subset)
         if recovery.stencil_radius and (received := self._transport.received(number)):
             size = received[0][1].shape[-1]
             values = np.full((*tile.domain.shape, size), np.nan, np.float32)

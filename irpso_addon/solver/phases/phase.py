@@ -16,6 +16,7 @@ from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.reader import Reader
+from ..state.texel_subset import TexelSubset
 from ..state.textures import HALO, SOLVED, DomainTextures, Estimates, packed_states, texel_states
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
@@ -59,8 +60,8 @@ class Phase(Protocol):
         """Distance, in texels, at which the next iteration reads neighbours; 0 if it reads none."""
 
     @property
-    def needs_sample(self) -> bool:
-        """Whether the next iteration needs a sample of the whole domain (mixture.py)."""
+    def needs_texel_subset(self) -> bool:
+        """Whether the next iteration needs the subset of all texels of the whole domain (state/texel_subset.py)."""
         return False
 
     @property
@@ -102,12 +103,12 @@ class Phase(Protocol):
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Set (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own texels do not change."""
 
-    def sample(self) -> np.ndarray:
-        """Return this tile's part of the sample of the whole domain, where ``needs_sample``."""
-        return np.zeros((0, 3))
+    def texel_subset(self) -> TexelSubset:
+        """Return this tile's part of the subset of the whole domain, where ``needs_texel_subset``."""
+        return TexelSubset.none()
 
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Set the sample of the whole domain."""
+    def take_texel_subset(self, subset: TexelSubset) -> None:
+        """Set the subset of the whole domain."""
         return None
 
     def state(self) -> dict[str, np.ndarray]:

@@ -24,8 +24,8 @@ from ..state.prepare import lambert_steps
 from ..state.reader import Reader
 from ..state.separation import SeparatedStack, direct_chroma, median_chromas, separation_steps
 from ..state.separation_record import SHADOW_LIGHT, Separation
+from ..state.texel_subset import TexelSubset, chosen_texels
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
-from .mixture import sampled
 from .phase import Phase
 from .prefit import adopt_pass, adopt_where
 
@@ -35,7 +35,7 @@ MIN_TURN = 3.0
 
 
 class SeparationPhase(Phase):
-    """A Phase of one iteration: the chroma of direct light from a sample of the domain, then two chromas per texel.
+    """A Phase of one iteration: the chroma of direct light from a subset of the texels, then two chromas per texel.
 
     On a card, shadows separate the light of texels where colour does not. Where colour does, the result has the normals
     of a Lambertian fit to the direct light: normals with the bias of indirect light are a bad start for the next
@@ -64,7 +64,7 @@ class SeparationPhase(Phase):
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
         sheen = measurements.sheen_chosen
         self._sheen = domain.packing.unpack(np.zeros_like(domain.scale) if sheen is None else sheen) > 0
-        self._sample: np.ndarray | None = None
+        self._subset: TexelSubset | None = None
         self._separation = Separation.none(domain.domain.shape)
         self._adopt = adopt_pass(model, domain.defines)
 
@@ -79,29 +79,29 @@ class SeparationPhase(Phase):
         return 0
 
     @property
-    def needs_sample(self) -> bool:
-        """Whether the whole domain's sample is missing."""
-        return not self.done and self._sample is None
+    def needs_texel_subset(self) -> bool:
+        """Whether the subset of the whole domain is missing."""
+        return not self.done and self._subset is None
 
-    def sample(self) -> np.ndarray:
-        """Return this tile's part of the sample, as ``mixture.sampled``; values: chroma, and 1 for indirect light."""
+    def texel_subset(self) -> TexelSubset:
+        """Return this tile's part of the subset; values: chroma, and 1 for indirect light."""
         domain = self._domain.domain
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
-        chosen = sampled(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
-        rows, columns = (chosen[:, 1 + i].astype(int) - domain.origin[1 - i] for i in range(2))
-        chromas = median_chromas(domain, rows, columns)
-        return np.column_stack([chosen, chromas, self._indirect[rows, columns]])
+        subset = chosen_texels(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
+        rows, columns = subset.rows - domain.origin[1], subset.columns - domain.origin[0]
+        chromas = median_chromas(domain, rows, columns).astype(np.float64)
+        return replace(subset, values=np.column_stack([chromas, self._indirect[rows, columns]]))
 
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Set the sample of the whole domain."""
-        self._sample = sample
+    def take_texel_subset(self, subset: TexelSubset) -> None:
+        """Set the subset of the whole domain."""
+        self._subset = subset
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Separate the light of all texels of the tile."""
-        if self._sample is None:
-            self._sample = self.sample()
+        if self._subset is None:
+            self._subset = self.texel_subset()
             yield
-        direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
+        direct = direct_chroma(self._subset.values[:, :3], self._subset.values[:, 3] > 0)
         if direct is not None:
             steps = separation_steps(self._domain.domain, self._indirect, direct, self._least_share)
             self._separation = yield from map_steps(steps, lambda part: None)

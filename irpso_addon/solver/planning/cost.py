@@ -112,7 +112,7 @@ class Cost:
 
     @property
     def exchanges(self) -> int:
-        """Number of iterations that read other tiles: neighbours, or a sample of the whole domain."""
+        """Number of iterations that read other tiles: neighbours, or a subset of all texels."""
         return sum(phase.exchanges for phase in self.phases)
 
     @property
@@ -174,7 +174,7 @@ def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) 
     if isinstance(resolved, ResolvedPrefit):
         return _prefit_cost(resolved, schedule)
     table = phase_table(resolved, model, schedule)
-    geometry = FLOAT4 * _GEOMETRY if isinstance(resolved, ResolvedMaterials) else 0  # of the texels in the sample
+    geometry = FLOAT4 * _GEOMETRY if isinstance(resolved, ResolvedMaterials) else 0  # of the texels in the subset
     return PhaseCost(
         table.atlas_tiles, table.bytes_per_texel() + geometry, table.bytes_per_texel(kept=True),
         *_neighbour_reads(resolved, schedule), evaluations=_evaluations(resolved, model, schedule),
@@ -277,7 +277,7 @@ def _neighbour_reads(resolved: _SinglePhase, schedule: Schedule) -> tuple[int, i
     if isinstance(resolved, _Tests):
         return neighbour_test.STENCIL_RADIUS, 1
     if isinstance(resolved, ResolvedSeparation):
-        return 0, 1  # a sample of the whole domain
+        return 0, 1  # a subset of all texels
     if isinstance(resolved, ResolvedPrior):
         return prior_kernels.stencil_radius_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
