@@ -59,8 +59,8 @@ def build_surface_passes(
         return Pass(Kernel(f"{source}.glsl", outputs, samplers, constants, defines, includes), how)
 
     return SurfacePasses(
-        noise=make("prior/noise", Output("o_noise"), Output("o_mean", numbers)),
-        variance=make("prior/variance", Output("o_noise")),
+        noise=make("spatial_prior/noise", Output("o_noise"), Output("o_mean", numbers)),
+        variance=make("spatial_prior/variance", Output("o_noise")),
         information=make("surface/information", Output("o_field"), Output("o_covariance")),
         relax=make("surface/relax", Output("o_field")),
         settle=make("surface/settle", Output("o_field")),

@@ -13,10 +13,10 @@ from ..settings.resolve import (
     ResolvedIndirect,
     ResolvedMaterials,
     ResolvedPrefit,
-    ResolvedPrior,
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
+    ResolvedSpatialPrior,
     ResolvedSurface,
 )
 from ..settings.schedule import Schedule
@@ -71,7 +71,7 @@ def begin_phase(
         test = acceptance() if any(p.is_normal for p in stage.parameters) else None
         kind = SharedMaterialsPhase if isinstance(stage, ResolvedMaterials) else RefinementPhase
         return kind(stage, model, schedule, domain, estimates, entry, test)
-    if isinstance(stage, ResolvedPrior):
+    if isinstance(stage, ResolvedSpatialPrior):
         return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedSurface):
         return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())

@@ -12,7 +12,7 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..kernels.spatial_prior import taps_of
-from ..settings.groups import Prior
+from ..settings.groups import SpatialPrior
 from ..settings.resolve import ResolvedIndirect, ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, TextureTable
@@ -20,7 +20,7 @@ from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates
 from .phase import TexturePhase
 
-STENCIL_RADIUS, TAPS = 8, taps_of(Prior(scales=3))
+STENCIL_RADIUS, TAPS = 8, taps_of(SpatialPrior(scales=3))
 
 
 class NeighbourTest(TexturePhase):

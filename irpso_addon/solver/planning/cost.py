@@ -19,10 +19,10 @@ from ..settings.resolve import (
     ResolvedIndirect,
     ResolvedMaterials,
     ResolvedPrefit,
-    ResolvedPrior,
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
+    ResolvedSpatialPrior,
     ResolvedSurface,
     ResolvedSwarm,
     resolve,
@@ -32,11 +32,11 @@ from ..state.alternatives import varied
 from ..state.phase_textures import (
     TextureTable,
     indirect_table,
-    prior_table,
     refinement_table,
     sequential_swarm_table,
     shadow_light_table,
     sheen_table,
+    spatial_prior_table,
     surface_table,
     synchronous_swarm_table,
 )
@@ -54,7 +54,7 @@ RACING = 0.4  # share of the texels at which a start goes on in the race: from t
 BADLY_FITTED = 0.5  # share of the texels that the first prefit fits badly
 _BEFORE_ROUNDS = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Tests = ResolvedIndirect | ResolvedSheen
-_SinglePhase = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedSeparation | _Tests
+_SinglePhase = ResolvedSwarm | ResolvedRefinement | ResolvedSpatialPrior | ResolvedSurface | ResolvedSeparation | _Tests
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
         return surface_table()
     if isinstance(resolved, ResolvedSheen):
         return sheen_table()
-    kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
+    kind = spatial_prior_table if isinstance(resolved, ResolvedSpatialPrior) else refinement_table
     return kind(-(-model.components // 4))
 
 
@@ -278,7 +278,7 @@ def _neighbour_reads(resolved: _SinglePhase, schedule: Schedule) -> tuple[int, i
         return neighbour_test.STENCIL_RADIUS, 1
     if isinstance(resolved, ResolvedSeparation):
         return 0, 1  # a subset of all texels
-    if isinstance(resolved, ResolvedPrior):
+    if isinstance(resolved, ResolvedSpatialPrior):
         return prior_kernels.stencil_radius_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
         return surface_kernels.STENCIL_RADIUS, 1 + resolved.surface.rounds
@@ -290,14 +290,14 @@ def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Sche
         return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))
-    if isinstance(resolved, ResolvedPrior | ResolvedSurface):
+    if isinstance(resolved, ResolvedSpatialPrior | ResolvedSurface):
         return sum(_renders_by_iteration(resolved, model, schedule))
     step, propagation = renders(model, resolved)
     return resolved.iterations * step + resolved.refinement.rounds * propagation
 
 
 def _renders_by_iteration(
-    resolved: ResolvedPrior | ResolvedSurface, model: ReflectanceModel, schedule: Schedule
+    resolved: ResolvedSpatialPrior | ResolvedSurface, model: ReflectanceModel, schedule: Schedule
 ) -> list[int]:
     """Return the renders of all observations of each iteration."""
     if isinstance(resolved, ResolvedSurface):

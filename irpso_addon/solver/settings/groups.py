@@ -285,7 +285,7 @@ class Materials:
 
 
 @dataclass(frozen=True)
-class Prior:
+class SpatialPrior:
     """The spatial prior: similar neighbours constrain the numbers that a texel's own samples leave undetermined."""
 
     rounds: int = setting(

@@ -12,7 +12,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import load_shipped_table, shipped_names
 from ...core.paths import PRESETS
-from .groups import Fitness, Interreflection, Materials, Prefit, Prior, Refinement, Stage, Surface, Swarm
+from .groups import Fitness, Interreflection, Materials, Prefit, Refinement, SpatialPrior, Stage, Surface, Swarm
 from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
@@ -62,7 +62,7 @@ class Schedule:
     prefit: Prefit = Prefit()
     refinement: Refinement = Refinement()
     materials: Materials = Materials()
-    prior: Prior = Prior()
+    prior: SpatialPrior = SpatialPrior()
     surface: Surface = Surface()
     interreflection: Interreflection = Interreflection()
 
@@ -128,7 +128,7 @@ def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
 
 # Groups with defaults. A preset sets only what differs; without a group's table its phase does not run.
 _OPTIONAL = {
-    "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior,
+    "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": SpatialPrior,
     "surface": Surface, "interreflection": Interreflection,
 }  # fmt: skip
 

@@ -25,10 +25,10 @@ from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedIndirect,
     ResolvedPrefit,
-    ResolvedPrior,
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
+    ResolvedSpatialPrior,
     ResolvedSurface,
     resolve,
 )
@@ -66,8 +66,8 @@ def make_passes(resolved, model, schedule):
     """Make the passes of one phase."""
     if isinstance(resolved, ResolvedRefinement):
         refinement_kernels.build_refinement_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
-    elif isinstance(resolved, ResolvedPrior):
-        prior_kernels.build_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
+    elif isinstance(resolved, ResolvedSpatialPrior):
+        prior_kernels.build_spatial_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedSurface):
         surface_kernels.build_surface_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedIndirect):

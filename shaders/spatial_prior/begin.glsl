@@ -6,7 +6,7 @@
 #include "common/frame.glsl"
 #include "refine/status.glsl"
 #include "components.glsl"
-#include "prior/penalty.glsl"
+#include "spatial_prior/penalty.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
