@@ -13,7 +13,7 @@ import numpy as np
 
 from ..blender.images import decode
 from ..blender.scenes.card_mesh import CARD, save_card
-from ..calibration.handheld.job import Handheld, handheld_steps
+from ..calibration.handheld.handheld_calibration import Handheld, handheld_steps
 from ..calibration.handheld.write import report_of, report_text, table_text
 from ..calibration.photographs import read_photographs
 from ..capture.formats.table import TABLE

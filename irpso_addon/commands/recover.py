@@ -33,7 +33,7 @@ from ..results.write import BLEND, REPORT, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
-from .options.job import blend_of, derived_maps_of, job_of
+from .options.job_options import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
 from .options.values import shelf_of, silent, warn, warn_quietly
 

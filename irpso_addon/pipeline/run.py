@@ -28,9 +28,9 @@ from ..solver.engine.modes import with_modes
 from ..solver.engine.progress import Progress
 from ..solver.lights.light_texels import draw_texels
 from ..solver.lights.refine import Lights, can_tell, chosen_steps
+from ..solver.planning.make_plan import covered_texels, make_plan, planned_recovery, untiled
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
-from ..solver.planning.planning import covered_texels, make_plan, planned_recovery, untiled
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
 from ..solver.views.held_out import relit_steps

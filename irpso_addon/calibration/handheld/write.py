@@ -12,7 +12,7 @@ from ...capture.formats.table import FORMAT
 from ...capture.spec import CaptureSpec
 from ...core.toml_text import toml_value
 from ..photographs import relative_path
-from .job import Handheld
+from .handheld_calibration import Handheld
 
 
 def table_text(spec: CaptureSpec, handheld: Handheld, folder: Path) -> str:

@@ -17,7 +17,7 @@ from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of,
 from ...geometry.build import card_bake, card_lights, domain_from_card
 from ...geometry.domain import with_lights
 from ...pipeline.preview import PART, smaller_capture
-from .job import file_capture
+from .job_options import file_capture
 
 UNNAMED = "its report does not say which part of which photographs its maps show"
 

@@ -11,7 +11,7 @@ from ...gpu.bands import Bands
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..kernels.kernels import residual_pass, sampled_residual_pass
+from ..kernels.single_passes import residual_pass, sampled_residual_pass
 from ..phases.phase import Phase
 from ..settings.groups import Fitness
 from ..state.alternatives import Alternatives

@@ -19,7 +19,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..phases.begin import begin_phase, check_seed, made_by
+from ..phases.create_phase import check_seed, create_phase, made_by
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import AcceptanceTest
 from ..phases.swarm import SwarmPhase
@@ -277,7 +277,7 @@ class Recovery(RecoveryEngine):
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         settings = self._stages[index], index, self._model_with_priors(schedule), schedule, self.seed
         held = self._textures, self._estimates
-        return begin_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
+        return create_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
 
     def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
         """Hold the measurements of the phases so far; apply them to the samples. Yields where that takes long."""

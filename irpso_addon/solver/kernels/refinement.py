@@ -12,8 +12,17 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
+from .declarations import (
+    FLOAT_2D,
+    GEOMETRY,
+    LOSS_CONSTANTS,
+    OBSERVATIONS,
+    PACKING,
+    fitness_defines,
+    model_includes,
+    packed,
+)
 from .free_parameters import FreeParameters, build_jacobian, build_starts
-from .kernels import FLOAT_2D, GEOMETRY, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}

@@ -11,19 +11,19 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ..settings.groups import Refinement, SpatialPrior
 from ..settings.resolve import ResolvedSpatialPrior
 from ..settings.schedule import Schedule
-from .free_parameters import build_free_parameters, build_jacobian
-from .kernels import (
+from .declarations import (
     FLOAT_2D,
     GEOMETRY,
     LOSS_CONSTANTS,
     OBSERVATIONS,
     PACKING,
-    copy_pass,
     fitness_defines,
     model_includes,
     packed,
 )
+from .free_parameters import build_free_parameters, build_jacobian
 from .refinement import STEP, renders, resolved_jacobian, step_defines
+from .single_passes import copy_pass
 
 NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # iterations of a prior; its steps follow the rounds
 _NOISE = {"u_noise": FLOAT_2D}

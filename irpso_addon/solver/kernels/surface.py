@@ -9,8 +9,8 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSurface
 from ..settings.schedule import Schedule
+from .declarations import FLOAT_2D, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 from .free_parameters import FreeParameters, build_jacobian, has_basis
-from .kernels import FLOAT_2D, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 from .refinement import jacobian_renders
 
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations

@@ -10,7 +10,7 @@ from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..kernels import kernels
+from ..kernels import declarations
 from ..kernels.spatial_prior import taps_of
 from ..settings.groups import SpatialPrior
 from ..settings.resolve import ResolvedIndirect, ResolvedSheen
@@ -104,6 +104,6 @@ class NeighbourTest(TexturePhase):
 
 def decision_pass(source: str, decided: str, limits: Mapping[str, float], defines: Defines) -> Pass:
     """Compile the pass of a NeighbourTest."""
-    samplers = {"u_measured": kernels.FLOAT_2D, **kernels.PACKING}
+    samplers = {"u_measured": declarations.FLOAT_2D, **declarations.PACKING}
     defines = {**defines, "TAPS": TAPS, **{name: f"{value:.9f}" for name, value in limits.items()}}
     return Pass(Kernel(source, (Output(f"o_{decided}", "R32F"),), samplers, {}, defines, {}))

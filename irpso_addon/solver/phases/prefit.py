@@ -17,7 +17,7 @@ from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels import kernels
+from ..kernels import declarations
 from ..kernels.free_parameters import build_free_parameters
 from ..kernels.refinement import NO_PENALTY
 from ..settings.resolve import ResolvedPrefit
@@ -275,10 +275,10 @@ def normals_of(estimates: Estimates, model: ReflectanceModel, of_next: bool = Fa
 def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
     """Compile the pass that gives the estimates the normals of u_prefit_0."""
     normal = next(p.name for p in model.parameters if p.is_normal)
-    packed = kernels.packed(model)
-    samplers: Samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
+    packed = declarations.packed(model)
+    samplers: Samplers = {"u_estimate": packed, **declarations.GEOMETRY, "u_prefit_0": declarations.FLOAT_2D}
     defines = {**defines, "NORMAL_COMPONENT": model.offset(normal)}
-    outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
+    outputs, includes = (Output("o_estimate", packed),), declarations.model_includes(model)
     return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, includes))
 
 
@@ -302,35 +302,35 @@ def adopt_where(
 
 
 def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    packed = kernels.packed(model)
+    packed = declarations.packed(model)
     samplers: Samplers = {
-        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": kernels.FLOAT_2D, **kernels.OBSERVATIONS
+        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": declarations.FLOAT_2D, **declarations.OBSERVATIONS
     }  # fmt: skip
     defines = {
-        **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
+        **defines, **declarations.fitness_defines(schedule.fitness, "geman_mcclure"),
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
-    outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
+    outputs, includes = (Output("o_estimate", packed),), declarations.model_includes(model)
+    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, declarations.LOSS_CONSTANTS, defines, includes))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
+    samplers: Samplers = {"u_estimate": declarations.packed(model), **declarations.OBSERVATIONS}
     defines = {
-        **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
+        **defines, **declarations.fitness_defines(schedule.fitness, "geman_mcclure"),
         "MIN_SAMPLES": _min_samples(model, schedule),
     }  # fmt: skip
-    outputs, includes = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
+    outputs, includes = (Output("o_fitness", "R32F"),), declarations.model_includes(model)
+    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, declarations.LOSS_CONSTANTS, defines, includes))
 
 
 def _indirect_misfit_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
+    samplers: Samplers = {"u_estimate": declarations.packed(model), **declarations.OBSERVATIONS}
     defines = {
         **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "MIN_SAMPLES": _min_samples(model, schedule),
         "RAISED_SHADOW": f"{schedule.prefit.indirect_shadow:.9f}",
     }  # fmt: skip
-    outputs, includes = (Output("o_indirect_misfit"),), kernels.model_includes(model)
+    outputs, includes = (Output("o_indirect_misfit"),), declarations.model_includes(model)
     return Pass(Kernel("prefit/indirect_misfit.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
 
 

@@ -15,7 +15,7 @@ from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..kernels import kernels
+from ..kernels.declarations import FLOAT_2D, OBSERVATIONS, model_includes, packed
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, shadow_light_table
@@ -163,14 +163,14 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 
     It reports light that is at least the part ``least`` of a texel's and turns the normal by ``turn`` degrees or more.
     """
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_misfit": kernels.FLOAT_2D}
+    samplers: Samplers = {"u_estimate": packed(model), **OBSERVATIONS, "u_misfit": FLOAT_2D}
     normal = next(p.name for p in model.parameters if p.is_normal)
     defines = {
         **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "MIN_SHARE": f"{least:.9f}",
         "MIN_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",
     }  # fmt: skip
     outputs = tuple(Output(name) for name in ("o_low", "o_middle", "o_high"))
-    constants, includes = {"u_observations": "INT"}, kernels.model_includes(model)
+    constants, includes = {"u_observations": "INT"}, model_includes(model)
     return Pass(Kernel("prefit/shadow_light.glsl", outputs, samplers, constants, defines, includes), entry)
 
 

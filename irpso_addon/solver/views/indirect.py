@@ -14,7 +14,7 @@ from ...geometry.light.light_shape import beam_shares
 from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import EXCHANGED, exchange_pass
+from ..kernels.single_passes import EXCHANGED, exchange_pass
 from ..phases.phase import BAND_SECONDS
 from ..state.prepare import light_vectors
 from ..state.textures import observation_defines

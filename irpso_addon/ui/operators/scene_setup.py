@@ -39,8 +39,8 @@ from ..common.words import rpt
 from ..properties.scene_settings import UPDATE_CALLBACKS
 from ..session import session
 from ..session.card_place import is_automatic, show_card
-from ..session.job import subject_object
 from ..session.scene_capture import spec_steps
+from ..session.scene_job import subject_object
 
 _ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12"
 _FILES = "irpso_capture_files"  # custom property beside CAPTURE: the capture's source, as its name may be another's

@@ -18,9 +18,9 @@ from ...solver.views.texel_probe import TexelProbe
 from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
 from ..common.words import iface
 from ..properties import preferences
-from ..session.job import image_map
 from ..session.probes import Probe
 from ..session.recovery import Session
+from ..session.scene_job import image_map
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import SMALL, Painter

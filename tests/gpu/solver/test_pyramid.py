@@ -11,7 +11,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.coarse_to_fine import Pyramid
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.planning import planning
+from irpso_addon.solver.planning import make_plan as planning
 from irpso_addon.solver.settings.levels import level_schedules
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import bits_of, make_domain, masked, subject, unit, with_radiance

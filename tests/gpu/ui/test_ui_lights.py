@@ -34,14 +34,14 @@ def settings(tmp_path_factory, truth):
 
 def begun():
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     return session.begin(make_job(bpy.context))
 
 
 def test_lights_are_refined_on_request_or_automatically(settings):
     from irpso_addon.pipeline.job import LightOptions
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     assert make_job(bpy.context).lights == LightOptions("auto", 0.0)
     settings.refine_directions = np.radians(2.5)

@@ -8,7 +8,7 @@ import pytest
 from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, rotation_errors, seen
 from irpso_addon.calibration.handheld.cameras import placed_cameras
 from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
-from irpso_addon.calibration.handheld.job import _flash, handheld_steps
+from irpso_addon.calibration.handheld.handheld_calibration import _flash, handheld_steps
 from irpso_addon.calibration.handheld.likeness import doubtful
 from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plane_of, pose_of
 from irpso_addon.calibration.handheld.tracks import Tracks, _Match, _merged

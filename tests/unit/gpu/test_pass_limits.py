@@ -11,7 +11,6 @@ from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model, shipped_models
 from irpso_addon.solver.engine.confidence import Confidence
-from irpso_addon.solver.kernels import kernels
 from irpso_addon.solver.kernels import refinement as refinement_kernels
 from irpso_addon.solver.kernels import sequential_swarm as sequential_kernels
 from irpso_addon.solver.kernels import spatial_prior as prior_kernels
@@ -19,6 +18,7 @@ from irpso_addon.solver.kernels import surface as surface_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
+from irpso_addon.solver.kernels.single_passes import exchange_pass, render_pass, residual_pass, sampled_residual_pass
 from irpso_addon.solver.phases import indirect, prefit, separation, sheen
 from irpso_addon.solver.phases.neighbour_test import decision_pass
 from irpso_addon.solver.phases.swarm import particle_count
@@ -120,7 +120,7 @@ def test_every_pass_of_every_model_and_preset_fits_the_common_limits(made, name,
             make_passes(resolved, model, schedule)
         Confidence(model, (), schedule.fitness, DOMAIN)
         Alternatives(model, (), schedule.fitness, DOMAIN)
-    for make in (kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass, kernels.exchange_pass):
+    for make in (residual_pass, sampled_residual_pass, render_pass, exchange_pass):
         make(model, DOMAIN)
     for kind in ("parameter", "error", "render", "reference", "confidence"):
         display._picture_pass(model, kind, DOMAIN)

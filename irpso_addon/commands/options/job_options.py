@@ -33,8 +33,8 @@ from ...results.derived_maps import DerivedMaps, normals_of_text
 from ...results.read import read_maps
 from ...results.write import check_output_folder, check_replaces_nothing
 from ...solver.lights import refine
+from ...solver.planning.make_plan import scratch_folder
 from ...solver.planning.memory import parse_memory
-from ...solver.planning.planning import scratch_folder
 from ...solver.settings.schedule import Schedule
 from ...solver.state.checkpoint import glance
 from ...solver.views.held_out import held_out_last

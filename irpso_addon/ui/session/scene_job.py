@@ -24,7 +24,7 @@ from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names, slots_of_text
 from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel
-from ...solver.planning.planning import scratch_folder
+from ...solver.planning.make_plan import scratch_folder
 from ...solver.views.held_out import MIN_OBSERVATIONS, held_out_last, spared
 from ..common.polls import NO_CAPTURE
 from ..common.words import iface

@@ -49,7 +49,7 @@ def check_seed(seed: int) -> None:
         raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
 
 
-def begin_phase(
+def create_phase(
     stage: Resolved,
     index: int,
     model: ReflectanceModel,
