@@ -208,9 +208,10 @@ class LockStep:
     def _receive(self, number: int) -> None:
         """Copy the published halos into a tile, if its next iteration reads them."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+        received = self._transport.received(number) if recovery.stencil_radius else ()
         if recovery.needs_texel_subset and self._subset is not None:
             recovery.take_texel_subset(self._subset)
-        if recovery.stencil_radius and (received := self._transport.received(number)):
+        if received:
             size = received[0][1].shape[-1]
             values = np.full((*tile.domain.shape, size), np.nan, np.float32)
             ghosts = np.full((len(tile.place.ghosts), size), np.nan, np.float32)
