@@ -234,7 +234,7 @@ def _solved(
     settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
-    write_maps(found.written, folder, report, pictures, found.derived)
+    write_maps(found.in_blender_frames, folder, report, pictures, found.derived)
     return report, found, started, interrupted
 
 

@@ -12,9 +12,9 @@ from ...capture.frame.board import Board
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps
+from .ambiguous_positions import ambiguous_positions
 from .cameras import Placed, placed_cameras
 from .flash import Flash, Samples, flash_of, usable_samples
-from .likeness import doubtful
 from .pictures import picture_steps
 from .tracks import Tracks, feature_tracks, marker_tracks
 
@@ -179,7 +179,7 @@ def _ambiguous(placed: Placed, radiance: Sequence[np.ndarray]) -> tuple[int, ...
     pictures = [
         _sampled(radiance[k], camera, square) for k, camera in zip(placed.tracks.used, placed.cameras, strict=True)
     ]
-    alike = doubtful(np.stack(pictures).reshape(-1, _SIDE, _SIDE))
+    alike = ambiguous_positions(np.stack(pictures).reshape(-1, _SIDE, _SIDE))
     return tuple(k for k, doubt in zip(placed.tracks.used, alike.tolist(), strict=True) if doubt)
 
 

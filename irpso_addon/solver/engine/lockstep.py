@@ -85,11 +85,11 @@ class LockStep:
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
-        while self._work is not None or not self._done and (left is None or left > 0 or self._placing):
+        while self._work is not None or not self._done and (left is None or left > 0 or self._initialising):
             if self._work is None:
                 # Longer rounds only save turns. Without turns, short ones leave little for the next call to finish.
                 most = 1 if left is None and deadline is not None and self._pool.resident else left
-                self._work = self._round(0 if self._placing else most, deadline is not None)
+                self._work = self._round(0 if self._initialising else most, deadline is not None)
             for _ in self._work:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return
@@ -119,7 +119,7 @@ class LockStep:
         return all(tile.progress.done for tile in self._pool.tiles)
 
     @property
-    def _placing(self) -> bool:
+    def _initialising(self) -> bool:
         return any(tile.progress.iteration < 0 for tile in self._pool.tiles)
 
     def _round(self, most: int | None, paced: bool) -> Iterator[None]:

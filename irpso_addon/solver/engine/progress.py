@@ -15,7 +15,7 @@ _MIN_STAGE_FRACTION = 0.02  # of the work: least sample for the pace of the stag
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a recovery. iteration counts from 0 in the stage, negative while swarms are being placed.
+    """The progress of a recovery. iteration counts from 0 in the stage, negative while swarms are being initialised.
 
     iteration_in_all, iterations_in_all: the same over all stages. fraction: of all the work, 0 to 1; stage_end: the
     fraction at the end of the stage. evaluations: renders of all observations at one texel so far.
@@ -37,7 +37,7 @@ class Progress:
 class Course:
     """The stages of a recovery and their shares of the work.
 
-    works: for each stage the work of each iteration; the placing of swarms comes first.
+    works: for each stage the work of each iteration; the initialisation of swarms comes first.
     """
 
     def __init__(self, stages: Sequence[Resolved], works: Sequence[Sequence[float]]):

@@ -72,7 +72,7 @@ class TileRecovery(Recovery):
         return self._phase is not None and self._phase.needs_texel_subset
 
     def finish_stage(self) -> None:
-        """Begin the next stage, as at the threshold, and place its swarms."""
+        """Begin the next stage, as at the threshold, and initialise its swarms."""
         for _ in self._end_stage(self._running(), BACKGROUND_BAND_SECONDS):
             pass
         self.step(iterations=0)

@@ -30,7 +30,7 @@ class NeighbourTest(TexturePhase):
     ``restore`` follows. limits: by their names in the shader.
     """
 
-    placed = False  # it changes no estimate
+    has_result = False  # it changes no estimate
     passes: Pass
 
     def __init__(

@@ -44,7 +44,7 @@ class Phase(Protocol):
 
     @property
     def iteration(self) -> int:
-        """Number of finished iterations; negative while swarms are placed."""
+        """Number of finished iterations; negative while swarms are initialised."""
 
     @property
     def done(self) -> bool:
@@ -65,12 +65,12 @@ class Phase(Protocol):
         return False
 
     @property
-    def placed(self) -> bool:
+    def has_result(self) -> bool:
         """Whether there is a result to show; until then the current estimates are shown."""
 
     @property
     def keeps_estimates(self) -> bool:
-        """Whether the recovery's estimates stay as they are at the end; then ``placed`` is False."""
+        """Whether the recovery's estimates stay as they are at the end; then ``has_result`` is False."""
         return False
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:

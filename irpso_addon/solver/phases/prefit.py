@@ -99,7 +99,7 @@ class PrefitPhase(Phase):
 
     @property
     def iteration(self) -> int:
-        """Number of finished iterations, of swarms and refinement; negative while swarms are placed."""
+        """Number of finished iterations, of swarms and refinement; negative while swarms are initialised."""
         return self.inner.iteration + (self._resolved.stage.iterations if self._refining else 0)
 
     @property
@@ -113,9 +113,9 @@ class PrefitPhase(Phase):
         return self.inner.stencil_radius
 
     @property
-    def placed(self) -> bool:
+    def has_result(self) -> bool:
         """Whether there are normals to show."""
-        return not self.keeps_estimates and (self._refining or self.inner.placed)
+        return not self.keeps_estimates and (self._refining or self.inner.has_result)
 
     @property
     def keeps_estimates(self) -> bool:
@@ -139,8 +139,8 @@ class PrefitPhase(Phase):
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the normals so far into other textures."""
-        own = self.own.shown if self.inner.placed else self.own.current
-        if self.inner.placed:
+        own = self.own.shown if self.inner.has_result else self.own.current
+        if self.inner.has_result:
             self.inner.preview(own)
         self._adopt.run(targets, self._inputs(own))
 

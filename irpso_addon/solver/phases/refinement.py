@@ -59,7 +59,7 @@ class RefinementPhase(TexturePhase):
         return PROPAGATION_RADIUS if track.start == PROPAGATE and made == 0 and not self.done else 0
 
     @property
-    def placed(self) -> bool:
+    def has_result(self) -> bool:
         """Whether a step has been made."""
         return self.iteration > 0
 

@@ -42,7 +42,7 @@ class SeparationPhase(Phase):
     prefit. measurements: of the phases before.
     """
 
-    placed = False  # nothing to show before the end
+    has_result = False  # nothing to show before the end
     iteration = 0
 
     def __init__(

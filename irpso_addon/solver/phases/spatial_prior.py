@@ -34,7 +34,7 @@ class SpatialPriorPhase(TexturePhase):
     """
 
     shared = ("noise", "mean", "deviation")
-    placed = False  # nothing to show before the end, when the most probable material is compared with the samples
+    has_result = False  # nothing to show before the end, when the most probable material is compared with the samples
     passes: SpatialPriorPasses
 
     def __init__(

@@ -36,7 +36,7 @@ class SurfacePhase(TexturePhase):
     """
 
     shared = ("noise", "field", "covariance")
-    placed = False  # nothing to show before the end
+    has_result = False  # nothing to show before the end
     passes: SurfacePasses
 
     def __init__(

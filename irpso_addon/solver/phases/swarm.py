@@ -131,7 +131,7 @@ def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> f
 
 
 def stencil_radius_at(schedule: Schedule, iteration: int, iterations: int) -> int:
-    """Return the distance, in texels, at which an iteration reads global bests; 0 while particles are placed."""
+    """Return the distance, in texels, at which an iteration reads global bests; 0 while particles are initialised."""
     swarm = schedule.swarm
     if iteration < 0:
         return 0

@@ -205,9 +205,9 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
 
 
 def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
-    """Return the work per texel of each iteration of a phase, in renders of a sample; placing swarms comes first.
+    """Return the work per texel of each iteration of a phase, in renders of a sample.
 
-    Work is roughly proportional to time; Progress uses it.
+    The initialisation of swarms comes first. Work is roughly proportional to time; Progress uses it.
     """
     if isinstance(resolved, ResolvedPrefit):
         own, share = resolved.model, INDIRECT if resolved.indirect else BADLY_FITTED if resolved.sheen else 1.0

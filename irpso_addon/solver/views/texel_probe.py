@@ -48,7 +48,7 @@ class TexelState:
     """The current state of a texel.
 
     error: mean absolute difference between render and reference over channels and weighted observations. values:
-    parameter name → (components,). particles: None without a searching swarm, or while it is being placed.
+    parameter name → (components,). particles: None without a searching swarm, or while it is being initialised.
     """
 
     error: float

@@ -69,7 +69,7 @@ def test_strengths_are_estimated_in_slices_and_reported(settings, truth, monkeyp
     assert off(running.lights.intensities, FACTORS).max() < 0.02
     np.testing.assert_array_equal(running.recovery.domain.intensities, running.lights.intensities)
     found = keep.current_maps(running, True)
-    assert np.median(cli_maker.angle(found.solver.values["normal"], truth["normal"])) < 0.5
+    assert np.median(cli_maker.angle(found.in_solver_frames.values["normal"], truth["normal"])) < 0.5
     assert keep.report_of(running, found)["lights"] == running.lights.report()
     drawn = Drawn()
     monkeypatch.setattr(

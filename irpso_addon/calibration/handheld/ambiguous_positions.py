@@ -18,7 +18,7 @@ _RADIUS = 0.9  # of half the side: the compared circle; outside is the card's bo
 _DOUBTFUL = 0.97  # similarity elsewhere over that in place: above, a position is ambiguous
 
 
-def doubtful(pictures: np.ndarray) -> np.ndarray:
+def ambiguous_positions(pictures: np.ndarray) -> np.ndarray:
     """Return bool (K,): whether an image matches the others about as well in another position as in its own.
 
     pictures: (K, S, S) radiance on one square grid of the card, NaN where unknown. The similarity is the correlation,
