@@ -84,7 +84,8 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
         raise CaptureError(f"{part}: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", part)
     views = [_view(camera, framing) for camera in capture.cameras]
     observations = tuple(
-        replace(shot, read=partial(_read, shot.read, views[shot.camera])) for shot in capture.observations
+        replace(observation, read=partial(_read, observation.read, views[observation.camera]))
+        for observation in capture.observations
     )
     masks = tuple(view.mask(mask) for view, mask in zip(views, capture.masks, strict=True))
     if not all(mask.any() for mask in masks):

@@ -90,11 +90,11 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     check_explained(capture, fit, "the card")
     lights = fit.lamps.lights(near=True, scale=free_scale(samples, fit))
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
-    shots = tuple(
-        replace(shot, light=replace(light, vector=triple(place)))
-        for shot, light, place in zip(capture.observations, lights, places, strict=True)
+    observations = tuple(
+        replace(observation, light=replace(light, vector=triple(place)))
+        for observation, light, place in zip(capture.observations, lights, places, strict=True)
     )
-    return FlatCard(replace(capture, observations=shots), fit)
+    return FlatCard(replace(capture, observations=observations), fit)
 
 
 def _unit_width_distance(camera: Camera) -> float:
@@ -111,8 +111,8 @@ def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Sample
     chosen = np.sort(np.random.default_rng(seed).permutation(places)[:_TEXELS])
     points = points.reshape(-1, 3)[chosen]
     values, weights = [], []
-    for number, shot in enumerate(capture.observations):
-        pixels = without_bounds(shot.read()).reshape(-1, 4)[chosen].astype(np.float64)
+    for number, observation in enumerate(capture.observations):
+        pixels = without_bounds(observation.read()).reshape(-1, 4)[chosen].astype(np.float64)
         weights.append(pixels[:, 3])
         values.append(np.where(pixels[:, 3] > 0, pixels[:, :3].mean(axis=-1), 0))
         yield (number + 1) / len(capture.observations)

@@ -89,11 +89,11 @@ def light_rows(capture: Capture, fit: LampFit, near: bool) -> list[dict[str, Any
     """Return the report's row of each light, with its standard errors."""
     rows = []
     strengths, distances = fit.errors[:, 3], fit.distance_errors
-    for number, shot in enumerate(capture.observations):
+    for number, observation in enumerate(capture.observations):
         row = {
-            "name": shot.name,
-            "position" if near else "direction": list(shot.light.vector),
-            "intensity": list(shot.light.intensity),
+            "name": observation.name,
+            "position" if near else "direction": list(observation.light.vector),
+            "intensity": list(observation.light.intensity),
             "error_degrees": round(float(fit.degrees[number]), 3),
             "strength_error": round(float(strengths[number]), 4),
         }
@@ -116,7 +116,7 @@ def known_shape_steps(
             f"{len(capture.observations)} photographs are too few to find lights over a mesh; take"
             f" {MIN_PHOTOGRAPHS} or more"
         )
-    unlit = tuple(replace(shot, light=_NEUTRAL_LIGHT) for shot in capture.observations)
+    unlit = tuple(replace(observation, light=_NEUTRAL_LIGHT) for observation in capture.observations)
     domain = yield from _read(replace(capture, observations=unlit, card_distance=None), mesh)
     outside = max(_outside_mesh(capture, mesh), _black(domain))
     if outside > _MAX_OUTSIDE:
@@ -135,10 +135,12 @@ def known_shape_steps(
     mismatch = float(np.nanmedian(free_normals(samples, fit)))
     _check_known(capture, mesh, fit, determined, mismatch)
     lights = fit.lamps.lights(near, free_scale(samples, fit))
-    shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
+    observations = tuple(
+        replace(observation, light=light) for observation, light in zip(capture.observations, lights, strict=True)
+    )
     warnings = _warnings(mesh, mismatch, outside)
     return KnownShape(
-        replace(capture, observations=shots), fit, near, determined, mismatch, len(rows), warnings
+        replace(capture, observations=observations), fit, near, determined, mismatch, len(rows), warnings
     )  # fmt: skip
 
 

@@ -86,10 +86,10 @@ class Uncalibrated:
         """Return the table of the report."""
         rows = []
         errors = zip(self.first.errors, self.errors, strict=True)
-        for shot, (before, error) in zip(self.capture.observations, errors, strict=True):
-            row = {"direction": list(shot.light.vector), "intensity": list(shot.light.intensity)}
+        for observation, (before, error) in zip(self.capture.observations, errors, strict=True):
+            row = {"direction": list(observation.light.vector), "intensity": list(observation.light.intensity)}
             degrees = {"first_error_degrees": round(float(before), 3), "error_degrees": round(float(error), 3)}
-            rows.append({"name": shot.name, **row, **degrees})
+            rows.append({"name": observation.name, **row, **degrees})
         return {
             "kind": "shading",
             "near": False,
@@ -272,8 +272,8 @@ def _fraction(begun: float, share: float, part: float) -> float:
 def _radiance(capture: Capture) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
     """Return grey radiance and weight (K, P) of the pixels of the mask; yield the fraction read."""
     values, weights = [], []
-    for number, shot in enumerate(capture.observations):
-        pixels = without_bounds(shot.read()[capture.masks[0]])
+    for number, observation in enumerate(capture.observations):
+        pixels = without_bounds(observation.read()[capture.masks[0]])
         weights.append(pixels[:, 3])
         values.append(np.where(pixels[:, 3] > 0, pixels[:, :3].mean(axis=-1), 0).astype(np.float64))
         yield (number + 1) / len(capture.observations)
@@ -283,6 +283,9 @@ def _radiance(capture: Capture) -> Generator[float, None, tuple[np.ndarray, np.n
 def _with_lights(capture: Capture, directions: np.ndarray, intensities: np.ndarray) -> Capture:
     """Return a capture with distant lights (K, 3) in its camera's axes, and their intensities (K, 3)."""
     world = directions @ capture.cameras[0].matrix[:3, :3].T
-    shots = zip(capture.observations, world, intensities, strict=True)
-    lit = tuple(replace(shot, light=Light(triple(direction), triple(power))) for shot, direction, power in shots)
+    observations = zip(capture.observations, world, intensities, strict=True)
+    lit = tuple(
+        replace(observation, light=Light(triple(direction), triple(power)))
+        for observation, direction, power in observations
+    )
     return replace(capture, observations=lit)

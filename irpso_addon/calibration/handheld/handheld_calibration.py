@@ -72,7 +72,7 @@ def handheld_steps(
     _check_count(len(capture.observations), "")
     _check_size(capture)
     pictures = yield from map_steps(picture_steps(capture), lambda share: 0.5 * share)
-    names = np.array([shot.name for shot in capture.observations])
+    names = np.array([observation.name for observation in capture.observations])
     sharp = np.flatnonzero(pictures.sharp >= _BLURRED * np.median(pictures.sharp))
     blurred = _listed(np.delete(names, sharp))
     _check_count(len(sharp), f"; blurred: {blurred}")
@@ -122,11 +122,11 @@ def handheld_steps(
 def _check_size(capture: Capture) -> None:
     """Raise InputError if photographs differ in size; portrait and landscape may mix."""
     first = capture.cameras[0]
-    for shot in capture.observations:
-        camera = capture.cameras[shot.camera]
+    for observation in capture.observations:
+        camera = capture.cameras[observation.camera]
         if {camera.width, camera.height} != {first.width, first.height}:
             raise InputError(
-                f"{shot.name}: is {camera.width}×{camera.height} pixels where {capture.observations[0].name} has"
+                f"{observation.name}: is {camera.width}×{camera.height} pixels where {capture.observations[0].name} has"
                 f" {first.width}×{first.height}; give all photographs as the camera wrote them, in one size"
             )
 

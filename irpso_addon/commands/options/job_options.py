@@ -177,7 +177,7 @@ def file_capture(options: Namespace, apart: Path | None = None) -> Capture:
         raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)
     spec = read_spec(options.capture, options.colour_space)
-    if apart and apart.resolve() in {shot.image.path.parent.resolve() for shot in spec.observations}:
+    if apart and apart.resolve() in {observation.image.path.parent.resolve() for observation in spec.observations}:
         raise InputError(f"{apart}: holds the photographs, and would mix them with the maps; choose another with -o")
     framing = replace(spec.framing, **framing_from_options(options))
     if distance:

@@ -62,7 +62,7 @@ def page_photographs(result: Result, options: Namespace) -> Photographs | None:
 
 
 def _chosen(capture: Capture, report: Mapping[str, Any], count: int) -> Photographs:
-    names = [shot.name for shot in capture.observations]
+    names = [observation.name for observation in capture.observations]
     held_out = [k for k, name in enumerate(names) if name in report.get("relighting_psnr_db", ())]
     chosen = spread(card_lights(capture), card_bake(capture), held_out, count)
     domain = domain_from_card(replace(capture, observations=tuple(capture.observations[k] for k in chosen)))

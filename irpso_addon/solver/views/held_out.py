@@ -61,7 +61,7 @@ def order_of(count: int, held_out: Sequence[int]) -> list[int]:
 
 def preview_names(capture: Capture, held_out: Sequence[int]) -> list[str]:
     """Return the observations' names for pictures, with a mark on those held out."""
-    return [shot.name + " (held out)" * (k in held_out) for k, shot in enumerate(capture.observations)]
+    return [observation.name + " (held out)" * (k in held_out) for k, observation in enumerate(capture.observations)]
 
 
 def relit_steps(

@@ -73,17 +73,19 @@ class Marking:
         """
         spec = spec_of(settings)
         camera = spec.observations[0].camera
-        shots = tuple(replace(shot, camera=0) for shot in spec.observations if shot.camera == camera)
-        whole = replace(spec, observations=shots, views=(spec.views[camera],))
-        shown = replace(whole, observations=_spread(shots, most))
+        observations = tuple(
+            replace(observation, camera=0) for observation in spec.observations if observation.camera == camera
+        )
+        whole = replace(spec, observations=observations, views=(spec.views[camera],))
+        shown = replace(whole, observations=_spread(observations, most))
         if settings.skip_damaged:
             store = ImageStore(decode)
             try:
                 shown = without_damaged(shown, store)
             except CaptureError:
                 shown = without_damaged(whole, store)
-        for shot in _spread(build_capture(shown, decode).observations, most):
-            yield without_bounds(shot.read())[..., :3]
+        for observation in _spread(build_capture(shown, decode).observations, most):
+            yield without_bounds(observation.read())[..., :3]
 
     def begin(self, context, readers: int = _PICTURES) -> set[str]:
         """Show the brightest values of some photographs and wait for the mouse."""

@@ -250,7 +250,7 @@ def _domain_key(settings, capture: Capture, mesh: MeshData | None, held_out: tup
     spec = read_spec(capture_path(settings), settings.colour_space)
     left_out = {one.index for one in capture.left_out}
     images = (
-        *(shot.image for k, shot in enumerate(spec.observations) if k not in left_out),
+        *(observation.image for k, observation in enumerate(spec.observations) if k not in left_out),
         *(view.mask for view in spec.views if view.mask),
     )
     files = {image.path: image.path.stat() for image in images}
