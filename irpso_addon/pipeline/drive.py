@@ -53,7 +53,7 @@ def check_every(seconds: float | None) -> None:
         raise InputError(f"--checkpoint-every {seconds:g}: give seconds, 0 or more, as in --checkpoint-every 60")
 
 
-def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
+def drive(recovery: RecoveryEngine, history: History, saving: Saving, silent: bool) -> tuple[float, list[str]]:
     """Run a recovery to its end; return its seconds, with those before a resume, and at most one warning.
 
     A checkpoint that fails (a full disk) adds the warning, does not stop the run, and leaves the former file unchanged.
@@ -66,7 +66,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         saver.before = float(notes.pop(_ELAPSED, 0.0))
         notes.pop(_PREVIEWED, None)
         history.take(notes)
-    bar, time_left = ProgressBar("recover", quiet, extrapolated=False), TimeLeft()
+    bar, time_left = ProgressBar("recover", silent, extrapolated=False), TimeLeft()
     iterations = 1
     with delayed_signals() as interrupted:
         progress = recovery.progress
