@@ -34,7 +34,7 @@ _CHUNKS, _TIMED = 3, 1 << 26  # timed chunks of a rate, and texels × iterations
 _OPERATIONS = 195  # of a particle of Fig. 7's stage under one light, counted in SPIR-V (spirv.py)
 _TILED = 1200 * 1800  # texels of Fig. 7 above which a domain is tiled
 _BUDGET, _TEXTURE = 60 << 30, 8 << 30  # bytes on the device for Fig. 7, and of one texture
-_LARGE, _MOST_SECONDS = 10**5, 150  # least texels in the slope of Fig. 7; limit of one size
+_LARGE, _MAX_SECONDS = 10**5, 150  # least texels in the slope of Fig. 7; limit of one size
 _SOURCES = ("gpu", "timed", "roofline", "full_size", "swarm_scaling", "killed")  # modules that the results depend on
 _PARTICLES, _SWARM_ITERATIONS, _REPEATS = (8192, 50000), 100, 3
 
@@ -136,7 +136,7 @@ def fig7(quick: bool) -> dict[str, Any]:
         command = [sys.executable, "-m", "benchmarks.gpu", "job", json.dumps(job)]
         try:
             done = subprocess.run(
-                command, cwd=report.ROOT, stdout=subprocess.PIPE, text=True, check=True, timeout=_MOST_SECONDS
+                command, cwd=report.ROOT, stdout=subprocess.PIPE, text=True, check=True, timeout=_MAX_SECONDS
             )
         except subprocess.SubprocessError as error:
             rows.append({"height": height, "width": width, "failed": str(error)[-200:]})
@@ -321,7 +321,7 @@ def _fig7(data: dict[str, Any]) -> list[str]:
     for row in part["rows"]:
         size = f"{row['height']} × {row['width']}"
         if "clock" not in row:
-            cells.append([size, f"not finished in {_MOST_SECONDS} s", "", "", ""])
+            cells.append([size, f"not finished in {_MAX_SECONDS} s", "", "", ""])
             continue
         rate = row["texels"] * row["lights"] * part["iterations"] / row["clock"][0]
         share = f"{rate * _OPERATIONS / here['operations']:.0%}, {16 * rate / here['bytes']:.0%}" if here else ""

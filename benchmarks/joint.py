@@ -16,7 +16,7 @@ from benchmarks.identifiable import bounds
 from benchmarks.report import short
 from irpso_addon.gpu import context
 
-NOISE, LEAST = 0.003, 0.02  # σ of the bound, and the bound, over the range, below which a parameter is identifiable
+NOISE, MAX_BOUND = 0.003, 0.02  # σ of the bound, and the bound, over the range, below which a parameter is identifiable
 DEGREES, PERCENT = 1.0, 1.0  # largest errors of a right texel
 METHODS = ("standard", product.LM_ALONE)
 DEGRADATIONS = ("clean", "noisy", "shadowed", "dirty", "patched")
@@ -36,7 +36,7 @@ def measure(quick: bool) -> dict[str, Any]:
                 run = product.recover(card.domain, card.model, schedule, seed)
                 for name, error in subjects.errors_of(card.model, run.values, card.truth).items():
                     pooled.setdefault(name, []).append(error)
-                identifiable.append(np.max(list(bounds(card, NOISE).values()), axis=0) < LEAST)
+                identifiable.append(np.max(list(bounds(card, NOISE).values()), axis=0) < MAX_BOUND)
                 seconds, evaluations = seconds + run.seconds, evaluations + run.evaluations / seeds
             errors = {name: np.concatenate(parts) for name, parts in pooled.items()}
             rows.append({"degradation": degradation, "method": method, "seconds": seconds, "evaluations": evaluations,
@@ -99,7 +99,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " [subjects.py](../../benchmarks/subjects.py) has the formulas of the cards and their disturbances.",
         "",
         f"A texel is identifiable if its Cramér–Rao bound at noise {NOISE}, from the ground truth, is under"
-        f" {LEAST:.0%} of the range in every parameter (a normal's range is 90°); **{clean['excluded']:.1%}** of"
+        f" {MAX_BOUND:.0%} of the range in every parameter (a normal's range is 90°); **{clean['excluded']:.1%}** of"
         f" all texels are not. A texel is right if every parameter is within {DEGREES:g}° or {PERCENT:g} % of its"
         " range.",
         "",

@@ -81,7 +81,7 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
     from irpso_addon.geometry.build import domain_from_mesh
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.solver.engine.tiled import TiledRecovery
-    from irpso_addon.solver.planning.planning import covered_texels, make_plan
+    from irpso_addon.solver.planning.make_plan import covered_texels, make_plan
     from irpso_addon.solver.settings.schedule import load_schedule
 
     open_blend(_FOLDER / textured.BLEND)

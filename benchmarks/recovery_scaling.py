@@ -104,16 +104,16 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
     messages, size = np.zeros(len(plan.tiles), int), np.zeros(len(plan.tiles), int)
     for stage in resolve(schedule, model, set(), _LIGHTS):
         cost, numbers = phase_cost(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
-        receivers, cells = _rims(np.array(plan.boxes[: len(plan.tiles)]), cost.reach)
+        receivers, cells = _rims(np.array(plan.boxes[: len(plan.tiles)]), cost.stencil_radius)
         messages += cost.exchanges * receivers
         size += cost.exchanges * cells * numbers * 4
     return Traffic(max(tile.texels for tile in plan.tiles), int(messages.max()), int(size.max()))
 
 
-def _rims(boxes: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+def _rims(boxes: np.ndarray, halo: int) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each of (N, 4) boxes, the number of boxes whose halo overlaps it, and the sum of the overlaps."""
     start, end = boxes[:, None, :2], boxes[:, None, :2] + boxes[:, None, 2:]
-    shared = np.minimum(end, end.swapaxes(0, 1) + reach) - np.maximum(start, start.swapaxes(0, 1) - reach)
+    shared = np.minimum(end, end.swapaxes(0, 1) + halo) - np.maximum(start, start.swapaxes(0, 1) - halo)
     cells = np.clip(shared, 0, None).prod(axis=-1)
     np.fill_diagonal(cells, 0)
     return np.count_nonzero(cells, axis=1), cells.sum(axis=1)

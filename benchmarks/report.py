@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "benchmarks"
 CACHE = ROOT / ".cache" / "bench"
 QUICK_PAGES = CACHE / "quick-pages"  # a smoke run must not replace measured pages
-MOST_BYTES = 60_000  # of a plot
+MAX_BYTES = 60_000  # of a plot
 # Okabe & Ito 2008, distinct under colour blindness. Black is the program itself.
 COLORS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c")
 # Sources that every result depends on, besides its program's.
@@ -218,7 +218,7 @@ def plot(folder: Path, name: str, title: str, columns: int = 1, rows: int = 1, *
         figure.savefig(path, metadata={"Date": None})
         plt.close(figure)
         path.write_text(_minified(path.read_text(encoding="utf-8")), encoding="utf-8")
-        if path.stat().st_size > MOST_BYTES:
+        if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"{path}: {path.stat().st_size} bytes are too many for a plot; draw less")
 
 

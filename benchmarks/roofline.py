@@ -30,8 +30,8 @@ from irpso_addon.gpu.program import ProgramCache
 from irpso_addon.pipeline.speed import make_card
 from irpso_addon.reflectance.model import ReflectanceModel, load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.phases.mixture import SAMPLE
 from irpso_addon.solver.settings.schedule import Schedule, load_schedule
+from irpso_addon.solver.state.texel_subset import MAX_TEXELS
 
 _SMALL, _REPEATS = 16, 5
 _SIDE = {True: 192, False: 1024}  # texels of the card, on a software renderer or not
@@ -92,7 +92,7 @@ def measure(quick: bool) -> dict[str, Any]:
         phases, passes = recorded(domain, model, schedule, entry)
     for each in passes:
         if Path(each.kernel.source).name == _OF_SAMPLE:
-            each.runs *= SAMPLE / _TEXELS
+            each.runs *= MAX_TEXELS / _TEXELS
     rows = [row(each, int(domain.solvable.sum()), domain.observations) for each in passes]
     here = ceilings(software, entry)
     return {
@@ -218,7 +218,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         f"Passes of less than {_SHOWN:.0%} of all operations and of all bytes are not shown. All together:"
         f" {whole['operations'] / 1e6:.1f} M operations and {whole['fetched'] / 1e3:.0f} kB fetched, of which the"
         f" samples of the photographs are {whole['stack'] / whole['fetched']:.0%}. `{_OF_SAMPLE}`, which the shared"
-        f" materials run on {SAMPLE} texels, counts as on a card of {_TEXELS / 1e6:.0f} million.",
+        f" materials run on {MAX_TEXELS} texels, counts as on a card of {_TEXELS / 1e6:.0f} million.",
         "",
         "## What bounds them",
         "",

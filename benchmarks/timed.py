@@ -95,7 +95,7 @@ def measure(job: Job) -> dict[str, Any]:
         device = None if plan.resident else min(plan.on_device, len(boxes) - 1)
 
         def make(*arguments, **settings):
-            return TiledRecovery(*arguments, **settings, boxes=boxes, halo=cost.reach, on_device=device)
+            return TiledRecovery(*arguments, **settings, boxes=boxes, halo=cost.stencil_radius, on_device=device)
 
     _warm_up(job, schedule)
     before = peak_memory_mb()

@@ -40,10 +40,10 @@ def _values(setting: Setting) -> str:
         return ", ".join(f"`{choice}`" for choice in setting.choices)
     if setting.kind is bool:
         return "`true`, `false`"
-    low = "above" if setting.above else "from"
-    high = "" if setting.most is None else f" to {setting.most}"
+    low = "above" if setting.exclusive_minimum else "from"
+    high = "" if setting.maximum is None else f" to {setting.maximum}"
     kind = "odd, " if setting.odd else "whole, " if setting.kind is int else ""
-    return f"{kind}{low} {setting.least}{high} {_UNITS.get(setting.subtype, '')}".rstrip()
+    return f"{kind}{low} {setting.minimum}{high} {_UNITS.get(setting.subtype, '')}".rstrip()
 
 
 def _default(setting: Setting) -> str:

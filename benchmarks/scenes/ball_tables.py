@@ -24,7 +24,7 @@ WIDTH, HEIGHT, SAMPLES = 960, 720, 2
 BALL_SAMPLES = 64
 WITH = (("mirror",), ("matte",), (), ("mirror", "mirror"), ("matte", "matte"), (), ("mirror", "matte"), ())
 _DISTANCE = 10.0  # from the camera to the table
-_SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, over the picture's width
+_MIN_DIAMETER, _MAX_DIAMETER = 0.03, 0.30  # diameter of a ball, over the picture's width
 _NEAR, _NEAR_DISTANCES = 0.5, (1.2, 4.0)  # share of the scenes with near lamps; their distance, in picture widths
 _CLOTH, _CLOTH_ALBEDO = 0.2, (0.003, 0.02)  # share of the scenes on black cloth
 _TRIES = 200
@@ -200,7 +200,7 @@ def _things(
     width = _width(fov)
     taken: list[tuple[np.ndarray, float]] = []
     balls = []
-    size = width / 2 * math.exp(rng.uniform(math.log(_SMALLEST), math.log(_LARGEST)))
+    size = width / 2 * math.exp(rng.uniform(math.log(_MIN_DIAMETER), math.log(_MAX_DIAMETER)))
     for kind in kinds:
         radius = size if len(set(kinds)) == 1 else min(size, 0.1 * width) * rng.uniform(0.7, 1.4)
         foot = _free_place(rng, up, width, radius, taken)

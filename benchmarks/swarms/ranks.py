@@ -16,7 +16,7 @@ import numpy as np
 from . import rule, threads
 from .functions import FUNCTIONS, Function
 
-_LEAST = np.dtype([("value", np.float64), ("particle", np.int32)], align=True)  # MPI's DOUBLE_INT
+_MINIMUM = np.dtype([("value", np.float64), ("particle", np.int32)], align=True)  # MPI's DOUBLE_INT
 
 
 def shares(particles: int, ranks: int) -> list[int]:
@@ -54,7 +54,7 @@ def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
     """
     from mpi4py import MPI
 
-    mine, least = (np.zeros(1, _LEAST) for _ in range(2))
+    mine, least = (np.zeros(1, _MINIMUM) for _ in range(2))
     mine[0] = rule.found(swarm) if len(swarm.value) else (np.inf, np.iinfo(np.int32).max)
     world.Allreduce([mine, MPI.DOUBLE_INT], [least, MPI.DOUBLE_INT], op=MPI.MINLOC)
     value, particle = float(least[0]["value"]), int(least[0]["particle"])

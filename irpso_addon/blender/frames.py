@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.video import FEWEST, MOST_COMPARED, check_camera, chosen_frames, describe_frame
+from ..calibration.video import MAX_COMPARED, MIN_FRAMES, check_camera, chosen_frames, describe_frame
 from ..capture.images.colour_profile import ColourProfile, ProfileError, profile_of_h273
 from ..core.errors import InputError
 from ..core.files import new_folder
@@ -40,8 +40,8 @@ def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Genera
     The videos show one subject by one camera on a tripod; their frames are chosen together. Raises InputError where the
     camera moves, fewer than three lights differ, or a video cannot be read, and then writes nothing.
     """
-    if count < FEWEST:
-        raise InputError(f"--count {count}: give {FEWEST} or more; 20 or more lights are needed for roughness")
+    if count < MIN_FRAMES:
+        raise InputError(f"--count {count}: give {MIN_FRAMES} or more; 20 or more lights are needed for roughness")
     where = str(videos[0]) if len(videos) == 1 else f"{videos[0].parent}: {len(videos)} videos"
     with ExitStack() as stack:
         movies = [stack.enter_context(opened_movie(path)) for path in videos]
@@ -78,7 +78,7 @@ def _chosen_steps(
     """Yield the progress; return the frames to keep, as numbers of movies and indices in them."""
     places: list[tuple[int, int]] = []
     for number, movie in enumerate(movies):
-        looked_at = min(movie.frames, max(1, MOST_COMPARED // len(movies)))
+        looked_at = min(movie.frames, max(1, MAX_COMPARED // len(movies)))
         indices = np.unique(np.linspace(0, movie.frames - 1, looked_at).round().astype(int))
         places += [(number, index) for index in indices.tolist()]
     looks = []

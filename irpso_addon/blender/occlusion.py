@@ -23,7 +23,7 @@ RAYS = 128
 _NAME = "IRPSO occlusion"
 _BEHIND = 1e-4  # of the extent of mesh and occluders: distance of a copy of the mesh behind it
 _REACH = 10.0  # length of rays, of the same extent: nothing lies farther away than 1
-_LEAST_COVERED = 0.98  # share of the maps' texels that the mesh must cover; edges differ by rounding
+_MIN_COVERED = 0.98  # share of the maps' texels that the mesh must cover; edges differ by rounding
 
 
 def mesh_open_sky(mesh: MeshData, maps: Maps, rays: int = RAYS) -> np.ndarray:
@@ -37,7 +37,7 @@ def mesh_open_sky(mesh: MeshData, maps: Maps, rays: int = RAYS) -> np.ndarray:
         raise _other_mesh(mesh)
     baked, share = _baked(mesh, _normals(maps), maps.covered.shape, rays)
     written = share > 0
-    if (written & maps.covered).sum() < _LEAST_COVERED * maps.covered.sum():
+    if (written & maps.covered).sum() < _MIN_COVERED * maps.covered.sum():
         raise _other_mesh(mesh)
     sky = np.divide(baked, share, out=baked, where=written)
     return np.clip(fill_margin(sky[..., None], written)[..., 0], 0, 1)

@@ -96,12 +96,14 @@ def read_photographs(
         images += frames
     if not images:
         raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")
-    shots = tuple(ObservationSpec(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)
+    observations = tuple(
+        ObservationSpec(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images
+    )
     keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
     mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
     view = ViewSpec("camera", make, str(path), None, ImageRef(mask) if mask else None, lens=lens)
-    return CaptureSpec(path.resolve().name, "images", path, shots, (view,))
+    return CaptureSpec(path.resolve().name, "images", path, observations, (view,))
 
 
 def _pictures_of_tables(folder: Path) -> list[Path]:
@@ -145,8 +147,8 @@ def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str
     if len(spec.views) != 1 or spec.views[0].lens or is_exr(spec.observations[0].image.path):
         return {}
     store, found = ImageStore(decoder), None
-    for number, shot in enumerate(spec.observations):
-        data, (width, height) = _beginning(shot.image, store)
+    for number, observation in enumerate(spec.observations):
+        data, (width, height) = _beginning(observation.image, store)
         if "focal_length_35mm" in lens_of(data):
             angle = field_of_view(data, width, height)
             if angle is None or found not in (None, round(angle, 4)):
@@ -177,7 +179,7 @@ def calibrated_table(
 ) -> str:
     """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot; a light of intensity 1 keeps the
+    cameras: camera index → keys. lights: observation's index → light; None removes it; a light of intensity 1 keeps the
     source's, if both are near or both distant. card: keys of the card, which replace the source's. Everything else of a
     capture.toml is preserved, except comments. Image paths become relative to ``folder``.
     """
@@ -224,12 +226,12 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
     if spec.views[0].mask is not None:
         camera["mask"] = str(spec.views[0].mask.path)
     rows = []
-    for shot in spec.observations:
-        row: dict[str, Any] = {"name": shot.name, "image": str(shot.image.path)}
-        if shot.image.colour_space != "auto":
-            row["colour_space"] = shot.image.colour_space
-        if spec.kind != "images" and tuple(shot.intensity) != (1.0, 1.0, 1.0):
-            row["light_intensity"] = list(shot.intensity)
+    for observation in spec.observations:
+        row: dict[str, Any] = {"name": observation.name, "image": str(observation.image.path)}
+        if observation.image.colour_space != "auto":
+            row["colour_space"] = observation.image.colour_space
+        if spec.kind != "images" and tuple(observation.intensity) != (1.0, 1.0, 1.0):
+            row["light_intensity"] = list(observation.intensity)
         rows.append(row)
     return {"format": table.FORMAT, "name": spec.name, "camera": [camera], "observation": rows}
 

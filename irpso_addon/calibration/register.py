@@ -18,20 +18,20 @@ from ..capture.inspect import three_images
 from ..capture.inspect.checks import edge_sizes, whitened
 from ..core.steps import blocking
 
-_REACH, _SMALLEST = 32, 32  # pixels: search range to each side; least side of a frame
+_REACH, _MIN_SIDE = 32, 32  # pixels: search range to each side; least side of a frame
 _ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the other frames; pixels: change that ends them
 _UPSAMPLED = (0.1, 0.01)  # pixels: steps of the two transforms about the peak
 _STEPS = 15  # on each side of the peak
 _PEAK = 6.0  # deviations: least height of the peak of a trusted shift
-_FEWEST_FOR_FITS = 10  # least frames for fits: 8 frames made the shifts worse (0.02 px to 0.06), 10 better (0.01)
+_MIN_FOR_FITS = 10  # least frames for fits: 8 frames made the shifts worse (0.02 px to 0.06), 10 better (0.01)
 _FITS, _SETTLED = 16, 0.005  # most fits; pixels: largest change that ends them
 _LONGEST_STEP = 1.0  # pixels per fit: the linearisation is not valid beyond
 # Correlation with the fit: below, a frame is not trusted; fraction of such frames: above, none is. Measured at the
 # correct shift: 0.97 and more for a matt subject, even with cast shadows; about 0.7 for a shiny one, whose fits err by
 # 2 px.
-_LEAST_AGREEMENT, _MOST_UNTRUSTED = 0.8, 0.34
-SMALLEST_MOVE = 0.01  # pixels: smaller shifts are not resampled
-_LOBES, _MOST_OUTSIDE = 3, 0.03  # of Lanczos; most of the kernel on pixels without weight
+_MIN_AGREEMENT, _MAX_UNTRUSTED = 0.8, 0.34
+MIN_MOVE = 0.01  # pixels: smaller shifts are not resampled
+_LOBES, _MAX_OUTSIDE = 3, 0.03  # of Lanczos; most of the kernel on pixels without weight
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None
     frames = np.asarray(frames, np.float32)
     count = len(frames)
     agreement = np.full(count, np.nan)
-    if count < 2 or min(frames.shape[1:]) < _SMALLEST:
+    if count < 2 or min(frames.shape[1:]) < _MIN_SIDE:
         return Shifts(np.zeros((count, 2)), agreement, np.ones(count, bool))
     pixels, trusted = yield from _correlated(frames)
-    if trusted.sum() >= _FEWEST_FOR_FITS:
+    if trusted.sum() >= _MIN_FOR_FITS:
         pixels, agreement = yield from _fitted(frames, pixels, trusted)
-        trusted &= agreement >= _LEAST_AGREEMENT
-        if (~trusted).sum() > _MOST_UNTRUSTED * count:
+        trusted &= agreement >= _MIN_AGREEMENT
+        if (~trusted).sum() > _MAX_UNTRUSTED * count:
             trusted[:] = False
     origin = reference if trusted[reference] or not trusted.any() else int(trusted.argmax())
     pixels = np.where(trusted[:, None], pixels - pixels[origin], 0.0)
@@ -197,7 +197,7 @@ def moved_back(image: np.ndarray, right: float, up: float) -> np.ndarray:
         bad = _shifted(bad, distance, axis, outside=True)
     weight = np.where(weight > 1 - 1e-5, 1, np.maximum(weight, 0))  # a weight of 1 stays 1 despite rounding
     result = np.concatenate([colour, weight[..., None]], axis=-1).astype(np.float32)
-    result[..., 3][bad > _MOST_OUTSIDE] = 0
+    result[..., 3][bad > _MAX_OUTSIDE] = 0
     return result
 
 

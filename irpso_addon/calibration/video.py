@@ -12,15 +12,15 @@ from ..capture.inspect.frames import shrunk
 from ..core.errors import InputError
 from .register import find_shifts
 
-MOST_COMPARED = 600  # most frames of a video that are compared
-FEWEST = 3  # frames of different light in a capture
+MAX_COMPARED = 600  # most frames of a video that are compared
+MIN_FRAMES = 3  # frames of different light in a capture
 _SIDE, _CROP = 48, 384  # pixels: longest side of a small frame; of the crop that is registered
 _DENSE = 4  # sampled pixels along a side of the block that is averaged to a pixel of a small frame
 _DARK = 0.25  # of the median brightness: below, the lamp is off, or the video fades
 # Relative RMS of the square roots of normalised radiance. Lights 2° apart differ by 0.005, 15° apart by 0.04 and more.
 _SAME_LIGHT, _ONE_LIGHT = 0.01, 0.03
 _ALIKE = 0.5  # of a frame's difference from the chosen ones: closer neighbours in time may replace it
-_MOVED, _MOST_MOVED = 2.0, 0.1  # pixels; fraction of the frames
+_MOVED, _MAX_MOVED = 2.0, 0.1  # pixels; fraction of the frames
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ def chosen_frames(looks: Sequence[Look], count: int, where: str) -> list[int]:
     while len(chosen) < min(count, len(looks)):
         nearest = int(np.where(usable, differences, -1).argmax())
         gap = float(differences[nearest])
-        if chosen and gap < (_ONE_LIGHT if len(chosen) < FEWEST else _SAME_LIGHT):
+        if chosen and gap < (_ONE_LIGHT if len(chosen) < MIN_FRAMES else _SAME_LIGHT):
             break
         free = usable & ~np.isin(np.arange(len(looks)), chosen)
         best = _substitute(small, nearest, _ALIKE * gap, quality, free)
         distances = _rms(small - small[best])
         differences = np.minimum(differences, distances) if chosen else distances
         chosen.append(best)
-    if len(chosen) < FEWEST:
+    if len(chosen) < MIN_FRAMES:
         raise InputError(
             f"{where}: shows {len(chosen)} light{'s' * (len(chosen) > 1)}, too few for a recovery; carry the lamp"
             " around the subject while you film"
@@ -95,7 +95,7 @@ def check_camera(frames: Sequence[np.ndarray], where: str) -> int:
         shifts = find_shifts(stack, len(frames) // 2)
         moved = np.maximum(moved, np.abs(scale * shifts.pixels).max(axis=1) * shifts.trusted)
     count = int((moved > _MOVED).sum())
-    if count > _MOST_MOVED * len(frames):
+    if count > _MAX_MOVED * len(frames):
         raise InputError(
             f"{where}: the camera moves: {count} of {len(frames)} frames are shifted, by up to {moved.max():.0f}"
             " pixels; put it on a tripod and move the lamp alone"

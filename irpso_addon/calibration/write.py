@@ -19,8 +19,8 @@ from ..capture.types import Light
 from ..core.errors import InputError
 from ..core.files import check_unused, check_writable, new_folder
 from ..core.png import png_bytes
+from .ball_calibration import Calibrated, report_of, written_table
 from .balls.contact_sheet import calibration_picture
-from .job import Calibrated, report_of, written_table
 from .photographs import calibrated_table
 
 _REPORT, _PICTURE, _POSITIONS = "report.json", "balls.png", "light_positions.txt"

@@ -29,7 +29,7 @@ AUTO = "auto"  # search the corners in the photographs
 
 Point = tuple[float, float]
 _ANGLE_TOLERANCE = 10.0  # degrees: of a right angle between two sides, for the camera's lens
-_LEAST_SIDE = 4  # pixels of a framed picture
+_MIN_SIDE = 4  # pixels of a framed picture
 _BLOCK = 1 << 19  # samples resampled at a time
 _CLIPPED_SHARE = 1e-3  # a pixel with a larger clipped share is a lower bound
 _TILTED = 5.0  # degrees: of a card, from which on its distance is doubtful
@@ -84,7 +84,8 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
         raise CaptureError(f"{part}: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", part)
     views = [_view(camera, framing) for camera in capture.cameras]
     observations = tuple(
-        replace(shot, read=partial(_read, shot.read, views[shot.camera])) for shot in capture.observations
+        replace(observation, read=partial(_read, observation.read, views[observation.camera]))
+        for observation in capture.observations
     )
     masks = tuple(view.mask(mask) for view, mask in zip(views, capture.masks, strict=True))
     if not all(mask.any() for mask in masks):
@@ -285,10 +286,10 @@ def _view(camera: Camera, framing: Framing) -> _View:
         target = _rectified_camera(camera, framing)
         return _View(target, partial(_original_pixels, target, camera), count, upright=False)
     x, top, width, height = map(int, framing.crop or (0, 0, camera.width, camera.height))
-    if min(x, top) < 0 or min(width, height) < _LEAST_SIDE or x + width > camera.width or top + height > camera.height:
+    if min(x, top) < 0 or min(width, height) < _MIN_SIDE or x + width > camera.width or top + height > camera.height:
         raise CaptureError(
             f"crop {x},{top},{width},{height}: is no part of pictures of {camera.width}×{camera.height} pixels; give"
-            f" x, y, width and height from the upper left corner, at least {_LEAST_SIDE} pixels wide and high",
+            f" x, y, width and height from the upper left corner, at least {_MIN_SIDE} pixels wide and high",
             "crop",
         )
     y = camera.height - top - height
@@ -302,13 +303,13 @@ def _view(camera: Camera, framing: Framing) -> _View:
 
 def _size(width: float, height: float, scale: float) -> tuple[int, int]:
     longest = max(width, height)
-    if scale < 1 and round(scale * longest) < _LEAST_SIDE:
+    if scale < 1 and round(scale * longest) < _MIN_SIDE:
         raise CaptureError(
-            f"scale is {scale:g}: that leaves less than {_LEAST_SIDE} of {longest:.0f} pixels; give"
-            f" {min(1.0, _LEAST_SIDE / longest):.2g} or more",
+            f"scale is {scale:g}: that leaves less than {_MIN_SIDE} of {longest:.0f} pixels; give"
+            f" {min(1.0, _MIN_SIDE / longest):.2g} or more",
             "value",
         )
-    return max(_LEAST_SIDE, round(scale * width)), max(_LEAST_SIDE, round(scale * height))
+    return max(_MIN_SIDE, round(scale * width)), max(_MIN_SIDE, round(scale * height))
 
 
 def _original_pixels(framed_camera: Camera, camera: Camera, pixels: np.ndarray) -> np.ndarray:

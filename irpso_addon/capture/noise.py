@@ -23,7 +23,7 @@ from ..core.encode import linear_from_srgb
 from .errors import CaptureError
 from .types import Capture, Observation
 
-LEAST, MOST = 1 / 255, 8 / 255  # of white; one code is JPEG at its best, beyond eight the images are not aligned
+MIN_NOISE, MAX_NOISE = 1 / 255, 8 / 255  # of white; JPEG at its best; beyond eight codes the images are not aligned
 # The noise is a constant of the kernels, which llvmpipe compiles in 50 s: few distinct values need few kernels.
 STEP = 0.5 / 255
 # For too few images: sensor, rounding and JPEG together. Under 16 lamps, of a rusty metal, normals are off by
@@ -33,8 +33,8 @@ _IMAGES = 12  # most images to read
 # Rank of a block's signal: three for a matt surface, one for a highlight, one for a shadow's edge. Noise-free
 # renders of the benchmarks' cards differ from rank five by 0.1 to 0.3 codes, from rank four by 0.15 to 0.6.
 _RANK = 5
-_FEWEST = _RANK + 2  # images of a block
-_SIDE, _BLOCKS, _FEWEST_BLOCKS = 8, 1000, 40  # pixels; most blocks; least usable blocks
+_MIN_IMAGES = _RANK + 2  # images of a block
+_SIDE, _BLOCKS, _MIN_BLOCKS = 8, 1000, 40  # pixels; most blocks; least usable blocks
 _DARK = 8  # mean code: in darker blocks black clips the noise
 _THRESHOLDS = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  # radiance between code k and k + 1
 
@@ -56,7 +56,7 @@ class NoiseEstimate:
             return
         index, observations = _chosen(capture)
         corners = _corners(np.asarray(capture.masks[index], bool))
-        if len(observations) >= _FEWEST and len(corners) >= _FEWEST_BLOCKS:
+        if len(observations) >= _MIN_IMAGES and len(corners) >= _MIN_BLOCKS:
             self._size, self._chosen, self._corners = capture.masks[index].shape, observations, corners
 
     def take(self, observation: Observation, image: np.ndarray) -> None:
@@ -77,16 +77,16 @@ class NoiseEstimate:
                     self.take(one, one.read())
         blocks = [block for _, block in sorted(self._blocks.items()) if block is not None]
         deviations = block_noise(np.stack(blocks, axis=1)) if blocks else np.zeros(0)
-        if len(deviations) < _FEWEST_BLOCKS:
+        if len(deviations) < _MIN_BLOCKS:
             return USUAL
-        return float(np.clip(STEP * np.round(np.median(deviations) / (255 * STEP)), LEAST, MOST))
+        return float(np.clip(STEP * np.round(np.median(deviations) / (255 * STEP)), MIN_NOISE, MAX_NOISE))
 
 
 def noise_of(capture: Capture) -> Generator[None, None, float]:
     """Return the noise's standard deviation in sRGB codes as a fraction of white; yield before each image is read.
 
-    LEAST to MOST in STEPs; USUAL if no camera has seven images or too few blocks are usable; 0 for files finer than
-    8-bit sRGB codes.
+    MIN_NOISE to MAX_NOISE in STEPs; USUAL if no camera has seven images or too few blocks are usable; 0 for files finer
+    than 8-bit sRGB codes.
     """
     return NoiseEstimate(capture).finishing()
 
@@ -102,7 +102,7 @@ def block_noise(blocks: np.ndarray) -> np.ndarray:
     n: the number of blocks that are complete in at least seven images.
     """
     complete = np.isfinite(blocks).all(axis=-1)
-    usable = complete.sum(axis=-1) >= _FEWEST
+    usable = complete.sum(axis=-1) >= _MIN_IMAGES
     complete, blocks = complete[usable], blocks[usable]
     count, values = complete.sum(axis=-1), np.where(complete[..., None], blocks, 0)
     # An image that lacks the block adds an eigenvalue of 0.

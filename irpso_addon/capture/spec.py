@@ -103,9 +103,9 @@ def reframed(spec: CaptureSpec, framing: Framing, store: ImageStore) -> CaptureS
 
 def _first_size(spec: CaptureSpec, store: ImageStore) -> tuple[int, int]:
     """Return the size of the first image that can be read. Raises CaptureError if none can."""
-    for shot in spec.observations[:-1]:
+    for observation in spec.observations[:-1]:
         with suppress(CaptureError):  # a damaged one may be left out later
-            return store.size(shot.image)
+            return store.size(observation.image)
     return store.size(spec.observations[-1].image)
 
 
@@ -116,39 +116,39 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
     """
     store = ImageStore(decoder)
     faults: list[CaptureError] = []
-    lights = [_light(shot, faults) for shot in spec.observations]
+    lights = [_light(observation, faults) for observation in spec.observations]
     sizes = []
-    for shot in spec.observations:
+    for observation in spec.observations:
         yield
-        sizes.append(_size(shot.image, store, faults))
+        sizes.append(_size(observation.image, store, faults))
     raise_all(faults)
     read = zip(spec.observations, lights, sizes, strict=True)
-    shots = [(shot, light, size) for shot, light, size in read if light and size]
+    usable = [(observation, light, size) for observation, light, size in read if light and size]
     cameras, masks, warnings = [], [], []
     for index, view in enumerate(spec.views):
         yield
-        of_view = [(shot, size) for shot, _, size in shots if shot.camera == index]
+        of_view = [(observation, size) for observation, _, size in usable if observation.camera == index]
         width, height = _camera_size(view, of_view, faults)
-        faults += orientation_faults([shot.image for shot, _ in of_view], store)
+        faults += orientation_faults([observation.image for observation, _ in of_view], store)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
-        warnings += yield from _exposure_warnings([shot for shot, _ in of_view], store)
+        warnings += yield from _exposure_warnings([observation for observation, _ in of_view], store)
     raise_all(faults)
     tested = [
-        LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
-        for shot, light, _ in shots
-        if light.distant and shot.image.colour_space == "auto"
+        LitImage(observation.image, light.vector, float(np.mean(light.intensity)), observation.camera)
+        for observation, light, _ in usable
+        if light.distant and observation.image.colour_space == "auto"
     ]
     encoding = encoding_of(tested, masks, store)
     observations = tuple(
         Observation(
-            shot.name,
-            ImageReader(shot.image, store, cameras[shot.camera], encoding),
+            observation.name,
+            ImageReader(observation.image, store, cameras[observation.camera], encoding),
             light,
-            shot.camera,
-            store.coarse(shot.image),
+            observation.camera,
+            store.coarse(observation.image),
         )  # fmt: skip
-        for shot, light, _ in shots
+        for observation, light, _ in usable
     )
     return Capture(
         spec.name, observations, tuple(cameras), tuple(masks), spec.source, spec.card_distance, spec.left_out,
@@ -190,29 +190,34 @@ class ImageReader:
 def written_lights(spec: CaptureSpec) -> list[Light]:
     """Return the lights of a spec's observations; [] if one of them is invalid."""
     faults: list[CaptureError] = []
-    lights = [_light(shot, faults) for shot in spec.observations]
+    lights = [_light(observation, faults) for observation in spec.observations]
     return [light for light in lights if light] if not faults else []
 
 
-def _light(shot: ObservationSpec, faults: list[CaptureError]) -> Light | None:
-    vector, intensity = np.asarray(shot.vector, float), np.asarray(shot.intensity, float)
+def _light(observation: ObservationSpec, faults: list[CaptureError]) -> Light | None:
+    vector, intensity = np.asarray(observation.vector, float), np.asarray(observation.intensity, float)
     length = np.linalg.norm(vector)
-    axis = np.asarray(shot.axis or (), float)
+    axis = np.asarray(observation.axis or (), float)
     if not np.isfinite(vector).all():
-        fault = f"{shot.where}: the light is not a number; write three finite numbers", "light_nan"
-    elif shot.distant and length == 0:
-        fault = f"{shot.where}: the light direction is zero; write the direction toward the light", "light_zero"
-    elif shot.axis is not None and (not np.isfinite(axis).all() or not axis.any()):
-        fault = f"{shot.where}: light_axis is no direction; write where the light shines to", "light_zero"
+        fault = f"{observation.where}: the light is not a number; write three finite numbers", "light_nan"
+    elif observation.distant and length == 0:
+        fault = f"{observation.where}: the light direction is zero; write the direction toward the light", "light_zero"
+    elif observation.axis is not None and (not np.isfinite(axis).all() or not axis.any()):
+        fault = f"{observation.where}: light_axis is no direction; write where the light shines to", "light_zero"
     elif not np.isfinite(intensity).all():
-        fault = f"{shot.where}: the intensity is not a number; write one or three finite numbers", "intensity"
+        fault = f"{observation.where}: the intensity is not a number; write one or three finite numbers", "intensity"
     elif (intensity < 0).any() or not intensity.any():
         what = "negative" if (intensity < 0).any() else "zero"
-        fault = f"{shot.where}: the intensity is {what}; write the light's intensity, or remove the image", "intensity"
+        fault = (
+            f"{observation.where}: the intensity is {what}; write the light's intensity, or remove the image",
+            "intensity",
+        )
     else:
-        direction = vector / length if shot.distant else vector
-        unit_axis = None if shot.axis is None else triple(axis / np.linalg.norm(axis))
-        return Light(triple(direction), triple(intensity), shot.distant, unit_axis, shot.cone, shot.cosine)
+        direction = vector / length if observation.distant else vector
+        unit_axis = None if observation.axis is None else triple(axis / np.linalg.norm(axis))
+        return Light(
+            triple(direction), triple(intensity), observation.distant, unit_axis, observation.cone, observation.cosine
+        )
     faults.append(CaptureError(*fault))
     return None
 
@@ -226,13 +231,13 @@ def _size(image: ImageRef, store: ImageStore, faults: list[CaptureError]) -> tup
 
 
 def _camera_size(
-    view: ViewSpec, shots: list[tuple[ObservationSpec, tuple[int, int]]], faults: list[CaptureError]
+    view: ViewSpec, observations: list[tuple[ObservationSpec, tuple[int, int]]], faults: list[CaptureError]
 ) -> tuple[int, int]:
-    if not shots and view.size is None:
+    if not observations and view.size is None:
         faults.append(CaptureError(f"{view.where}: no observation uses this camera; set width and height", "camera"))
         return 1, 1
-    expected = common_size(view, [size for _, size in shots])
-    faults += [size_fault(shot.image, size, expected) for shot, size in shots if size != expected]
+    expected = common_size(view, [size for _, size in observations])
+    faults += [size_fault(observation.image, size, expected) for observation, size in observations if size != expected]
     return expected
 
 
@@ -252,18 +257,18 @@ def orientation_faults(images: Sequence[ImageRef], store: ImageStore) -> list[Ca
     ]
 
 
-def _exposure_warnings(shots: list[ObservationSpec], store: ImageStore) -> Generator[None, None, list[str]]:
+def _exposure_warnings(observations: list[ObservationSpec], store: ImageStore) -> Generator[None, None, list[str]]:
     """Return a warning if one camera's images have different exposures by EXIF, and their lights equal intensities.
 
     Yields before each image. Files of which only some have an f-number or an ISO are not compared.
     """
-    if len({shot.intensity for shot in shots}) != 1:
+    if len({observation.intensity for observation in observations}) != 1:
         return []  # intensities may account for the exposures
     exposed: list[tuple[ImageRef, Exposure]] = []
-    for shot in shots:
+    for observation in observations:
         yield
-        if exposure := store.exposure(shot.image):
-            exposed.append((shot.image, exposure))
+        if exposure := store.exposure(observation.image):
+            exposed.append((observation.image, exposure))
     if len({(exposure.f_number is None, exposure.iso is None) for _, exposure in exposed}) != 1:
         return []
     stops = np.log2([exposure.amount for _, exposure in exposed])

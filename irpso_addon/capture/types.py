@@ -132,7 +132,7 @@ class Capture:
     @property
     def listed_names(self) -> list[str]:
         """Names of the observations that the capture's files list, excluded ones included."""
-        names = [shot.name for shot in self.observations]
+        names = [observation.name for observation in self.observations]
         for one in sorted(self.left_out, key=lambda one: one.index):
             names.insert(one.index, one.name or Path(one.image).name)
         return names
@@ -140,7 +140,7 @@ class Capture:
     @property
     def listed_cameras(self) -> list[int]:
         """Camera of each listed observation; −1 of an excluded one."""
-        cameras = [shot.camera for shot in self.observations]
+        cameras = [observation.camera for observation in self.observations]
         for one in sorted(self.left_out, key=lambda one: one.index):
             cameras.insert(one.index, -1)
         return cameras
@@ -148,7 +148,7 @@ class Capture:
     @property
     def lights(self) -> list[Light]:
         """The light of each observation."""
-        return [shot.light for shot in self.observations]
+        return [observation.light for observation in self.observations]
 
     def numbers(self, listed: Iterable[int]) -> list[int]:
         """Convert indices in the files' list to indices of ``observations``; drop those of excluded observations."""

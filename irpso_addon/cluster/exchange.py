@@ -27,10 +27,10 @@ class RankTransport:
         self._size = 0
         self._received: list[Received] = []
 
-    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
         """Cut this rank's results to what others read; nothing in a stage solved in closed form."""
         # Across a seam a texel may read all of the halo, at any distance from the box.
-        sent, read = self._between(None if self._seams else reach)
+        sent, read = self._between(None if self._seams else halo)
         self._size = results.shape[-1]
         self._outgoing = (
             {rank: overlap_values(overlap, results) for rank, overlap in sent.items()} if self._size else {}
@@ -48,13 +48,13 @@ class RankTransport:
     def allgather(self, value: Value) -> list[Value]:
         return self._team.allgather(value)
 
-    def _between(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
-        """Return rank → overlap that this one sends, and reads. reach: of halos, in texels; None: all."""
-        if reach not in self._overlaps:
+    def _between(self, halo: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
+        """Return rank → overlap that this one sends, and reads. halo: its width in texels; None: all."""
+        if halo not in self._overlaps:
             here, own = self._ranks.rank, self._places[self._ranks.rank]
             others = {rank: place for rank, place in self._places.items() if rank != here}
-            sent = {rank: overlap_of(own, place, rank, reach) for rank, place in others.items()}
-            read = {rank: overlap_of(place, own, here, reach) for rank, place in others.items()}
+            sent = {rank: overlap_of(own, place, rank, halo) for rank, place in others.items()}
+            read = {rank: overlap_of(place, own, here, halo) for rank, place in others.items()}
             out, back = ({r: part for r, part in parts.items() if part is not None} for parts in (sent, read))
-            self._overlaps[reach] = out, back
-        return self._overlaps[reach]
+            self._overlaps[halo] = out, back
+        return self._overlaps[halo]

@@ -39,7 +39,7 @@ class Split:
     @property
     def halo(self) -> int:
         """Texels around each box."""
-        return self.cost.reach
+        return self.cost.stencil_radius
 
     @property
     def state(self) -> int:

@@ -17,7 +17,7 @@ from ..core.errors import GpuUnavailableError, InputError, IrpsoError
 _SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
 _REMEDY = 'install it with pip ("mpi4py", beside an MPI library), or start one process'
 _COMMAND, _VALUES, _STRIP = 1, 2, 3  # tags of messages
-_LARGEST = 1 << 30  # bytes of one message: MPI counts them in 32 bits
+_MAX_BYTES = 1 << 30  # bytes of one message: MPI counts them in 32 bits
 _POLL_SECONDS = 5e-4  # between polls for an order: a waiting rank leaves its core to working ones
 
 Result = TypeVar("Result")
@@ -198,4 +198,4 @@ def joined() -> Ranks | None:
 def _parts(array: np.ndarray) -> list[np.ndarray]:
     """Return a contiguous array's bytes in pieces of at most one message."""
     flat = array.reshape(-1).view(np.uint8)
-    return [flat[start : start + _LARGEST] for start in range(0, len(flat), _LARGEST)]
+    return [flat[start : start + _MAX_BYTES] for start in range(0, len(flat), _MAX_BYTES)]

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..blender.images import decode
+from ..calibration.ball_calibration import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.balls.lights import Request
-from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
 from ..calibration.write import checked_output, places, table_path, write_calibration, write_lights
 from ..capture.formats.table import CARD_DISTANCE
@@ -30,7 +30,7 @@ from ..pipeline.flat_card import FlatCard, flat_card_steps, width_keys
 from ..pipeline.known_shape import KnownShape, known_shape_steps
 from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
-from .options.job import subject_of
+from .options.job_options import subject_of
 from .options.values import numbers_of_text, positive, silent, warn, warn_quietly
 from .options.videos import frames_of_videos
 

@@ -45,15 +45,15 @@ def run(options: Namespace) -> dict:
     warn(report["warnings"])
     summary = {key: report[key] for key in _SHOWN if key in report}
     if options.bursts and not silent(options):
-        taken = sum(len(shot.images) for shot in source.shots)
-        sys.stdout.write(f"bursts: {taken} photographs averaged to {len(source.shots)}\n")
+        taken = sum(len(group.images) for group in source.groups)
+        sys.stdout.write(f"bursts: {taken} photographs averaged to {len(source.groups)}\n")
     if "grey_card" in summary and not silent(options):
         sys.stdout.write(
             "grey card: found in {file} at {patch}; look whether it is the card\n".format(**summary["grey_card"])
         )
     if "colour_chart" in summary and not silent(options):
         sys.stdout.write(_colours(summary["colour_chart"]))
-    return {"output": options.output, **summary, "images": len(source.shots)}
+    return {"output": options.output, **summary, "images": len(source.groups)}
 
 
 def _measure_options(options: Namespace) -> MeasureOptions:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..blender.images import decode
 from ..blender.scenes.card_mesh import CARD, save_card
-from ..calibration.handheld.job import Handheld, handheld_steps
+from ..calibration.handheld.handheld_calibration import Handheld, handheld_steps
 from ..calibration.handheld.write import report_of, report_text, table_text
 from ..calibration.photographs import read_photographs
 from ..capture.formats.table import TABLE
@@ -60,8 +60,12 @@ def _photographs(options: Namespace) -> CaptureSpec:
     if spec.kind != "images":
         raise InputError(f"{path}: holds a capture with lights; give a folder of photographs alone")
     view = replace(spec.views[0], mask=None)
-    shots = tuple(replace(shot, camera=number) for number, shot in enumerate(spec.observations))
-    return replace(spec, observations=shots, views=tuple(replace(view, name=shot.name) for shot in shots))
+    observations = tuple(replace(observation, camera=number) for number, observation in enumerate(spec.observations))
+    return replace(
+        spec,
+        observations=observations,
+        views=tuple(replace(view, name=observation.name) for observation in observations),
+    )
 
 
 def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:
@@ -71,7 +75,7 @@ def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[
         raise InputError(f"--fov {fov:g}: give the full angle over the image's width, above 0 and below 180")
     angles: list[float | None] = [fov] * len(sizes)
     if fov is None:
-        paths = [shot.image.path for shot in spec.observations]
+        paths = [observation.image.path for observation in spec.observations]
         angles = [
             None if is_exr(path) else field_of_view(path.read_bytes(), *size)
             for path, size in zip(paths, sizes, strict=True)

@@ -33,7 +33,7 @@ from ..results.write import BLEND, REPORT, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
-from .options.job import blend_of, derived_maps_of, job_of
+from .options.job_options import blend_of, derived_maps_of, job_of
 from .options.slots import EACH, open_slots
 from .options.values import shelf_of, silent, warn, warn_quietly
 
@@ -234,7 +234,7 @@ def _solved(
     settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
-    write_maps(found.written, folder, report, pictures, found.derived)
+    write_maps(found.in_blender_frames, folder, report, pictures, found.derived)
     return report, found, started, interrupted
 
 

@@ -7,7 +7,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from ..core.progress_bar import ProgressBar
-from ..sample.job import PHOTOGRAPHS, SIZE, Request, sample_steps
+from ..sample.render_sample import PHOTOGRAPHS, SIZE, Request, sample_steps
 from ..sample.truth import PAGE
 from .options.values import silent, size_option
 

@@ -19,8 +19,8 @@ class ProgressBar:
     where ``show`` gets none.
     """
 
-    def __init__(self, label: str, quiet: bool = False, tenths: bool = True, extrapolated: bool = True):
-        self._label, self._quiet, self._tenths, self._extrapolated = label, quiet, tenths, extrapolated
+    def __init__(self, label: str, silent: bool = False, tenths: bool = True, extrapolated: bool = True):
+        self._label, self._silent, self._tenths, self._extrapolated = label, silent, tenths, extrapolated
         self._start = self._written = time.perf_counter()
         self._first: tuple[float, float] | None = None
         self._shown = -1.0
@@ -31,7 +31,7 @@ class ProgressBar:
         now = time.perf_counter()
         self._first = self._first or (now, fraction)
         tenth = self._tenths and (fraction >= self._shown + _LINE_EVERY or fraction >= 1)
-        if self._quiet or not (self._terminal or tenth or now - self._written >= _LINE_SECONDS):
+        if self._silent or not (self._terminal or tenth or now - self._written >= _LINE_SECONDS):
             return
         self._shown, self._written = fraction, now
         full = round(_WIDTH * fraction)
@@ -43,7 +43,7 @@ class ProgressBar:
 
     def close(self) -> None:
         """End the line."""
-        if self._terminal and not self._quiet and self._shown >= 0:
+        if self._terminal and not self._silent and self._shown >= 0:
             sys.stderr.write("\n")
 
     def run(self, steps: Generator[Step, None, T], shown: Callable[[Step], tuple[float, str]]) -> T:
@@ -71,15 +71,15 @@ class ProgressBar:
 class StepBars:
     """One progress bar per step of a run; callable with a step and its fraction."""
 
-    def __init__(self, quiet: bool = False):
-        self._quiet = quiet
-        self._step, self._bar = "", ProgressBar("", quiet)
+    def __init__(self, silent: bool = False):
+        self._silent = silent
+        self._step, self._bar = "", ProgressBar("", silent)
 
     def __call__(self, step: str, fraction: float) -> None:
         """Show that ``fraction`` (0…1) of a step is done."""
         if step != self._step:
             self._bar.close()
-            self._step, self._bar = step, ProgressBar(step, self._quiet, tenths=False)
+            self._step, self._bar = step, ProgressBar(step, self._silent, tenths=False)
         self._bar.show(fraction)
 
     def close(self) -> None:

@@ -126,7 +126,7 @@ def _coarser_seams(seams: SeamMap, coverage: np.ndarray) -> SeamMap:
     islands = _cells(np.where(coverage, seams.island + 1, 0)).transpose(0, 2, 1, 3)
     flat = islands.reshape(*islands.shape[:2], 4)
     first = (flat > 0).argmax(axis=-1)[..., None]
-    return seam_map(seams.edges.halved(), np.take_along_axis(flat, first, axis=-1)[..., 0] - 1, seams.reach)
+    return seam_map(seams.edges.halved(), np.take_along_axis(flat, first, axis=-1)[..., 0] - 1, seams.radius)
 
 
 def _coarser_bake(bake: GeometryBake) -> GeometryBake:

@@ -11,7 +11,7 @@ from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from .spaces import unit
 from .surface.bake import SurfaceBake
-from .surface.footprint import MOST, jacobian, place, places_along, slant_weight
+from .surface.footprint import MAX_PLACES, jacobian, place, places_along, slant_weight
 
 GRAZING = 0.1  # cosine between face normal and view; below, a texel is not visible
 # Least usable (visible, with weight) share of a texel of several pixels: the centre of this part is within an eighth of
@@ -60,7 +60,7 @@ class _Group:
         for j in range(self.along[1]):
             for i in range(self.along[0]):
                 along, across = np.asarray([place(i, self.along[0]), place(j, self.along[1])], np.float32)
-                yield j * MOST + i, self.fraction + along * self.sides[:, :, 0] + across * self.sides[:, :, 1]
+                yield j * MAX_PLACES + i, self.fraction + along * self.sides[:, :, 0] + across * self.sides[:, :, 1]
 
 
 class Projector:
@@ -198,10 +198,10 @@ class Projector:
 
     def _grouped(self, seen: _Group, surface: _Surface, along: np.ndarray) -> list[_Group]:
         groups = []
-        for key in np.unique(along[:, 0].astype(int) * (MOST + 1) + along[:, 1]):
-            chosen = np.flatnonzero(along[:, 0].astype(int) * (MOST + 1) + along[:, 1] == key)
+        for key in np.unique(along[:, 0].astype(int) * (MAX_PLACES + 1) + along[:, 1]):
+            chosen = np.flatnonzero(along[:, 0].astype(int) * (MAX_PLACES + 1) + along[:, 1] == key)
             group = seen.part(chosen)
-            group.along = divmod(int(key), MOST + 1)
+            group.along = divmod(int(key), MAX_PLACES + 1)
             shown = self._mark_visible(group, surface.part(chosen))
             groups.append(group.part(shown >= (1 if group.along == (1, 1) else USABLE)))
         return [group for group in groups if len(group.texels)]

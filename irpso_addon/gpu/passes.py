@@ -11,7 +11,7 @@ from .kernel import MAX_OUTPUTS, Entry, Kernel
 from .program import GROUP, Program, program_of
 from .textures import Texture
 
-_MOST_FRAMEBUFFERS = 12  # of a pass: a refinement draws into five sets of textures, in two windows
+_MAX_FRAMEBUFFERS = 12  # of a pass: a refinement draws into five sets of textures, in two windows
 
 
 class Pass:
@@ -99,7 +99,7 @@ class Pass:
         window = context_guard.active()
         key = (id(window), *(id(target) for target in targets))
         if key not in self._framebuffers:
-            if len(self._framebuffers) == _MOST_FRAMEBUFFERS:
+            if len(self._framebuffers) == _MAX_FRAMEBUFFERS:
                 self._framebuffers.pop(next(iter(self._framebuffers)))
             self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), window, tuple(targets))
         return self._framebuffers[key][0]

@@ -22,9 +22,9 @@ from ..solver.views.history import History
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between updates of the progress bar and checks for Ctrl-C
-_SLOW_SAVE, _MOST_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
+_SLOW_SAVE, _MAX_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
 _ELAPSED, _PREVIEWED = "seconds", "previewed"  # keys among a checkpoint's notes: the run's seconds, its preview
-_MOST_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
+_MAX_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def check_every(seconds: float | None) -> None:
         raise InputError(f"--checkpoint-every {seconds:g}: give seconds, 0 or more, as in --checkpoint-every 60")
 
 
-def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
+def drive(recovery: RecoveryEngine, history: History, saving: Saving, silent: bool) -> tuple[float, list[str]]:
     """Run a recovery to its end; return its seconds, with those before a resume, and at most one warning.
 
     A checkpoint that fails (a full disk) adds the warning, does not stop the run, and leaves the former file unchanged.
@@ -66,7 +66,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         saver.before = float(notes.pop(_ELAPSED, 0.0))
         notes.pop(_PREVIEWED, None)
         history.take(notes)
-    bar, time_left = ProgressBar("recover", quiet, extrapolated=False), TimeLeft()
+    bar, time_left = ProgressBar("recover", silent, extrapolated=False), TimeLeft()
     iterations = 1
     with delayed_signals() as interrupted:
         progress = recovery.progress
@@ -85,7 +85,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
             left = time_left.after(bar.seconds, progress)
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s", left)
             affordable = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
-            iterations = max(1, min(2 * iterations, int(affordable), _MOST_ITERATIONS))
+            iterations = max(1, min(2 * iterations, int(affordable), _MAX_ITERATIONS))
             if not progress.done:
                 saver.save_when_due()
         bar.close()
@@ -134,7 +134,7 @@ class _Saver:
             return
         if self._saved_stage == self._recovery.progress.stage:
             return
-        if now - self._last_save < max(every, self._save_time / _MOST_SAVING if self._save_time > _SLOW_SAVE else 0.0):
+        if now - self._last_save < max(every, self._save_time / _MAX_SAVING if self._save_time > _SLOW_SAVE else 0.0):
             return
         try:
             self.save(path)

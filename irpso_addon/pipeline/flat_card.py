@@ -20,13 +20,13 @@ from ..core.steps import map_steps
 from ..geometry.build import check_card
 from .known_shape import check_explained, light_rows
 
-FEWEST = 6  # photographs
+MIN_PHOTOGRAPHS = 6  # photographs
 _PIXELS = 6000  # of the reduced card, about: averages relief and texture
 _TEXELS = 1500  # in the fit
-_FEWEST_TEXELS, _FEWEST_LIT = 300, 100  # in the fit, and lit in each photograph
-_LEAST_SCALE = 0.02
+_MIN_TEXELS, _MIN_LIT = 300, 100  # in the fit, and lit in each photograph
+_MIN_SCALE = 0.02
 _READ_PART = 0.2  # of the work, at the end of reading
-_MOST_DEGREES, _MOST_DISTANCE = 8.0, 0.25  # mean standard errors: of directions, and of distances as fractions
+_MAX_DEGREES, _MAX_DISTANCE = 8.0, 0.25  # mean standard errors: of directions, and of distances as fractions
 _UP = (0.0, 0.0, 1.0)
 
 
@@ -68,16 +68,16 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     where its picture is 1 wide: then positions are in widths of the picture. All intensities have a common unknown
     factor. Raises InputError where the photographs do not determine the lights: distant ones have no fall-off.
     """
-    if len(capture.observations) < FEWEST:
+    if len(capture.observations) < MIN_PHOTOGRAPHS:
         raise InputError(
-            f"{len(capture.observations)} photographs are too few to find lights over a flat card; take {FEWEST} or"
-            " more"
+            f"{len(capture.observations)} photographs are too few to find lights over a flat card; take"
+            f" {MIN_PHOTOGRAPHS} or more"
         )
     camera = capture.cameras[0]
     capture = replace(capture, card_distance=capture.card_distance or _unit_width_distance(camera))
     mask = check_card(capture)
     scale = min(1.0, float(np.sqrt(_PIXELS / mask.sum())))
-    small = framed(capture, Framing(scale=max(scale, _LEAST_SCALE)))
+    small = framed(capture, Framing(scale=max(scale, _MIN_SCALE)))
     samples, views = yield from map_steps(_samples(small, seed), lambda part: _READ_PART * part)
     _check_lit(capture, samples)
     middle = samples.points.mean(axis=0)
@@ -90,11 +90,11 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     check_explained(capture, fit, "the card")
     lights = fit.lamps.lights(near=True, scale=free_scale(samples, fit))
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
-    shots = tuple(
-        replace(shot, light=replace(light, vector=triple(place)))
-        for shot, light, place in zip(capture.observations, lights, places, strict=True)
+    observations = tuple(
+        replace(observation, light=replace(light, vector=triple(place)))
+        for observation, light, place in zip(capture.observations, lights, places, strict=True)
     )
-    return FlatCard(replace(capture, observations=shots), fit)
+    return FlatCard(replace(capture, observations=observations), fit)
 
 
 def _unit_width_distance(camera: Camera) -> float:
@@ -111,8 +111,8 @@ def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Sample
     chosen = np.sort(np.random.default_rng(seed).permutation(places)[:_TEXELS])
     points = points.reshape(-1, 3)[chosen]
     values, weights = [], []
-    for number, shot in enumerate(capture.observations):
-        pixels = without_bounds(shot.read()).reshape(-1, 4)[chosen].astype(np.float64)
+    for number, observation in enumerate(capture.observations):
+        pixels = without_bounds(observation.read()).reshape(-1, 4)[chosen].astype(np.float64)
         weights.append(pixels[:, 3])
         values.append(np.where(pixels[:, 3] > 0, pixels[:, :3].mean(axis=-1), 0))
         yield (number + 1) / len(capture.observations)
@@ -123,11 +123,11 @@ def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Sample
 
 def _check_lit(capture: Capture, samples: Samples) -> None:
     lit = ((samples.weight > 0) & (samples.values > 0)).sum(axis=1)
-    if samples.values.shape[1] < _FEWEST_TEXELS or lit.min() < _FEWEST_LIT:
+    if samples.values.shape[1] < _MIN_TEXELS or lit.min() < _MIN_LIT:
         number = int(lit.argmin())
         raise InputError(
-            f"'{capture.observations[number].name}': shows only {lit[number]} lit pixels of the card, but {_FEWEST_LIT}"
-            f" are needed to find its light, and {_FEWEST_TEXELS} pixels of the card in all"
+            f"'{capture.observations[number].name}': shows only {lit[number]} lit pixels of the card, but {_MIN_LIT}"
+            f" are needed to find its light, and {_MIN_TEXELS} pixels of the card in all"
         )
 
 
@@ -138,7 +138,7 @@ def _check_known(fit: LampFit, even: LampFit) -> None:
             " its shading does not show their directions; put a ball into the photographs"
         )
     degrees, distance = float(fit.degrees.mean()), float(fit.distance_errors.mean())
-    if degrees > _MOST_DEGREES or distance > _MOST_DISTANCE:
+    if degrees > _MAX_DEGREES or distance > _MAX_DISTANCE:
         raise InputError(
             f"the fall-off over the card shows the lamps only to {degrees:.0f}° and {distance:.0%} of their distance:"
             " the card is not matt, flat or large enough; bring the lamps nearer, or put a ball into the photographs"

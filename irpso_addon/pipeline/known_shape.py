@@ -29,27 +29,27 @@ from ..geometry.domain import Domain
 from ..geometry.light.shadows import ShadowCaster, texel_size
 from ..geometry.surface.bake import bake_camera, surface_bake, uv_coverage
 from ..geometry.surface.mesh import MeshData
-from ..solver.lights.sample import evenly_facing
+from ..solver.lights.light_texels import evenly_facing
 
-FEWEST = 4  # photographs
+MIN_PHOTOGRAPHS = 4  # photographs
 _COVERED_TEXELS = 40_000  # of the mesh's domain, about: one camera sees a third
 _SIDES = 64, 1024  # texels, least and most, along a side of the domain
 _TEXELS = 2500  # in the fit; twice as many change lights by less than their errors
 _VIEWS = 3  # photographs, at least, that show a texel of the fit
-_FEWEST_TEXELS, _FEWEST_LIT = 300, 50  # in the fit, and lit in each photograph
+_MIN_TEXELS, _MIN_LIT = 300, 50  # in the fit, and lit in each photograph
 _SHADOW_ROUNDS = 2  # of predicting the cast shadows under the lights so far
 _READ_PART = 0.4  # of the work, at the end of reading
 _NEUTRAL_LIGHT = Light((0.0, 0.0, 1.0))  # of all photographs while reading
-_LEAST_DETERMINED = 0.2  # 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
-_LEAST_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, else 0.5 to 0.9
-_MOST_ERROR = 10.0  # degrees, mean standard error of the directions
+_MIN_DETERMINED = 0.2  # 0.36 to 0.94 on a pot and a rough monkey, below 0.01 on a plane and on three faces
+_MIN_EXPLAINED = 0.3  # of a photograph's squared radiance: 0.01 where its lamp is 57° off or more, else 0.5 to 0.9
+_MAX_ERROR = 10.0  # degrees, mean standard error of the directions
 # Median angle in degrees between the mesh's normals and those of the photographs (warning, error): 0.5 where a
 # pot's mesh is exact, 8.7 where a material has relief that the mesh lacks (lights 4° off), 12 where the pot is
 # moved by 5 % of its width (11°), 15 where it is turned by 20° (10°), 20 where it is moved by 25 % of its width (31°).
-_DOUBTFUL_MISMATCH, _MOST_MISMATCH = 10.0, 18.0
+_DOUBTFUL_MISMATCH, _MAX_MISMATCH = 10.0, 18.0
 # Share of the outline that does not fit (warning, error). A displaced ball is shaded like one in place under rotated
 # lights: only its outline differs. Moved by 5 % of its width, 6 % of its mask are off, and lights 8°.
-_DOUBTFUL_OUTSIDE, _MOST_OUTSIDE = 0.04, 0.2
+_DOUBTFUL_OUTSIDE, _MAX_OUTSIDE = 0.04, 0.2
 _BLACK_SHARE = 0.02  # of the 90th percentile of radiance: darker texels are black
 
 
@@ -89,11 +89,11 @@ def light_rows(capture: Capture, fit: LampFit, near: bool) -> list[dict[str, Any
     """Return the report's row of each light, with its standard errors."""
     rows = []
     strengths, distances = fit.errors[:, 3], fit.distance_errors
-    for number, shot in enumerate(capture.observations):
+    for number, observation in enumerate(capture.observations):
         row = {
-            "name": shot.name,
-            "position" if near else "direction": list(shot.light.vector),
-            "intensity": list(shot.light.intensity),
+            "name": observation.name,
+            "position" if near else "direction": list(observation.light.vector),
+            "intensity": list(observation.light.intensity),
             "error_degrees": round(float(fit.degrees[number]), 3),
             "strength_error": round(float(strengths[number]), 4),
         }
@@ -111,14 +111,15 @@ def known_shape_steps(
     a common unknown factor. kind: "distant", "near" or "auto": near where the fall-off proves it (``nearer``). Raises
     InputError where photographs and mesh do not determine the lights, or contradict each other.
     """
-    if len(capture.observations) < FEWEST:
+    if len(capture.observations) < MIN_PHOTOGRAPHS:
         raise InputError(
-            f"{len(capture.observations)} photographs are too few to find lights over a mesh; take {FEWEST} or more"
+            f"{len(capture.observations)} photographs are too few to find lights over a mesh; take"
+            f" {MIN_PHOTOGRAPHS} or more"
         )
-    unlit = tuple(replace(shot, light=_NEUTRAL_LIGHT) for shot in capture.observations)
+    unlit = tuple(replace(observation, light=_NEUTRAL_LIGHT) for observation in capture.observations)
     domain = yield from _read(replace(capture, observations=unlit, card_distance=None), mesh)
     outside = max(_outside_mesh(capture, mesh), _black(domain))
-    if outside > _MOST_OUTSIDE:
+    if outside > _MAX_OUTSIDE:
         raise InputError(
             f"'{mesh.name}': {outside:.0%} of its outline is off in the photographs; check that mesh and cameras are in"
             " one place and unit, and that masks show the mesh alone"
@@ -134,10 +135,12 @@ def known_shape_steps(
     mismatch = float(np.nanmedian(free_normals(samples, fit)))
     _check_known(capture, mesh, fit, determined, mismatch)
     lights = fit.lamps.lights(near, free_scale(samples, fit))
-    shots = tuple(replace(shot, light=light) for shot, light in zip(capture.observations, lights, strict=True))
+    observations = tuple(
+        replace(observation, light=light) for observation, light in zip(capture.observations, lights, strict=True)
+    )
     warnings = _warnings(mesh, mismatch, outside)
     return KnownShape(
-        replace(capture, observations=shots), fit, near, determined, mismatch, len(rows), warnings
+        replace(capture, observations=observations), fit, near, determined, mismatch, len(rows), warnings
     )  # fmt: skip
 
 
@@ -157,9 +160,9 @@ def _chosen(domain: Domain, mesh: MeshData, seed: int) -> tuple[np.ndarray, np.n
     for layer in domain.stack.layers():
         views += layer[rows, columns, 3] > 0
     rows, columns = rows[views >= _VIEWS], columns[views >= _VIEWS]
-    if len(rows) < _FEWEST_TEXELS:
+    if len(rows) < _MIN_TEXELS:
         raise InputError(
-            f"'{mesh.name}': {_VIEWS} photographs show only {len(rows)} texels of it, {_FEWEST_TEXELS} are needed to"
+            f"'{mesh.name}': {_VIEWS} photographs show only {len(rows)} texels of it, {_MIN_TEXELS} are needed to"
             " find lights; check the cameras' poses, or put a ball into the photographs"
         )
     order = evenly_facing(domain.bake.normal[rows, columns], np.random.default_rng(seed))
@@ -176,10 +179,10 @@ def _samples(domain: Domain, rows: np.ndarray, columns: np.ndarray, seed: int) -
 
 def _check_lit(capture: Capture, samples: Samples) -> None:
     lit = ((samples.weight > 0) & (samples.values > 0)).sum(axis=1)
-    if lit.min() < _FEWEST_LIT:
+    if lit.min() < _MIN_LIT:
         number = int(lit.argmin())
         raise InputError(
-            f"'{capture.observations[number].name}': shows only {lit[number]} lit texels of the mesh, {_FEWEST_LIT} are"
+            f"'{capture.observations[number].name}': shows only {lit[number]} lit texels of the mesh, {_MIN_LIT} are"
             " needed to find its light; leave the photograph out"
         )
 
@@ -216,18 +219,18 @@ def _of_kind(samples: Samples, lamps: Lamps, kind: str) -> Generator[None, None,
 
 
 def _check_known(capture: Capture, mesh: MeshData, fit: LampFit, determined: float, mismatch: float) -> None:
-    if not determined >= _LEAST_DETERMINED:
+    if not determined >= _MIN_DETERMINED:
         raise InputError(
             f"'{mesh.name}': its visible part faces too few directions to separate lights from albedo; put a ball"
             " beside it, or if it is flat, use --flat without --blend"
         )
-    if not mismatch <= _MOST_MISMATCH:
+    if not mismatch <= _MAX_MISMATCH:
         raise InputError(
             f"'{mesh.name}': the photographs' shading contradicts the mesh, whose normals are off by {mismatch:.0f}° in"
             " the median; check that mesh and cameras are in one place and unit, or put a ball into the photographs"
         )
     check_explained(capture, fit, f"'{mesh.name}'")
-    if not fit.degrees.mean() <= _MOST_ERROR:
+    if not fit.degrees.mean() <= _MAX_ERROR:
         raise InputError(
             f"'{mesh.name}': lights from different parts of it differ by {fit.degrees.mean():.0f}°: lights cannot be"
             " found from its shading; put a ball into the photographs"
@@ -237,7 +240,7 @@ def _check_known(capture: Capture, mesh: MeshData, fit: LampFit, determined: flo
 def check_explained(capture: Capture, fit: LampFit, subject: str) -> None:
     """Raise InputError, naming the photograph, where the fit explains too little of its radiance."""
     worst = int(fit.explained.argmin())
-    if not fit.explained[worst] >= _LEAST_EXPLAINED:
+    if not fit.explained[worst] >= _MIN_EXPLAINED:
         raise InputError(
             f"'{capture.observations[worst].name}': matt shading of {subject} explains only"
             f" {fit.explained[worst]:.0%} of its light; leave the photograph out, or put a ball into them"

@@ -30,9 +30,9 @@ from ..solver.engine.engine import RecoveryEngine
 from ..solver.interreflection.rounds import InterreflectionRounds
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
+from ..solver.planning.make_plan import covered_texels, device_limits, rays_triangles, uv_borders
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.plan import within_limits
-from ..solver.planning.planning import covered_texels, device_limits, rays_triangles, uv_borders
 from .job import Job
 from .run import READ, Run, in_solver_frames
 

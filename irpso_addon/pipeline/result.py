@@ -31,19 +31,19 @@ from .job import Job
 from .run import Run
 
 _NO_EXTRAS = DerivedMaps()
-_LEAST_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
+_MIN_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
 @dataclass(frozen=True)
 class ResultMaps:
-    """Maps of a run. solver: with normals in the solver's frames; written: in those of Blender's normal maps.
+    """Maps of a run. in_solver_frames, in_blender_frames: with normals in the solver's, in Blender's tangent frames.
 
     derived: maps besides the model's. height: the relief, None unless the user wants it.
     """
 
-    solver: Maps
-    written: Maps
+    in_solver_frames: Maps
+    in_blender_frames: Maps
     derived: list[DerivedMap]
     height: Height | None
 
@@ -63,7 +63,7 @@ def report_of(
     run: Run, recovered: ResultMaps, settings: Mapping[str, Any], seconds: float, warnings: list[str] | None = None
 ) -> dict[str, Any]:
     """Return the report. settings: the user's. seconds, warnings: of the search."""
-    job, maps, progress, domain = run.job, recovered.solver, present(run.progress), present(run.domain)
+    job, maps, progress, domain = run.job, recovered.in_solver_frames, present(run.progress), present(run.domain)
     run.relight(maps)
     report = build_report(
         maps, settings={**settings, "preset": asdict(job.schedule), **run.settings}, seed=job.seed,
@@ -97,7 +97,7 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     """Return a warning where the photographs show next to nothing of a mesh: it may stand elsewhere."""
     whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
-    if domain.card or seen >= _LEAST_SEEN * whole:
+    if domain.card or seen >= _MIN_SEEN * whole:
         return []
     return [
         f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"
@@ -147,10 +147,10 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
 
 def pictures_of(run: Run, recovered: ResultMaps) -> dict[str, np.ndarray]:
     """Return file stem → (H, W, 3) display values: renders beside photographs, confidence, held-out observations."""
-    run.relight(recovered.solver)
+    run.relight(recovered.in_solver_frames)
     names = preview_names(run.job.capture, run.job.held_out_indices)
-    preview = error_preview(present(run.domain), recovered.solver, run.truth, names, run.indirect)
-    return {"preview": preview} | confidence_preview(recovered.solver) | run.relit[0]
+    preview = error_preview(present(run.domain), recovered.in_solver_frames, run.truth, names, run.indirect)
+    return {"preview": preview} | confidence_preview(recovered.in_solver_frames) | run.relit[0]
 
 
 def subject_of(job: Job) -> Any:
@@ -173,7 +173,7 @@ def make_material(
     subject: from ``subject_of``. height: the relief that displaces the surface. folder: of pictures, as for
     ``build_material``. Raises InputError.
     """
-    maps = found.written
+    maps = found.in_blender_frames
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)
     built = material.build_material(maps, job.name, folder, uv_map, height)
     if job.mesh is None:

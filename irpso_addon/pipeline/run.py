@@ -27,11 +27,11 @@ from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
 from ..solver.engine.progress import Progress
 from ..solver.factory import planned_recovery
+from ..solver.lights.light_texels import draw_texels
 from ..solver.lights.refine import Lights, can_tell, chosen_steps
-from ..solver.lights.sample import draw
+from ..solver.planning.make_plan import covered_texels, make_plan, untiled
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
-from ..solver.planning.planning import covered_texels, make_plan, untiled
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
 from ..solver.views.held_out import relit_steps
@@ -226,10 +226,10 @@ class Run:
         cacheable = kept.domain is domain and not job.fixed
         if cacheable and kept.lights_key == key:
             return kept.lights
-        sample = yield from self._elsewhere(lambda: draw(domain, job.seed, np.asarray(job.fitted)))
+        texels = yield from self._elsewhere(lambda: draw_texels(domain, job.seed, np.asarray(job.fitted)))
         steps = chosen_steps(
             domain, job.model, job.seed, self.fixed, intensities=job.lights.intensities,
-            refine_degrees=job.lights.degrees, fitted=job.fitted, entry=job.entry, sample=sample,
+            refine_degrees=job.lights.degrees, fitted=job.fitted, entry=job.entry, texels=texels,
         )  # fmt: skip
         estimated = yield from map_steps(steps, lambda fraction: self._show(LIGHTS, fraction))
         if cacheable:

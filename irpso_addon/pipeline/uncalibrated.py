@@ -23,12 +23,12 @@ from ..geometry.domain import Domain
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.relief.relief import card_height
 from ..reflectance.model import ReflectanceModel
+from ..solver.lights.light_texels import draw_texels
 from ..solver.lights.refine import Lights, light_steps
-from ..solver.lights.sample import draw
 from ..solver.state.prepare import lambert_seed
 
 _TEXELS = 15_000  # of the reduced capture, about: lights need no more
-_LEAST_SCALE = 0.05
+_MIN_SCALE = 0.05
 _READ_PART, _SHADED_PART = 0.1, 0.25  # of the work, at the ends of reading and of the first estimate
 _ROUNDS = 2  # of refinement, each from the lights of the one before
 _FIRST_ERROR = 10.0  # degrees: assumed standard deviation of the first estimate's directions
@@ -38,12 +38,12 @@ _FIRST_ERROR = 10.0  # degrees: assumed standard deviation of the first estimate
 _DOUBTFUL_DISAGREEMENT, _UNSURE_DISAGREEMENT = 15.0, 40.0
 # The most where the model does not fit. Disagreement and error are 10 and 3° on bunnies that darken as no material of
 # the model does, 15 and 36° on a goblet of satin brass.
-_MOST_UNFIT = 12.0
+_MAX_UNFIT = 12.0
 # A refinement that raises the spread of the intensities by this factor and amount has fitted what the model lacks. On a
 # bunny that darkens as no material of the model does, it rises from 0.8 to 11 %, the lights' error from 3.5 to 11°.
 _SPREAD_FACTOR, _SPREAD_MARGIN = 2.0, 0.03
 _BRIGHT = 95.0  # percentile of radiance, which becomes WHITE
-_OPEN, _LEAST_OPEN = 0.9, 0.65  # least part of the sky that texels of the refinement see; of all texels
+_OPEN, _MIN_OPEN = 0.9, 0.65  # least part of the sky that texels of the refinement see; of all texels
 _JACKKNIFE_TEXELS = 256  # in each fit without one part
 _DOUBTFUL_REFINED = 3.0  # degrees between refined lights by parts
 
@@ -86,10 +86,10 @@ class Uncalibrated:
         """Return the table of the report."""
         rows = []
         errors = zip(self.first.errors, self.errors, strict=True)
-        for shot, (before, error) in zip(self.capture.observations, errors, strict=True):
-            row = {"direction": list(shot.light.vector), "intensity": list(shot.light.intensity)}
+        for observation, (before, error) in zip(self.capture.observations, errors, strict=True):
+            row = {"direction": list(observation.light.vector), "intensity": list(observation.light.intensity)}
             degrees = {"first_error_degrees": round(float(before), 3), "error_degrees": round(float(error), 3)}
-            rows.append({"name": shot.name, **row, **degrees})
+            rows.append({"name": observation.name, **row, **degrees})
         return {
             "kind": "shading",
             "near": False,
@@ -115,7 +115,7 @@ def uncalibrated_steps(
     capture = replace(capture, card_distance=None)
     mask = check_card(replace(capture, card_distance=1.0))
     scale = min(1.0, float(np.sqrt(_TEXELS / mask.sum())))
-    small = framed(capture, Framing(scale=max(scale, _LEAST_SCALE)))
+    small = framed(capture, Framing(scale=max(scale, _MIN_SCALE)))
     values, weight = yield from map_steps(_radiance(small), lambda part: _READ_PART * part)
     steps = shading_steps(values, weight, small.masks[0], seed)
     first = yield from map_steps(steps, lambda part: _READ_PART + (_SHADED_PART - _READ_PART) * part)
@@ -130,7 +130,7 @@ def uncalibrated_steps(
     pixels = _Pixels(values, weight, small, seed, limits)
     refined, kept, domain = yield from pixels.refined(domain, model, _spread(first.intensities))
     if not kept:
-        if disagreement > _MOST_UNFIT:
+        if disagreement > _MAX_UNFIT:
             raise InputError(f"{apart}, and no material explains them; {limits.remedy}")
         power = strength[:, None]
         turn = pixels.rotation(first.directions * power, domain, check=True)
@@ -232,8 +232,8 @@ class _Pixels:
         texels, directions = open_texels(domain, self.capture.cameras[0]), []
         for part in range(PARTS):
             rest = replace(texels, solvable=texels.solvable & (part_of != part))
-            sample = draw(rest, self.seed, np.arange(domain.observations), _JACKKNIFE_TEXELS)
-            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_FIRST_ERROR, sample=sample)
+            chosen = draw_texels(rest, self.seed, np.arange(domain.observations), _JACKKNIFE_TEXELS)
+            steps = light_steps(rest, model, seed=self.seed, refine_degrees=_FIRST_ERROR, texels=chosen)
             refined = yield from map_steps(steps, partial(_fraction, 1 + part / PARTS, 1 / PARTS))
             directions.append(self.turned(refined, domain, part_of == part).lights[:, :3])
         return np.stack(directions).astype(np.float64)
@@ -247,7 +247,7 @@ def open_texels(domain: Domain, camera: Camera) -> Domain:
     """
     normals, _ = lambert_seed(domain)
     sky = open_sky(card_height(camera, normals, domain.solvable))
-    least = min(_OPEN, float(np.quantile(sky[domain.solvable], 1 - _LEAST_OPEN)))
+    least = min(_OPEN, float(np.quantile(sky[domain.solvable], 1 - _MIN_OPEN)))
     return replace(domain, solvable=domain.solvable & (sky >= least))
 
 
@@ -272,8 +272,8 @@ def _fraction(begun: float, share: float, part: float) -> float:
 def _radiance(capture: Capture) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
     """Return grey radiance and weight (K, P) of the pixels of the mask; yield the fraction read."""
     values, weights = [], []
-    for number, shot in enumerate(capture.observations):
-        pixels = without_bounds(shot.read()[capture.masks[0]])
+    for number, observation in enumerate(capture.observations):
+        pixels = without_bounds(observation.read()[capture.masks[0]])
         weights.append(pixels[:, 3])
         values.append(np.where(pixels[:, 3] > 0, pixels[:, :3].mean(axis=-1), 0).astype(np.float64))
         yield (number + 1) / len(capture.observations)
@@ -283,6 +283,9 @@ def _radiance(capture: Capture) -> Generator[float, None, tuple[np.ndarray, np.n
 def _with_lights(capture: Capture, directions: np.ndarray, intensities: np.ndarray) -> Capture:
     """Return a capture with distant lights (K, 3) in its camera's axes, and their intensities (K, 3)."""
     world = directions @ capture.cameras[0].matrix[:3, :3].T
-    shots = zip(capture.observations, world, intensities, strict=True)
-    lit = tuple(replace(shot, light=Light(triple(direction), triple(power))) for shot, direction, power in shots)
+    observations = zip(capture.observations, world, intensities, strict=True)
+    lit = tuple(
+        replace(observation, light=Light(triple(direction), triple(power)))
+        for observation, direction, power in observations
+    )
     return replace(capture, observations=lit)

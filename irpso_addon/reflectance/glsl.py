@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .model import LEAST_PRIOR_WIDTH, ReflectanceModel
+from .model import MIN_PRIOR_WIDTH, ReflectanceModel
 
 _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
@@ -45,7 +45,7 @@ def prior_declaration(model: ReflectanceModel) -> str:
             if along is not None:
                 at, (low, high) = model.offset(along.name), along.range
                 lines.append(f"float x = (c[{at}] - {low!r}) * {1 / (high - low)!r};")
-                lines.append(f"w *= max(1.0 - x * x, {LEAST_PRIOR_WIDTH!r});")
+                lines.append(f"w *= max(1.0 - x * x, {MIN_PRIOR_WIDTH!r});")
             if p.prior.kind == "normal":
                 deviance, gradient, curvature = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)"
                 precisions.append([*lines, f"if (component == {i}) {{ return {curvature}; }}"])
@@ -60,7 +60,7 @@ def prior_declaration(model: ReflectanceModel) -> str:
                 power = 2.0 if p.prior.kind == "normal" else 1.0
                 differentiated.append(
                     f"gradient[{at}] += {power / (high - low)!r} * ({deviance}) * x"
-                    f" / max(1.0 - x * x, {LEAST_PRIOR_WIDTH!r});"
+                    f" / max(1.0 - x * x, {MIN_PRIOR_WIDTH!r});"
                 )
             derivatives.append(differentiated)
 

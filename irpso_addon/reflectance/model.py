@@ -18,7 +18,7 @@ from ..core.paths import MODELS
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
-LEAST_PRIOR_WIDTH = 0.02  # least fraction of a prior's width where it vanishes
+MIN_PRIOR_WIDTH = 0.02  # least fraction of a prior's width where it vanishes
 _KINDS = ("search", "linear")
 _PRIORS = ("normal", "concave")
 _COLOR_SPACES = ("Non-Color", "sRGB")
@@ -51,7 +51,7 @@ class ParameterPrior:
 
         place: (…) position of the scalar ``vanishes_with`` in that scalar's range, 0…1.
         """
-        width = self.width if place is None else self.width * np.maximum(1 - place**2, LEAST_PRIOR_WIDTH)
+        width = self.width if place is None else self.width * np.maximum(1 - place**2, MIN_PRIOR_WIDTH)
         left = 1.0 if self.kind == "normal" else 1 - np.abs(values - self.value) / extent
         with np.errstate(divide="ignore"):
             return np.square(width / left)

@@ -19,7 +19,7 @@ _OVERLAPS = 0.2, 0.4  # of the side: range of the search
 _ALIKE = 1.2  # of the least cost of a path: of overlaps up to this cost the smallest is chosen
 _STRETCH = 0.03  # largest relative difference of the two periods
 _SEARCHED = 256  # texels of a side in the first search for the overlap
-_LEAST = 32  # least texels of a side
+_MIN_SIDE = 32  # least texels of a side
 _FREE = 0.3  # of the overlap at each side: the path avoids it
 _FINEST, _WIDEST = 1.0, 1 / 20  # standard deviations of the blend's bands: texels, of the overlap; six are _FREE
 _SMOOTH = 1.0  # texels: standard deviation of a blur of the path costs
@@ -50,8 +50,8 @@ def seamless(
     a weave or a bond of bricks continues. Raises InputError if the square is too small.
     """
     x, y, side = largest_square(covered)
-    if side < _LEAST or side * (1 - (overlap or 0)) < _LEAST // 2:
-        raise InputError(f"the card's largest square without holes has {side} texels a side; {_LEAST} are needed")
+    if side < _MIN_SIDE or side * (1 - (overlap or 0)) < _MIN_SIDE // 2:
+        raise InputError(f"the card's largest square without holes has {side} texels a side; {_MIN_SIDE} are needed")
     names = [parameter.name for parameter in model.parameters]
     square = {name: np.asarray(values[name], np.float64)[y : y + side, x : x + side] for name in names}
     stack = np.concatenate([square[name] for name in names], axis=-1)

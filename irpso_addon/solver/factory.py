@@ -17,8 +17,8 @@ from .engine.engine import RecoveryEngine
 from .engine.recovery import Recovery
 from .engine.tiled import TiledRecovery
 from .interreflection.rounds import InterreflectionRounds
+from .planning.make_plan import untiled
 from .planning.plan import Plan
-from .planning.planning import untiled
 from .settings.schedule import Schedule
 from .state.prepare import Prepared
 

@@ -1,7 +1,7 @@
 // Packing: all textures of a recovery store the solved texels densely. Reads GEOMETRY_PLACE of u_geometry (packed texel
 // → domain texel) and u_packed (domain texel → packed texel, −1 where none is solved).
 //
-// SEAMS is the reach of a seam map (geometry/seams/seams.py). With it, solver/state/packing.py writes:
+// SEAMS is the radius of a seam map (geometry/seams/seams.py). With it, solver/state/packing.py writes:
 //   GEOMETRY_PLACE: x, y, chart, island. Islands share edges in the UV map. A chart is an island or, at a gap, a part.
 //   u_packed, with a border of SEAMS texels: packed x, y, chart, first entry for views from other charts (−1: none).
 //   entries, in the layers after GEOMETRY_PLACE, in texel order: packed x, y, the chart that sees it, next entry.

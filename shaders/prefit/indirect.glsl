@@ -9,7 +9,7 @@ bool texel_kernel(ivec2 texel)
     o_shadow = 0.0;
     if (state_at(texel) == TEXEL_SOLVED && texelFetch(u_measured, texel, 0).z > 0.0) {
         vec4 sum = neighbourhood_sum(texel);
-        if (sum.x > LEAST_MISFIT * sum.w && sum.y > LEAST_SURPLUS * sum.w) {
+        if (sum.x > MIN_MISFIT * sum.w && sum.y > MIN_SURPLUS * sum.w) {
             o_shadow = RAISED_SHADOW;
         }
     }

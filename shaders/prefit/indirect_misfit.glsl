@@ -1,5 +1,5 @@
 // Over W×H texels: misfit of the prefit over all samples, those in shadow included. Writes o_indirect_misfit: x sum of
-// errors, y sum of errors where the sample is brighter, both as fractions of the light, at most 1; z 1 if LEAST_SAMPLES
+// errors, y sum of errors where the sample is brighter, both as fractions of the light, at most 1; z 1 if MIN_SAMPLES
 // samples reach RAISED_SHADOW times the texel's scale, else 0; w 1. Samples and fit are clamped to the scale (no
 // highlights).
 
@@ -26,7 +26,7 @@ bool texel_kernel(ivec2 texel)
         }
         o_indirect_misfit.x = misfit.x < light ? misfit.x / light : 1.0;
         o_indirect_misfit.y = misfit.y < light ? misfit.y / light : 1.0;
-        o_indirect_misfit.z = bright >= LEAST_SAMPLES ? 1.0 : 0.0;
+        o_indirect_misfit.z = bright >= MIN_SAMPLES ? 1.0 : 0.0;
         o_indirect_misfit.w = 1.0;
     }
     return true;

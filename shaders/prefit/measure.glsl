@@ -1,4 +1,4 @@
-// Over W×H texels: fitness of the prefit's estimates, for the acceptance test. A fit to fewer than LEAST_SAMPLES
+// Over W×H texels: fitness of the prefit's estimates, for the acceptance test. A fit to fewer than MIN_SAMPLES
 // samples fits their noise too and cannot judge another model: its fitness is UNFIT, which every model passes.
 
 #include "common/estimate.glsl"
@@ -14,7 +14,7 @@ bool texel_kernel(ivec2 texel)
         EACH_OBSERVATION(t, o) {
             samples++;
         }
-        if (samples >= LEAST_SAMPLES) {
+        if (samples >= MIN_SAMPLES) {
             float weights;
             o_fitness = fitness_of(t, estimate_at(texel), weights);
         }

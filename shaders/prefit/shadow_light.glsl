@@ -9,7 +9,7 @@
 #include "common/observation.glsl"
 
 #define HARMONICS 9
-#define LEAST_LIGHT 1e-30
+#define MIN_LIGHT 1e-30
 
 #define FACING 0.2       // least cosine to the lamp of a lit sample and of a cast shadow
 #define DARK 0.15        // most direct light in a cast shadow, over the unshadowed direct light
@@ -23,14 +23,14 @@
 #define RIDGE_DIRECT 1e-4 // of a Lambertian normal, over the trace of its normal equations
 
 // Acceptance tests. On convex subjects the dark samples show noise and sheen, which harmonics do not explain. The
-// extrapolated harmonics turn the normal by about 1° on their own: a turn below the chord LEAST_TURN is not accepted.
+// extrapolated harmonics turn the normal by about 1° on their own: a turn below the chord MIN_TURN is not accepted.
 // Metal is dark beside its highlight, like a matt texel with cast shadows; but the prefit explains it better. Where the
 // Lambertian fit did not have to be better than the prefit, normals of brass without bounces were off by 6.7 in place
 // of 2.7° in the mean, by 38 in place of 3° at the accepted texels.
-#define FEWEST 10            // samples in shadow
-#define FEWEST_LIT 4         // lit samples
-#define MOST_UNEXPLAINED 0.3 // of the light in shadow
-#define MOST_GLOSS 0.25      // of the lit samples' direct light times u_misfit: its difference to a Lambertian texel's
+#define MIN_SHADOWED 10            // samples in shadow
+#define MIN_LIT 4         // lit samples
+#define MAX_UNEXPLAINED 0.3 // of the light in shadow
+#define MAX_GLOSS 0.25      // of the lit samples' direct light times u_misfit: its difference to a Lambertian texel's
 #define MATT 0.02            // or of the lit samples' direct light: what no prefit explains much better
 
 struct Indirect {
@@ -286,7 +286,7 @@ vec3 lambertian_normal(Texel t, Fit fit, Indirect indirect)
                 lit++;
             }
         }
-        if (lit < FEWEST_LIT) {
+        if (lit < MIN_LIT) {
             return fit.n;
         }
         scaled = inverse(gram + mat3(RIDGE_DIRECT * (gram[0][0] + gram[1][1] + gram[2][2]))) * right;
@@ -301,23 +301,23 @@ bool fit_texel(Texel t, vec3 n, out Fit fit)
     fit.before = fit.indirect;
     fit.n = n;
     fit.albedo = 0.0;
-    fit.bright = LEAST_LIGHT;
+    fit.bright = MIN_LIGHT;
     // An early exit for most texels: too few shadows even by the highest albedo of a sample.
     float most = 0.0;
     for (int k = 0; k < u_observations; k++) {
         most = max(most, quantity(OWN_ALBEDO, t, k, n, fit.indirect, fit.indirect, 0.0));
     }
-    if (count_shadows(t, n, fit.indirect, most) < FEWEST) {
+    if (count_shadows(t, n, fit.indirect, most) < MIN_SHADOWED) {
         return false;
     }
-    fit.bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, fit.indirect, fit.indirect, 0.0), LEAST_LIGHT);
+    fit.bright = max(percentile(GREY_LIGHT, BRIGHT, t, n, fit.indirect, fit.indirect, 0.0), MIN_LIGHT);
     for (int round = 0; round < ROUNDS; round++) {
         if (round > 0) {
             fit.n = lambertian_normal(t, fit, fit.indirect);
         }
         fit.before = fit.indirect;
         fit.albedo = percentile(OWN_ALBEDO, LIT, t, fit.n, fit.indirect, fit.indirect, 0.0);
-        if (count_shadows(t, fit.n, fit.indirect, fit.albedo) < FEWEST) {
+        if (count_shadows(t, fit.n, fit.indirect, fit.albedo) < MIN_SHADOWED) {
             return false;
         }
         fit.indirect = fit_indirect(t, fit.n, fit.indirect, fit.albedo, fit.bright);
@@ -355,14 +355,14 @@ vec3 accepted_chroma_and_share(Texel t, Fit fit, float misfit)
             gloss += abs(direct_light(s, fit.indirect) - matt * s.cosine);
         }
     }
-    float share = light.x / max(light.y, LEAST_LIGHT);
-    float most_gloss = max(MOST_GLOSS * misfit, MATT) * lit;
-    if (!(unexplained < MOST_UNEXPLAINED * dark && gloss < most_gloss && share >= LEAST_SHARE)) {
+    float share = light.x / max(light.y, MIN_LIGHT);
+    float max_gloss = max(MAX_GLOSS * misfit, MATT) * lit;
+    if (!(unexplained < MAX_UNEXPLAINED * dark && gloss < max_gloss && share >= MIN_SHARE)) {
         return vec3(0.0);
     }
     vec3 turned = lambertian_normal(t, fit, fit.indirect) - lambertian_normal(t, fit, no_indirect());
-    vec3 chroma = colour / max(colour.r + colour.g + colour.b, LEAST_LIGHT);
-    return length(turned) >= LEAST_TURN ? vec3(chroma.rg, share) : vec3(0.0);
+    vec3 chroma = colour / max(colour.r + colour.g + colour.b, MIN_LIGHT);
+    return length(turned) >= MIN_TURN ? vec3(chroma.rg, share) : vec3(0.0);
 }
 
 bool texel_kernel(ivec2 texel)

@@ -9,7 +9,7 @@ bool texel_kernel(ivec2 texel)
     o_chosen = 0.0;
     if (state_at(texel) == TEXEL_SOLVED && texelFetch(u_measured, texel, 0).z > 0.0) {
         vec4 sum = neighbourhood_sum(texel);
-        if (sum.x > LEAST_FITNESS * sum.z && sum.y < (1.0 - SHEEN_GAIN) * sum.x) {
+        if (sum.x > MIN_FITNESS * sum.z && sum.y < (1.0 - SHEEN_GAIN) * sum.x) {
             o_chosen = 1.0;
         }
     }

@@ -6,7 +6,7 @@
 #include "common/estimate.glsl"
 #include "surface/normal_matrix.glsl"
 #include "surface/slopes.glsl"
-#include "prior/loss_unit.glsl"
+#include "spatial_prior/loss_unit.glsl"
 
 // Sets the normal n in c and moves the linear parameters to their optimum for it.
 void set_normal(ivec2 texel, vec3 n, inout float c[12])

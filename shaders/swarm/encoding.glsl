@@ -28,10 +28,11 @@ vec2 hemisphere_from_normal(vec3 n)
 }
 
 // Returns the searched fraction of a linear parameter's range. Radiance is proportional to it, so the brightness bounds
-// it. LINEAR_REACH times the brightness includes saturated colours under grazing light; 0 searches the whole range.
-float reach_of(float radiance_scale)
+// it. ALBEDO_BOUND_FACTOR times the brightness includes saturated colours under grazing light; 0 searches the whole
+// range.
+float albedo_bound_of(float radiance_scale)
 {
-    return LINEAR_REACH > 0.0 ? min(1.0, LINEAR_REACH * radiance_scale) : 1.0;
+    return ALBEDO_BOUND_FACTOR > 0.0 ? min(1.0, ALBEDO_BOUND_FACTOR * radiance_scale) : 1.0;
 }
 
 // The paper's encoding: three numbers, normalised. A negative z is mirrored, so that the normal lies in the hemisphere.

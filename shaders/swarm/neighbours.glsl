@@ -42,8 +42,8 @@ void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
     }
     float count = 0.0;
     ivec4 place_on_surface = surface_place_of(texel);
-    for (int y = -REACH; y <= REACH; y++) {
-        for (int x = -REACH; x <= REACH; x++) {
+    for (int y = -WINDOW_RADIUS; y <= WINDOW_RADIUS; y++) {
+        for (int x = -WINDOW_RADIUS; x <= WINDOW_RADIUS; x++) {
             ivec2 other = neighbour_at(place_on_surface, ivec2(x, y));
             if (other.x < 0) {
                 continue;

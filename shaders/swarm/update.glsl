@@ -23,7 +23,7 @@ ivec2 global_texel(ivec2 texel)
 void initialise_particle(ivec2 texel, int particle, out float x[8], out float v[8])
 {
     float seed[8];
-    encode(estimate_at(texel), reach_of(radiance_scale_at(texel)), seed);
+    encode(estimate_at(texel), albedo_bound_of(radiance_scale_at(texel)), seed);
     for (int block = 0; block < BLOCKS; block++) {
         ivec2 coord = global_texel(texel);
         vec4 position = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_POSITION + block);

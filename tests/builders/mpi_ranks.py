@@ -98,7 +98,7 @@ def digest(maps, progress):
 def worker_of(ranks, case):
     """Return this rank's worker, whose window is cut from the complete domain."""
     domain, model, schedule, *_ = case
-    halo = recovery_cost(model, schedule, (), domain.observations).reach
+    halo = recovery_cost(model, schedule, (), domain.observations).stencil_radius
     height, width = domain.shape
     boxes = list(divided(domain.bake.coverage, (0, 0, width, height), ranks.size))
     boxes += [None] * (ranks.size - len(boxes))

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of
-from irpso_addon.geometry.seams.seams import SEAM_REACH, seams_of
+from irpso_addon.geometry.seams.seams import SEAM_RADIUS, seams_of
 from irpso_addon.geometry.surface.mesh import MeshData
 from tests.oracles import geometry as geometry_oracle
 from tests.oracles.geometry import joined, mesh_from_corners
@@ -63,11 +63,11 @@ class Sheet:
         s, t = self._sheet(self.part_at(texel), np.array(texel) + 0.5 + by)
         return max(-LEFT - s, s - RIGHT, -t, t - HIGH)
 
-    def domain(self, reach: int = SEAM_REACH, **options) -> Domain:
+    def domain(self, radius: int = SEAM_RADIUS, **options) -> Domain:
         """Return a domain of one dark observation, with its seams."""
         stack = np.ones((1, *self.bake.coverage.shape, 4), np.float32)
         rows = (np.float32([[0, 0, 1, 0]]), np.float32([[1, 1, 1]]), np.float32([[0, 0, 1, 0]]))
-        seams = seams_of(self.mesh, self.bake.triangle, reach)
+        seams = seams_of(self.mesh, self.bake.triangle, radius)
         return domain_of(self.bake, stack, *rows, card=False, seams=seams)
 
     def _sheet(self, part: int, place: np.ndarray) -> np.ndarray:

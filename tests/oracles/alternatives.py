@@ -9,7 +9,7 @@ from tests.oracles import confidence as confidence_oracle
 from tests.oracles import synchronous_swarm as generation
 
 _FRACTIONS = (0.01, 0.04, 0.1, 0.25, 0.5, 0.75, 1.0)  # tried values, as fractions of a range
-_FAR, _MOST, _FLOOR = 0.3, 9.0, 0.01
+_FAR, _MAX_LOG, _FLOOR = 0.3, 9.0, 0.01
 
 
 def log_ratios(domain, model, values, schedule, scale, fixed=()):
@@ -33,7 +33,7 @@ def log_ratios(domain, model, values, schedule, scale, fixed=()):
             if linear:
                 trial = problem.with_weights(trial, generation.solve(problem, trial, counted))
             lowest = np.where(far, np.minimum(lowest, generation.fitness(problem, trial)), lowest)
-        result[p.name] = np.clip(n * np.log((lowest + _FLOOR) / (own + _FLOOR)), -_MOST, _MOST)[..., None]
+        result[p.name] = np.clip(n * np.log((lowest + _FLOOR) / (own + _FLOOR)), -_MAX_LOG, _MAX_LOG)[..., None]
     return result
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SMALLEST = 1e-4  # least l1 error in the weight 1 / |e|
+MIN_ERROR = 1e-4  # least l1 error in the weight 1 / |e|
 
 
 def loss(kind, e):
@@ -14,6 +14,6 @@ def loss(kind, e):
 def loss_weight(kind, e):
     """Return loss′(e) / e, up to a constant factor."""
     kinds = {
-        "l1": lambda a: 1 / np.maximum(np.abs(a), SMALLEST), "l2": np.ones_like, "robust": lambda a: 1 / (1 + a**2)
+        "l1": lambda a: 1 / np.maximum(np.abs(a), MIN_ERROR), "l2": np.ones_like, "robust": lambda a: 1 / (1 + a**2)
     }  # fmt: skip
     return kinds[kind](e)

@@ -27,10 +27,10 @@ _RIDGE = np.array([1e-3, *[0.1] * (HARMONICS - 1)])
 
 # Acceptance tests. On convex subjects the dark samples show noise and sheen, which harmonics do not explain. The
 # harmonics' errors turn a normal by about 1°: a turn of less than ``turn`` is not accepted.
-_FEWEST, _FEWEST_LIT = 10, 4  # samples in shadow, lit samples
-_MOST_UNEXPLAINED = 0.3  # of the light in shadow
+_MIN_SHADOWED, _MIN_LIT = 10, 4  # samples in shadow, lit samples
+_MAX_UNEXPLAINED = 0.3  # of the light in shadow
 # Of the direct light, times the prefit's misfit, or without: its difference to a Lambertian texel's.
-_MOST_GLOSS, _MATT = 0.25, 0.02
+_MAX_GLOSS, _MATT = 0.25, 0.02
 
 
 def shadow_light(domain: Domain, normal: np.ndarray, misfit: np.ndarray, least: float, turn: float) -> np.ndarray:
@@ -70,7 +70,7 @@ def _indirect_light(
         (albedo,) = percentiles(np.where(facing, left / np.where(facing, cosine, 1), np.nan), [_LIT])
         cast = facing & (left < _DARK * np.nan_to_num(albedo) * cosine)
         shadow, lit = counted & ((cosine < 0) | cast), facing & ~cast
-        active = active & (shadow.sum(axis=0) >= _FEWEST)
+        active = active & (shadow.sum(axis=0) >= _MIN_SHADOWED)
         own = basis if basis.shape[1] == 1 else basis[:, active]
         coefficients[active], weight[:, active] = _fitted(own, shadow[:, active], grey[:, active], bright[active])
         indirect[:, active] = np.minimum(_light_of(own, coefficients[active]), grey[:, active])
@@ -81,8 +81,8 @@ def _indirect_light(
     share = over_lights(indirect) / np.maximum(over_lights(grey), 1e-30)
     (albedo,) = percentiles(np.where(lit, (grey - indirect) / np.where(lit, cosine, 1), np.nan), [50.0])
     gloss = over_lights(np.where(lit, np.abs(grey - indirect - np.nan_to_num(albedo) * cosine), 0))
-    accepted = active & (unexplained < _MOST_UNEXPLAINED * dark)
-    accepted &= gloss < np.maximum(_MOST_GLOSS * misfit, _MATT) * over_lights(np.where(lit, grey - indirect, 0))
+    accepted = active & (unexplained < _MAX_UNEXPLAINED * dark)
+    accepted &= gloss < np.maximum(_MAX_GLOSS * misfit, _MATT) * over_lights(np.where(lit, grey - indirect, 0))
     turned, unturned = (_lambertian_normals(vectors, part, lit, bright, normal) for part in (grey - indirect, grey))
     accepted &= np.linalg.norm(turned - unturned, axis=-1) >= 2 * np.sin(np.radians(turn) / 2)
     return coefficients, chroma, np.where(accepted, share, 0)
@@ -101,7 +101,7 @@ def _lambertian_normals(
         error = np.abs(light - dot(every, scaled)) / np.maximum(bright, 1e-30)
         weight = lit * (_SMALL / (error + _SMALL))
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
-    valid = (scaled[:, 2:] > 0) & (lit.sum(axis=0) >= _FEWEST_LIT)[:, None]
+    valid = (scaled[:, 2:] > 0) & (lit.sum(axis=0) >= _MIN_LIT)[:, None]
     return np.where(valid, scaled / np.maximum(length, 1e-30), other)
 
 

@@ -119,9 +119,11 @@ class Problem:
 
     def width_of(self, p: Parameter) -> np.ndarray | float:
         """Return the searched part of a parameter's range: for a linear colour up to its brightness."""
-        reach = self.schedule.swarm.linear_reach
+        factor = self.schedule.swarm.linear_reach
         share = (
-            np.minimum(1, reach * self.scale[..., None]) if p.kind == "linear" and p.components == 3 and reach else 1.0
+            np.minimum(1, factor * self.scale[..., None])
+            if p.kind == "linear" and p.components == 3 and factor
+            else 1.0
         )
         return (p.range[1] - p.range[0]) * share
 
@@ -255,13 +257,13 @@ def neighbourhood_mean(problem: Problem, g: np.ndarray) -> np.ndarray:
     """Return (H, W, D): the mean of the covered global bests in the H×H window; on a mesh in the texel's own frame."""
     _, covered = solved_and_covered(problem.domain)
     frame = frames(problem.domain.bake)
-    reach = problem.schedule.swarm.neighbourhood // 2
+    radius = problem.schedule.swarm.neighbourhood // 2
     rows, columns = problem.domain.shape
     result = np.zeros_like(g)
     for y, x in np.argwhere(covered):
         window = []
-        for j in range(max(0, y - reach), min(rows, y + reach + 1)):
-            for i in range(max(0, x - reach), min(columns, x + reach + 1)):
+        for j in range(max(0, y - radius), min(rows, y + radius + 1)):
+            for i in range(max(0, x - radius), min(columns, x + radius + 1)):
                 if covered[j, i]:
                     own = (j, i) == (y, x) or problem.domain.card
                     window.append(g[j, i] if own else _in_frame(problem, g[j, i], frame[j, i], frame[y, x]))

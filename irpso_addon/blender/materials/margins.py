@@ -19,7 +19,7 @@ from ...results.maps import Maps
 from .tangent_frames import converted_normals, to_blender, world_to_blender
 
 # Least bilinear weight of the solved texels among the four around a place on the other side.
-_LEAST = 0.05
+_MIN_WEIGHT = 0.05
 
 
 def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap | None) -> Maps:
@@ -99,8 +99,8 @@ def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray
         share = np.abs(1 - dx - fraction[:, 0]) * np.abs(1 - dy - fraction[:, 1])
         taps[:, t], weights[:, t] = np.where(usable, texel, 0), np.where(usable, share, 0)
     total = weights.sum(axis=1, keepdims=True)
-    alone = (total[:, 0] < _LEAST) & covered.ravel()[seams.target[entry]]
+    alone = (total[:, 0] < _MIN_WEIGHT) & covered.ravel()[seams.target[entry]]
     taps[alone] = seams.target[entry][alone, None]
     weights[alone], total[alone] = 0.25, 1.0
-    valid = total[:, 0] >= _LEAST
+    valid = total[:, 0] >= _MIN_WEIGHT
     return place[valid], beside[valid], taps[valid], weights[valid] / total[valid]

@@ -11,7 +11,7 @@ from ...capture.camera import Camera
 from ...core.errors import InputError
 
 SMALL = 15.0  # pixels of radius: below, half a pixel in the highlight is 4° in the light
-_SMALLEST = 5.0
+_MIN_RADIUS = 5.0
 _UNEVEN, _NO_BALL = 0.02, 0.08  # RMS distance of the outline from the fit, in radii: warning, error
 _DIGITAL_NOISE = 0.7  # pixels: an outline of whole pixels deviates by as much
 _ARC, _SHORT_ARC = 0.6, 0.25  # visible fraction of the outline: warning, error
@@ -235,7 +235,7 @@ class _Cone:
 
 
 def _size(name: str, radius_px: float) -> tuple[str, ...]:
-    if radius_px < _SMALLEST:
+    if radius_px < _MIN_RADIUS:
         raise InputError(
             f"{name}: its radius is {radius_px:.1f} pixels; come closer or use a larger ball, at least {SMALL:g} pixels"
         )

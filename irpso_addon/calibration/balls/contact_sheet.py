@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..job import Calibrated
+from ..ball_calibration import Calibrated
 from .ball import Ball, tangents, to_pixels
 from .crops import BallView
 from .lights import FoundLight

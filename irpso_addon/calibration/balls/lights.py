@@ -22,7 +22,7 @@ KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
 _UNCERTAIN, _USELESS = 2.0, 10.0  # degrees: worth a warning; worse than no light
 _MATTE_ERROR = 0.01  # radians: no ball is perfectly matte; measured in Cycles, 0.66° in the mean on a grey table
-_LEAST_LIT = 0.15  # fraction of a matte ball; below, the light is behind it
+_MIN_LIT = 0.15  # fraction of a matte ball; below, the light is behind it
 _MISFIT, _LEFT_OUT = 0.1, 0.4
 _APART, _APART_DEGREES = 3.0, 2.0  # two balls disagree beyond both: standard errors, degrees
 
@@ -88,7 +88,7 @@ def calibration_steps(
     if request.distance is not None and request.lights == "distant":
         raise InputError("--lamp-distance: distant lights have none; omit it, or --lights distant")
     method = mirror if request.kind == "mirror" else matte
-    views, surroundings = yield from reading_steps(readers, balls, method.LARGEST_RADIUS)
+    views, surroundings = yield from reading_steps(readers, balls, method.MAX_RADIUS)
     centre = np.mean([ball.centre for ball in balls], axis=0)
     return _by_mirror(views, centre, request) if method is mirror else _by_shading(views, surroundings, centre, request)
 
@@ -183,7 +183,7 @@ def _scaled(lights: list[FoundLight], request: Request) -> tuple[FoundLight, ...
 
 def _fit_warnings(fit: Fit) -> list[str]:
     warnings = []
-    if fit.lit < _LEAST_LIT:
+    if fit.lit < _MIN_LIT:
         warnings.append(f"the light is behind the ball: it reaches {fit.lit:.0%} of the visible side")
     if fit.misfit > _MISFIT:
         warnings.append(f"the shading is {fit.misfit:.0%} off a matte ball's")

@@ -11,19 +11,19 @@ from . import shading as shade
 from .ball import tukey
 from .shading import Shading
 
-LARGEST_RADIUS = 24.0  # values; shading is smooth, and averaging reduces noise
-_FEWEST = 40  # usable values
-_FEWEST_FOR_BOUNCE = 4  # photographs: in a single one a bounce looks like a rotated light
+MAX_RADIUS = 24.0  # values; shading is smooth, and averaging reduces noise
+_MIN_VALUES = 40  # usable values
+_MIN_FOR_BOUNCE = 4  # photographs: in a single one a bounce looks like a rotated light
 
 _ITERATIONS, _JOINT_ITERATIONS, _JACKKNIFE_ITERATIONS = 25, 40, 6
 _CHANNEL_ITERATIONS = 8
-_LEAST_SCALE = 0.002  # of the light's radiance: least scale of residuals
+_MIN_SCALE = 0.002  # of the light's radiance: least scale of residuals
 _GRID = 400  # start directions
 _GRID_VALUES = 600
 _BOUNCE_START = (0.0, 0.1, 0.15)  # a table below and behind the ball that reflects a fifth
 _ALBEDO_START = (0.6,)  # of balls, where the table's light is known
 _SCATTER = 0.15  # deviation of residuals over the light's radiance; above, the light does not reach the ball
-_LEAST_BOUNCE = 0.01  # length of ``ground``; below, there is no table
+_MIN_BOUNCE = 0.01  # length of ``ground``; below, there is no table
 _BOUNCE_PRIOR = 1e-4  # weight against the data: keeps an undetermined bounce near its start
 _HIDDEN = "the shading is not a ball's: the lamp does not reach it"
 
@@ -72,7 +72,7 @@ def fit_lights(
     fits: list[_State | str] = [_initial_state(shading, centre, near, inverse) for shading in shadings]
     states = [state for state in fits if isinstance(state, _State)]
     ground = np.zeros(3)
-    if len(states) >= _FEWEST_FOR_BOUNCE:
+    if len(states) >= _MIN_FOR_BOUNCE:
         ground = _joint(states, centre, near)
         for state in states:
             _refine(state, centre, ground, near, _ITERATIONS)
@@ -94,7 +94,7 @@ def _scatter(state: _State, centre: np.ndarray, ground: np.ndarray) -> float:
 
 
 def _initial_state(shading: Shading, centre: np.ndarray, near: bool, inverse: float) -> _State | str:
-    if len(shading.values) < _FEWEST:
+    if len(shading.values) < _MIN_VALUES:
         return "nearly all values are clipped or masked out; expose less"
     grey = shading.values.mean(axis=-1)
     parameters = _start(shading, grey, centre, inverse)
@@ -174,7 +174,7 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarr
         if table_known:
             step = np.clip(ground + step, 0.0, 1.0) - ground
         ground = ground + step
-        if not table_known and np.linalg.norm(ground) < _LEAST_BOUNCE:
+        if not table_known and np.linalg.norm(ground) < _MIN_BOUNCE:
             return np.zeros(count)
         for state, free, by_common, by_residual in solutions:
             state.parameters[free] += by_residual - by_common @ step
@@ -198,7 +198,7 @@ def _solved(jacobian: np.ndarray, weights: np.ndarray, right: np.ndarray) -> np.
 def _tukey(residual: np.ndarray, parameters: np.ndarray, keep: np.ndarray | None = None) -> np.ndarray:
     keep = np.ones(len(residual), bool) if keep is None else keep
     strength = np.linalg.norm(parameters[:3])
-    scale = max(1.4826 * np.median(np.abs(residual[keep])), _LEAST_SCALE * strength, 1e-12)
+    scale = max(1.4826 * np.median(np.abs(residual[keep])), _MIN_SCALE * strength, 1e-12)
     return keep * tukey(residual, scale)
 
 

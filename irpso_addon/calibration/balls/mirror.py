@@ -9,12 +9,12 @@ import numpy as np
 from .ball import Ball
 from .crops import BallView
 
-LARGEST_RADIUS = 256.0  # pixels; larger balls are averaged down to it
+MAX_RADIUS = 256.0  # pixels; larger balls are averaged down to it
 AMBIENT_PERCENTILE = 25.0  # of a pixel's values over all photographs: ambient light
-_FEWEST_FOR_AMBIENT = 4
+_MIN_FOR_AMBIENT = 4
 _RIM = 0.985  # of the ball's radius: beyond, the error of the outline dominates
-_LEAST_ELEVATION = -0.2  # least cosine to the table's normal; below the horizon, as the normal is uncertain
-_LEAST_SIGNAL = 8.0  # deviations of the noise
+_MIN_ELEVATION = -0.2  # least cosine to the table's normal; below the horizon, as the normal is uncertain
+_MIN_SIGNAL = 8.0  # deviations of the noise
 _TINY = float(np.finfo(np.float32).tiny)
 _SKIRT = 0.2  # of the peak: border of a highlight's region
 _HALF = 0.5  # of the highest peak: least peak of another candidate
@@ -36,7 +36,7 @@ _FAINT = "the highlight is hardly brighter than other reflections in the ball"
 # Of the median highlight. A darker one is not the lamp's: if it is faint or most others are clipped; in any case.
 _DARK, _DARKEST = 0.4, 0.1
 _GRAZING = 0.26  # n·v: lights from more than 150° off the viewer
-_SHAPE_ERROR, _LEAST_ERROR = 0.03, 0.05  # least error of a blob's centre: of its radius, and in pixels
+_SHAPE_ERROR, _MIN_ERROR = 0.03, 0.05  # least error of a blob's centre: of its radius, and in pixels
 _ONE_PIXEL = 12**-0.5  # deviation of a uniform distribution over one pixel
 _SPREAD = 0.15  # square pixels: from this variance on, a spot's centroid is not limited by sampling
 
@@ -80,9 +80,9 @@ def find_highlights(view: BallView, up: np.ndarray | None = None, sure: bool = T
     inside = view.inside
     searched = inside & (facing > np.sqrt(1 - _RIM**2))
     if up is not None:
-        searched &= direction @ up > _LEAST_ELEVATION
+        searched &= direction @ up > _MIN_ELEVATION
     ambient = np.zeros_like(grey[0])
-    if len(grey) >= _FEWEST_FOR_AMBIENT:
+    if len(grey) >= _MIN_FOR_AMBIENT:
         rank = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))
         ambient = np.partition(grey, rank, axis=0)[rank]
     results, spots = [], []
@@ -101,7 +101,7 @@ def _without_hidden(results: list[Sight | str], spots: list[_Blob | None], name:
     spots: those of the sights. A lamp is far brighter than what it lights, so weak and strong lamps clip alike.
     """
     present = [spot for spot in spots if spot is not None]
-    if len(present) < _FEWEST_FOR_AMBIENT:
+    if len(present) < _MIN_FOR_AMBIENT:
         return results
     typical = float(np.median([spot.peak for spot in present]))
     mostly_clipped = np.mean([spot.saturated > 0 for spot in present]) > 0.5
@@ -194,7 +194,7 @@ def _rescored(view: BallView, signals: np.ndarray, number: int, blob: _Blob) -> 
     table's highlight also moves, but lies closer to the rim than the lamp, which is above the table.
     """
     repeated = 0.0
-    if len(signals) >= _FEWEST_FOR_AMBIENT:
+    if len(signals) >= _MIN_FOR_AMBIENT:
         values = np.maximum(signals[:, blob.region], 0)
         overlap = np.minimum(values, values[number]).sum(axis=1) / max(float(values[number].sum()), _TINY)
         repeated = max(float((overlap.sum() - 1) / (len(overlap) - 1)), 0.0)
@@ -226,7 +226,7 @@ def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[
     for _ in range(_CANDIDATES):
         peak = float(np.max(smooth, where=remaining, initial=0))
         # A box of nine values has a third of the noise.
-        if peak <= _LEAST_SIGNAL * noise / 3 or peak < _HALF * highest or peak <= 0:
+        if peak <= _MIN_SIGNAL * noise / 3 or peak < _HALF * highest or peak <= 0:
             break
         row, column = np.unravel_index(np.argmax(np.where(remaining, smooth, -np.inf)), smooth.shape)
         threshold = max(_SKIRT * peak, 2 * noise)
@@ -291,7 +291,7 @@ def _measured(signal: np.ndarray, clipped: np.ndarray, region: np.ndarray, insid
     noise_error = noise * np.sqrt((offsets**2).sum() / 2) / total
     sampling_error = _ONE_PIXEL * max(0.0, 1 - np.linalg.eigvalsh(covariance)[0] / _SPREAD)
     shape_error = _SHAPE_ERROR * np.sqrt(np.trace(covariance))
-    error = float(np.sqrt(noise_error**2 + shape_error**2 + sampling_error**2 + _LEAST_ERROR**2))
+    error = float(np.sqrt(noise_error**2 + shape_error**2 + sampling_error**2 + _MIN_ERROR**2))
     # Total radiance ranks the lamp before its image in another ball; a window is too large.
     score = signal[region].sum() * max(compact - _COMPACT, 0.05) / (1 + area / (_USUAL_AREA * inside.sum())) ** 2
     return _Blob(centre, error, area, float(score), float(value.max()), float(clipped[region].mean()), region)

@@ -13,7 +13,7 @@ from ...core.canvas import BACKGROUND, FAINT, GRID, TEXT, Canvas
 from ...core.encode import srgb_from_linear
 
 _TILE, _GAP, _MARGIN, _HEAD = 96, 6, 20, 52
-_COLUMNS, _MOST = 8, 64
+_COLUMNS, _MAX_TILES = 8, 64
 _DOME = 180  # radius, pixels
 _LABEL = 8.0
 _LETTERS = 13  # of a label over a tile
@@ -42,7 +42,7 @@ def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequ
     directions: (K, 3) unit, from ball to light, in camera axes, drawn on a dome seen from the camera; rings are 30°,
     60° and 90° off it, lights behind the ball lie outside. At most 64 tiles are shown. title: one line or two.
     """
-    selected = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MOST)).astype(int))]
+    selected = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MAX_TILES)).astype(int))]
     columns = min(_COLUMNS, max(4, math.ceil(math.sqrt(len(selected)))))
     rows = -(-len(selected) // columns)
     left = _MARGIN * 2 + columns * (_TILE + _GAP)
@@ -107,5 +107,5 @@ def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubt
         radial = _DOME * min(angle / 120, 1.0) / max(flat, 1e-9)
         px, py = x + direction[0] * radial, y - direction[1] * radial
         canvas.ring(px, py, 3.0, 2.0, _BAD if bad else TEXT)
-        if len(directions) <= _MOST:
+        if len(directions) <= _MAX_TILES:
             canvas.text(px + 6, py - 3, str(number + 1), _LABEL, FAINT)

@@ -10,7 +10,7 @@ from .ball import Ball, to_pixels
 from .crops import BallView, Surroundings
 
 _RAYS = 96  # per point of the ball
-_LEAST_FALLING = 0.02  # cosine between a ray and the table's downward normal: flatter rays meet the table too far away
+_MIN_FALLING = 0.02  # cosine between a ray and the table's downward normal: flatter rays meet the table too far away
 _BESIDE = 1.06  # radii from the outline's centre: nearer pixels show the ball or its blur
 
 
@@ -44,7 +44,7 @@ def _places(
     """Return rows and columns (R, N) in ``around`` where rays from normals (N, 3) end, and whether on the table."""
     rays = _rays(normals)
     falling = -(rays @ table.up)
-    meets = falling > _LEAST_FALLING
+    meets = falling > _MIN_FALLING
     length = (table.height + normals @ table.up) / np.where(meets, falling, 1.0)
     points = ball.centre + ball.radius * (normals + length[..., None] * rays)
     if ball.camera.perspective:

@@ -13,12 +13,12 @@ from ..radiometry.frames import Patch
 from .quads import quads_of
 from .search import EXPOSURES, as_shown, reduced
 
-_LEAST, _MOST = 0.04, 0.6  # of the image's longer side: least shorter side, and most longer side, of a card
+_MIN_SIDE, _MAX_SIDE = 0.04, 0.6  # of the image's longer side: least shorter side, and most longer side, of a card
 _BORDER = 2.0  # pixels: a card nearer to the edge of the image may continue outside
 _INNER = 0.7  # of a quadrilateral, about its centre: the measured part
-_MOST_UNEVEN = 0.06  # standard deviation of the log radiance about a plane
+_MAX_UNEVEN = 0.06  # standard deviation of the log radiance about a plane
 _CLIPPED = 0.02  # of the pixels
-_MOST_CHROMA = 12.0  # chroma in CIELAB, scaled to the lightness of a grey card, in the file's colours
+_MAX_CHROMA = 12.0  # chroma in CIELAB, scaled to the lightness of a grey card, in the file's colours
 _GREY = 0.184  # luminance of that lightness, L* = 50
 _DARK = 0.03  # of the image's white: the tint of darker objects is uncertain
 _PATCH = 0.25  # of the shorter side: half the side of the resulting square
@@ -37,7 +37,7 @@ def find_grey_card(rgba: np.ndarray, where: str) -> Patch | None:
     small, factor = reduced(rgba, "the search for a grey card")
     cards: list[np.ndarray] = []
     for exposure in EXPOSURES:
-        quads = quads_of(as_shown(small, exposure), _MOST)
+        quads = quads_of(as_shown(small, exposure), _MAX_SIDE)
         for corners in sorted(quads, key=_area, reverse=True):
             if _is_card(small, corners) and not any(_contains(other, corners.mean(axis=0)) for other in cards):
                 cards.append(corners)
@@ -53,7 +53,7 @@ def find_grey_card(rgba: np.ndarray, where: str) -> Patch | None:
 def _is_card(rgba: np.ndarray, corners: np.ndarray) -> bool:
     """Return whether a quadrilateral (4, 2), from the upper left corner, is large, whole, even and neutral."""
     height, width = rgba.shape[:2]
-    if min(_sides(corners)) < _LEAST * max(width, height):
+    if min(_sides(corners)) < _MIN_SIDE * max(width, height):
         return False
     if not ((corners > _BORDER) & (corners < np.array((width, height)) - _BORDER)).all():
         return False
@@ -68,10 +68,10 @@ def _is_card(rgba: np.ndarray, corners: np.ndarray) -> bool:
     logs = np.log(np.maximum(pixels[:, :3].mean(axis=-1), 1e-6))
     plane = np.column_stack([x, y, np.ones(len(x))])
     residual = logs - plane @ np.linalg.lstsq(plane, logs, rcond=None)[0]
-    if residual.std() > _MOST_UNEVEN:
+    if residual.std() > _MAX_UNEVEN:
         return False
     _, a, b = lab_of_linear(mean * _GREY / (mean @ (0.2126, 0.7152, 0.0722)))
-    return bool(np.hypot(a, b) < _MOST_CHROMA)
+    return bool(np.hypot(a, b) < _MAX_CHROMA)
 
 
 def _mask(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -16,8 +16,8 @@ _ASIDE = 0.3  # most offset of the next one from the row, over the side
 _ALIKE = 2.2  # area of a patch over its neighbour's
 _SAME_PATCH = 0.35  # of the side: closer centres belong to one patch
 _INNER = 6.0  # area of a patch over that of a region inside: above, the region is a patch of its own
-_MOST_OFFSET = 0.2  # of the pitch: of a centre from its position in the lattice
-_LEAST = 7  # least patches of a lattice
+_MAX_OFFSET = 0.2  # of the pitch: of a centre from its position in the lattice
+_MIN_PATCHES = 7  # least patches of a lattice
 _FEWER = 2  # patches below the fullest field: clutter beside a chart may fit its lattice
 _REACH = 5  # cells beyond a lattice's first patches in which more are searched
 _ROUNDS = 3
@@ -53,7 +53,7 @@ def lattices(quads: np.ndarray) -> list[Lattice]:
             continue
         cells = _grown(patches, int(seed))
         remaining -= set(cells)
-        if len(cells) >= _LEAST and (fitted := _fitted(patches, cells)) is not None:
+        if len(cells) >= _MIN_PATCHES and (fitted := _fitted(patches, cells)) is not None:
             results.append(fitted[0])
             remaining -= set(fitted[1].tolist())
     return sorted(results, key=lambda lattice: -len(lattice.cells))
@@ -116,14 +116,14 @@ def _fitted(patches: _Patches, cells: dict[int, tuple[int, int]]) -> tuple[Latti
     matrix = np.eye(3)
     for _ in range(_ROUNDS):
         pitch = float(np.sqrt(np.median(patches.areas[members])))
-        homography, inside = cv.findHomography(places, patches.centres[members], cv.RANSAC, _MOST_OFFSET * pitch)
-        if homography is None or inside.sum() < _LEAST or not _spans(places[inside[:, 0] > 0]):
+        homography, inside = cv.findHomography(places, patches.centres[members], cv.RANSAC, _MAX_OFFSET * pitch)
+        if homography is None or inside.sum() < _MIN_PATCHES or not _spans(places[inside[:, 0] > 0]):
             return None
         matrix = homography
         members, places = _at_places(patches, matrix, places[inside[:, 0] > 0])
-        if len(members) < _LEAST:
+        if len(members) < _MIN_PATCHES:
             return None
-    # By least median: centres of partly detected patches lie up to _MOST_OFFSET away.
+    # By least median: centres of partly detected patches lie up to _MAX_OFFSET away.
     refined, _ = cv.findHomography(places, patches.centres[members], cv.LMEDS)
     return Lattice(matrix if refined is None else refined, np.unique(places.astype(int), axis=0)), members
 
@@ -138,7 +138,7 @@ def _at_places(patches: _Patches, matrix: np.ndarray, known: np.ndarray) -> tupl
     low, high = known.min(axis=0) - _REACH, known.max(axis=0) + _REACH
     positions = _projected(np.linalg.inv(matrix), patches.centres)
     places = np.rint(positions)
-    near = (np.abs(positions - places) < _MOST_OFFSET).all(axis=1) & ((places >= low) & (places <= high)).all(axis=1)
+    near = (np.abs(positions - places) < _MAX_OFFSET).all(axis=1) & ((places >= low) & (places <= high)).all(axis=1)
     # Area of the lattice's cell at each patch.
     steps = [_projected(matrix, places + step) - _projected(matrix, places) for step in np.eye(2)]
     cell = np.abs(steps[0][:, 0] * steps[1][:, 1] - steps[0][:, 1] * steps[1][:, 0])

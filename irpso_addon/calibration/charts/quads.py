@@ -11,14 +11,14 @@ from ...core.opencv import opencv
 
 _SIZES = (1.0, 0.5, 0.25)  # of the image: reduction removes edges inside large patches of sharp photographs
 _EDGES = (5.0, 9.0, 16.0, 30.0)  # codes per pixel: steeper pixels are edges
-_LEAST, _MOST = 5.0, 0.2  # of a quadrilateral's side: pixels, and fraction of the image's longer side
-_SMALLEST = 300  # pixels: least longer side of a reduced image
+_MIN_SIDE, _MAX_SIDE = 5.0, 0.2  # of a quadrilateral's side: pixels, and fraction of the image's longer side
+_MIN_IMAGE_SIDE = 300  # pixels: least longer side of a reduced image
 _FILLED = 0.85  # area of the region over that of its convex hull
 _QUAD = (0.85, 1.2)  # area of the quadrilateral over that of the hull
 _OBLONG = 4.0  # most longer side over shorter
 
 
-def quads_of(picture: np.ndarray, most: float = _MOST) -> np.ndarray:
+def quads_of(picture: np.ndarray, most: float = _MAX_SIDE) -> np.ndarray:
     """Return the corners (N, 4, 2), clockwise on the screen, of even quadrilaterals in an image (H, W, 3) uint8.
 
     Pixels count from the upper left corner; row 0 is at the top. A patch may be found several times. most: largest
@@ -28,7 +28,7 @@ def quads_of(picture: np.ndarray, most: float = _MOST) -> np.ndarray:
     quads = []
     for size in _SIZES:
         height, width = (round(side * size) for side in picture.shape[:2])
-        if size < 1 and max(height, width) < _SMALLEST:
+        if size < 1 and max(height, width) < _MIN_IMAGE_SIDE:
             break
         resized = picture if size == 1 else cv.resize(picture, (width, height), interpolation=cv.INTER_AREA)
         steep = _steepness(cv, resized)
@@ -51,7 +51,7 @@ def _even_quads(cv: ModuleType, even: np.ndarray, most: float) -> Iterator[np.nd
     for outline in outlines:
         _, (across, along), _ = cv.minAreaRect(outline)
         short, long = sorted((across, along))
-        if short < _LEAST or long > largest or long > _OBLONG * short:
+        if short < _MIN_SIDE or long > largest or long > _OBLONG * short:
             continue
         hull = cv.convexHull(outline)
         area = cv.contourArea(hull)

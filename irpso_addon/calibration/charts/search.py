@@ -19,7 +19,7 @@ _LONGEST = 1400  # pixels: most longer side of the searched image
 _BRIGHT = 99.5  # percentile of the radiance that is displayed as white
 EXPOSURES = (1.0, 4.0)  # the second is for a chart that is far darker than the rest
 _HALF = 0.45  # of the pitch: from a patch's centre to its edge, as ``sample_chart`` has it
-_MOST_LATTICES = 12
+_MAX_LATTICES = 12
 _FALL = 0.99  # most brightness of a grey patch over that of the one before; 0.65 without shading
 _TINTED = 0.4  # most range of the grey row's tints, of mean 1: by a clipped patch, or coloured stray light
 _SURE = 8.0  # most mean ΔE2000 after the fit; wrong orders of the patches leave 24 or more
@@ -45,7 +45,7 @@ def find_chart(rgba: np.ndarray, where: str) -> FoundChart | None:
     best: tuple[float, np.ndarray] | None = None
     for exposure in EXPOSURES:
         candidates = lattices(quads_of(as_shown(small, exposure)))
-        for corners in _corners_of(candidates[:_MOST_LATTICES], small):
+        for corners in _corners_of(candidates[:_MAX_LATTICES], small):
             try:
                 ordered, _, fit = orient_chart(small, corners, where)
             except Mirrored as error:

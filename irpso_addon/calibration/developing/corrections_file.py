@@ -20,7 +20,7 @@ from ...core.errors import InputError
 from ...core.files import new_folder
 from ...core.toml_text import toml_value
 from ..radiometry.curve_file import read_response, write_response
-from ..radiometry.develop import Corrections, Shot
+from ..radiometry.develop import Corrections, ExposureGroup
 from ..radiometry.frames import Dark, Flat
 from ..radiometry.source import Exposing
 from .measure import Measured
@@ -56,10 +56,10 @@ class Photograph:
         return {key: value for key, value in table.items() if value is not None}
 
 
-def photograph_of(image: str, shot: Shot) -> Photograph:
-    """Return the source of a shot; an EXR has no EXIF. Raises InputError if its file cannot be read."""
-    photograph = photograph_at(image, shot.images[0].path)
-    return photograph if len(shot.images) == 1 else replace(photograph, file=shot.name + shot.images[0].path.suffix)
+def photograph_of(image: str, group: ExposureGroup) -> Photograph:
+    """Return the source of a group; an EXR has no EXIF. Raises InputError if its file cannot be read."""
+    photograph = photograph_at(image, group.images[0].path)
+    return photograph if len(group.images) == 1 else replace(photograph, file=group.name + group.images[0].path.suffix)
 
 
 def photograph_at(image: str, path: Path) -> Photograph:

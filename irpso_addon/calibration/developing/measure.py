@@ -22,7 +22,7 @@ from ..charts.search import find_chart
 from ..radiometry.brackets import exif_amount, index_amount, name_amount
 from ..radiometry.colour_fit import chart_report, chart_warnings, orient_chart
 from ..radiometry.curve_file import read_response
-from ..radiometry.develop import Corrections, Shot, developed
+from ..radiometry.develop import Corrections, ExposureGroup, developed
 from ..radiometry.frames import (
     Dark,
     Flat,
@@ -122,9 +122,9 @@ def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) ->
     """Yield before each measurement; return the corrections. Raises InputError if one cannot be measured."""
     work = _Work(store, source, options)
     work.check_orientations()
-    shots = source.shots
-    cameras = 1 + max(shot.camera for shot in shots)
-    amounts = [a for shot in shots for a in shot.amounts or ()]
+    groups = source.groups
+    cameras = 1 + max(group.camera for group in groups)
+    amounts = [a for group in groups for a in group.amounts or ()]
     response = yield from work.response()
     corrections = Corrections(
         response=response,
@@ -164,11 +164,11 @@ class _Work:
 
     def check_orientations(self) -> None:
         """Raise CaptureError for a file with another EXIF orientation than most of its camera's."""
-        shots = self.source.shots
+        groups = self.source.groups
         faults: list[CaptureError] = []
-        for camera in sorted({shot.camera for shot in shots}):
-            images = [image for shot in shots if shot.camera == camera for image in shot.images]
-            if camera == shots[0].camera:
+        for camera in sorted({group.camera for group in groups}):
+            images = [image for group in groups if group.camera == camera for image in group.images]
+            if camera == groups[0].camera:
                 images += map(self._ref, self.options.left_out)
             faults += orientation_faults(images, self.store)
         raise_all(faults)
@@ -182,7 +182,7 @@ class _Work:
             return None
         if isinstance(self.options.greys, str):
             return (yield from self._grey_row())
-        image = self._middle(self._shots("")[0])
+        image = self._middle(self._groups("")[0])
         response = patch_response(self.store, image, self.options.greys)
         patches = [f"{patch}={patch.reflectance}" for patch in self.options.greys]
         self.figures["response"] = {"chart": str(image), "patches": patches, "residual": finite(response.residual)}
@@ -190,21 +190,21 @@ class _Work:
 
     def _grey_row(self) -> Generator[Progress, None, Response]:
         """Return the curve by the colour chart's grey row, in ``chart`` or the first photograph that shows it."""
-        shots = self._shots("")
-        for k, shot in enumerate(shots):
-            yield Progress(0.1 * k / len(shots), f"grey row: {shot.name}")
-            image = self._middle(shot)
+        groups = self._groups("")
+        for k, group in enumerate(groups):
+            yield Progress(0.1 * k / len(groups), f"grey row: {group.name}")
+            image = self._middle(group)
             if (response := grey_row_response(self.store, image)) is not None:
                 self.figures["response"] = {"chart": str(image), "patches": AUTO, "residual": finite(response.residual)}
                 self.warnings.append(f"--grey-card {AUTO}: {image}: {MATT_ONLY}")
                 return response
         raise InputError(
-            f"--grey-card auto: no 24-patch chart, whose grey row gives the curve, is found in {_many(shots)};"
+            f"--grey-card auto: no 24-patch chart, whose grey row gives the curve, is found in {_many(groups)};"
             " photograph it whole, larger and evenly lit, or give grey patches as X,Y,W,H=REFLECTANCE"
         )
 
     def dark(self, response: Response | None) -> Dark:
-        files, size = self.options.darks, self.source.shots[0].size
+        files, size = self.options.darks, self.source.groups[0].size
         amounts = [self._amount(p) for p in files]
         self._check_known(files, amounts)
         frames = ((amount, read_frame(self.store, self._ref(p), response, size).rgb)
@@ -215,7 +215,7 @@ class _Work:
         return dark
 
     def flat(self, response: Response | None, dark: Dark | None) -> Flat:
-        files, size = self.options.flats, self.source.shots[0].size
+        files, size = self.options.flats, self.source.groups[0].size
         read = ((p, read_frame(self.store, self._ref(p), response, size)) for p in files)
         if dark is not None:
             read = ((p, without_dark(frame, dark.of(self._amount(p), str(p)), str(p))) for p, frame in read)
@@ -235,14 +235,14 @@ class _Work:
         self, corrections: Corrections, white: Patch | SearchedCard | tuple[float, float, float]
     ) -> Generator[Progress, None, tuple[float, float, float]]:
         """Return the gains of a white balance: as given, or measured on a patch or on the grey card."""
-        shot = self.source.shots[0]
+        group = self.source.groups[0]
         if isinstance(white, Patch):
-            shot = self._chart_shot(white.reflectance is not None, "omit =…")
+            group = self._chart_group(white.reflectance is not None, "omit =…")
         elif isinstance(white, SearchedCard):
-            shot, white = yield from self._searched_card(corrections, white.reflectance)
+            group, white = yield from self._searched_card(corrections, white.reflectance)
         if isinstance(white, Patch):
-            rgba = developed(self.store, shot, corrections).rgba
-            where = f"--white {white}: {shot.images[0]}"
+            rgba = developed(self.store, group, corrections).rgba
+            where = f"--white {white}: {group.images[0]}"
             gains = white_gains(patch_mean(rgba[..., :3], rgba[..., 3], white, where), white.reflectance, where)
         else:
             gains = np.array(white)
@@ -252,76 +252,76 @@ class _Work:
 
     def _searched_card(
         self, corrections: Corrections, reflectance: float | None
-    ) -> Generator[Progress, None, tuple[Shot, Patch]]:
-        """Search the grey card in ``chart``, or else in the shots; return the first shot that shows it, and a patch."""
-        shots = self._shots("omit =…" if reflectance is not None else "")
-        for k, shot in enumerate(shots):
-            yield Progress(0.2 * k / len(shots), f"grey card: {shot.name}")
-            where = f"--white {AUTO}: {shot.images[0]}"
-            card = find_grey_card(developed(self.store, shot, corrections).rgba, where)
+    ) -> Generator[Progress, None, tuple[ExposureGroup, Patch]]:
+        """Search the grey card in ``chart``, or else in the groups; return the first that shows it, and a patch."""
+        groups = self._groups("omit =…" if reflectance is not None else "")
+        for k, group in enumerate(groups):
+            yield Progress(0.2 * k / len(groups), f"grey card: {group.name}")
+            where = f"--white {AUTO}: {group.images[0]}"
+            card = find_grey_card(developed(self.store, group, corrections).rgba, where)
             if card is not None:
-                self.figures["grey_card"] = {"file": str(shot.images[0]), "patch": str(card)}
-                return shot, replace(card, reflectance=reflectance)
+                self.figures["grey_card"] = {"file": str(group.images[0]), "patch": str(card)}
+                return group, replace(card, reflectance=reflectance)
         raise InputError(
-            f"--white {AUTO}: no grey card, an even and neutral rectangle, is found in {_many(shots)}; set the camera's"
-            " white balance near the lamp's, let nothing cover the card, or give its place as X,Y,W,H"
+            f"--white {AUTO}: no grey card, an even and neutral rectangle, is found in {_many(groups)}; set the"
+            " camera's white balance near the lamp's, let nothing cover the card, or give its place as X,Y,W,H"
         )
 
     def matrix(self, corrections: Corrections, corners: np.ndarray) -> np.ndarray:
         """Return the colour matrix by a chart at given corners; it includes white balance and scale."""
-        shot = self._chart_shot(True, "give one that has it, as the other photographs do")
-        where = f"--colour-chart: {shot.images[0]}"
-        order, chart, fit = orient_chart(developed(self.store, shot, corrections).rgba, corners, where)
-        self.figures["colour_chart"] = {"file": str(shot.images[0]), **chart_report(order, chart, fit)}
+        group = self._chart_group(True, "give one that has it, as the other photographs do")
+        where = f"--colour-chart: {group.images[0]}"
+        order, chart, fit = orient_chart(developed(self.store, group, corrections).rgba, corners, where)
+        self.figures["colour_chart"] = {"file": str(group.images[0]), **chart_report(order, chart, fit)}
         self.warnings += chart_warnings(where, corners, order, chart, fit)
         return fit.matrix
 
     def searched(self, corrections: Corrections) -> Generator[Progress, None, np.ndarray]:
-        """Search the colour chart in ``chart``, or else in the shots; return the colour matrix of the best fit."""
-        shots = self._shots("give one that has it")
+        """Search the colour chart in ``chart``, or else in the groups; return the colour matrix of the best fit."""
+        groups = self._groups("give one that has it")
         best = None
-        for k, shot in enumerate(shots):
-            yield Progress(0.2 * k / len(shots), f"colour chart: {shot.name}")
-            where = f"--colour-chart: {shot.images[0]}"
-            found = find_chart(developed(self.store, shot, corrections).rgba, where)
+        for k, group in enumerate(groups):
+            yield Progress(0.2 * k / len(groups), f"colour chart: {group.name}")
+            where = f"--colour-chart: {group.images[0]}"
+            found = find_chart(developed(self.store, group, corrections).rgba, where)
             if found is None:
                 continue
             mean = float(np.nanmean(found.fit.after))
             if best is None or mean < best[0]:
-                best = mean, where, shot, found
+                best = mean, where, group, found
             if mean <= _GOOD:
                 break
         if best is None:
             raise InputError(
-                f"--colour-chart auto: no 24-patch chart is found in {_many(shots)}; photograph it whole, larger and"
+                f"--colour-chart auto: no 24-patch chart is found in {_many(groups)}; photograph it whole, larger and"
                 " evenly lit, or give its corners as X1,Y1,…,X4,Y4"
             )
-        _, where, shot, found = best
+        _, where, group, found = best
         report = chart_report(found.corners, found.chart, found.fit)
-        self.figures["colour_chart"] = {"file": str(shot.images[0]), "found": True, **report}
+        self.figures["colour_chart"] = {"file": str(group.images[0]), "found": True, **report}
         self.warnings += chart_warnings(where, found.corners, found.corners, found.chart, found.fit)
         return found.fit.matrix
 
-    def _shots(self, remedy: str) -> list[Shot]:
-        """Return ``chart`` as a shot, or all shots. remedy: in the error if ``chart`` lacks a needed exposure."""
-        return [self._chart_shot(bool(remedy), remedy)] if self.options.chart else list(self.source.shots)
+    def _groups(self, remedy: str) -> list[ExposureGroup]:
+        """Return ``chart`` as a group, or all groups. remedy: in the error if ``chart`` lacks a needed exposure."""
+        return [self._chart_group(bool(remedy), remedy)] if self.options.chart else list(self.source.groups)
 
     @staticmethod
-    def _middle(shot: Shot) -> ImageRef:
-        return shot.images[len(shot.images) // 2]
+    def _middle(group: ExposureGroup) -> ImageRef:
+        return group.images[len(group.images) // 2]
 
     def _ref(self, path: Path) -> ImageRef:
         return ImageRef(path, colour_space=self.colour_space)
 
     def _amount(self, path: Path) -> float | None:
-        """Return the exposure of a file that is not a shot; None if it has none or exposures are not used."""
+        """Return the exposure of a file that is not a group; None if it has none or exposures are not used."""
         exposing = self.options.exposing
         if exposing is None:
             return None
         if exposing.by == "exif":
             return exif_amount(path) if exposure_of(read_bytes(path)) else None
         if exposing.exposures:
-            shown = [image.path for shot in self.source.shots for image in shot.images]
+            shown = [image.path for group in self.source.groups for image in group.images]
             return index_amount(path, shown, exposing.exposures)
         parsed = name_amount(path.stem)
         return parsed[1] if parsed else None
@@ -336,20 +336,20 @@ class _Work:
             " one's number, as the photographs' names"
         )
 
-    def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
-        first, chart = self.source.shots[0], self.options.chart
+    def _chart_group(self, scaled: bool, remedy: str) -> ExposureGroup:
+        first, chart = self.source.groups[0], self.options.chart
         if chart is None:
             return first
         amount = self._amount(chart)
         if scaled and self.options.exposing is not None and amount is None:
             raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
-        return Shot("chart", (self._ref(chart),), amounts, first.camera, first.size)
+        return ExposureGroup("chart", (self._ref(chart),), amounts, first.camera, first.size)
 
 
 def _common_space(source: Source, refused: bool) -> str:
     """Return the colour space that a capture states for its images; "auto" if it states several, or an error."""
-    images = [image for shot in source.shots for image in shot.images]
+    images = [image for group in source.groups for image in group.images]
     images = [image for image in images if not (is_exr(image.path) or is_raw(image.path))]
     if not images:
         return "auto"
@@ -364,8 +364,8 @@ def _common_space(source: Source, refused: bool) -> str:
     return first.colour_space
 
 
-def _many(shots: list[Shot]) -> str:
-    return f"any of the {len(shots)} photographs" if len(shots) > 1 else str(shots[0].images[0])
+def _many(groups: list[ExposureGroup]) -> str:
+    return f"any of the {len(groups)} photographs" if len(groups) > 1 else str(groups[0].images[0])
 
 
 def finite(value: float) -> float | None:

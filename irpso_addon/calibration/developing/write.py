@@ -19,7 +19,7 @@ from ...core.files import check_unused, new_folder
 from ...core.steps import map_steps
 from ..radiometry.develop import developed, registration_steps
 from ..radiometry.source import Source
-from ..register import SMALLEST_MOVE, moved_back
+from ..register import MIN_MOVE, moved_back
 from .corrections_file import FOLDER, photograph_of, write_corrections
 from .measure import Measured, MeasureOptions, Output, Progress, finite, measure_steps
 
@@ -52,7 +52,7 @@ def write_developed_steps(
     with new_folder(out) as folder:
         yield from work.write_steps(folder)
         if output.corrections:
-            taken = [photograph_of(name, shot) for name, shot in zip(work.names, source.shots, strict=True)]
+            taken = [photograph_of(name, group) for name, group in zip(work.names, source.groups, strict=True)]
             write_corrections(folder / FOLDER, measured, taken)
         report = work.report(settings)
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
@@ -66,18 +66,18 @@ class _Work:
         self.store, self.source, self.measured, self.half = store, source, measured, half
         self.shifts: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.warnings = [*source.warnings, *measured.warnings]
-        self.figures: list[dict] = [{} for _ in source.shots]
+        self.figures: list[dict] = [{} for _ in source.groups]
         self.names: list[str] = []
 
     def register_steps(self, reference: str | None) -> Generator[Progress, None, None]:
         """Yield the progress; measure each image's shift from the image named ``reference``, or from the first."""
-        shots, capture = self.source.shots, self.source.capture
-        names = [shot.name for shot in shots]
+        groups, capture = self.source.groups, self.source.capture
+        names = [group.name for group in groups]
         if reference and reference not in names:
             raise InputError(f"--reference {reference}: there is no such image; give a name, as {names[0]}")
-        masks = capture.masks if capture else [np.ones((shots[0].size or (1, 1))[::-1], bool)]
+        masks = capture.masks if capture else [np.ones((groups[0].size or (1, 1))[::-1], bool)]
         number = names.index(reference) if reference else 0
-        steps = registration_steps(self.store, shots, masks, self.measured.corrections, number)
+        steps = registration_steps(self.store, groups, masks, self.measured.corrections, number)
         span = _REGISTERED - _MEASURED
         self.shifts = yield from map_steps(steps, lambda part: Progress(_MEASURED + span * part, "looking for shifts"))
         trusted = self.shifts[2]
@@ -95,32 +95,32 @@ class _Work:
     def write_steps(self, folder: Path) -> Generator[Progress, None, None]:
         """Yield before each image; write all images and the lists into a folder."""
         start = _MEASURED if self.shifts is None else _REGISTERED
-        shots, capture = self.source.shots, self.source.capture
+        groups, capture = self.source.groups, self.source.capture
         if capture is not None:
             observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
             developed_capture = replace(capture, observations=tuple(observations))
             steps = write_steps(developed_capture, folder, half=self.half, framing=self.source.framing)
             self.names = yield from map_steps(steps, lambda part: Progress(start + (1 - start) * part, "developing"))
             return
-        for k, shot in enumerate(shots):
-            yield Progress(start + (1 - start) * k / len(shots), shot.name)
+        for k, group in enumerate(groups):
+            yield Progress(start + (1 - start) * k / len(groups), group.name)
             rgba = self._read(k)
             channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
             if (rgba[..., 3] != 1).any():
                 channels["A"] = rgba[..., 3]
-            self.names.append(f"{shot.name}.exr")
+            self.names.append(f"{group.name}.exr")
             write_exr(folder / self.names[-1], {"": channels}, self.half)
         listed = "".join(f"{name}\n" for name in self.names)
         (folder / _FILENAMES).write_text(listed, encoding="utf-8")
 
     def _read(self, index: int) -> np.ndarray:
         """Return one image to write, (H, W, 4), and store its figures."""
-        shots = self.source.shots
-        image = developed(self.store, shots[index], self.measured.corrections)
-        rgba, figures = image.rgba, {"name": shots[index].name, **image.figures}
+        groups = self.source.groups
+        image = developed(self.store, groups[index], self.measured.corrections)
+        rgba, figures = image.rgba, {"name": groups[index].name, **image.figures}
         if self.shifts is not None:
             (right, up), agreement, trusted = (values[index] for values in self.shifts)
-            moved = bool(max(abs(right), abs(up)) >= SMALLEST_MOVE)
+            moved = bool(max(abs(right), abs(up)) >= MIN_MOVE)
             figures |= {"shift": [round(float(right), 4), round(float(up), 4)], "agreement": finite(float(agreement)),
                         "trusted": bool(trusted), "moved": moved}  # fmt: skip
             if moved:

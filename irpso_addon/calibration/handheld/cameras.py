@@ -16,10 +16,10 @@ from .tracks import Tracks
 
 _FOCAL_SPREAD = {"known": 0.5, "likely": 0.06, "unknown": 0.5}  # lens → relative deviation of the focal length
 _RELIEF = 0.01  # of the cameras' distance: standard deviation of the heights of features
-_MOST_ERROR = 2.5  # pixels of the reduced photographs, median: larger errors are refused
+_MAX_ERROR = 2.5  # pixels of the reduced photographs, median: larger errors are refused
 _OUTLIER = 4.0  # times the median error of all photographs: above, one is excluded
 _UNSURE = 0.7  # degrees: standard error of the rotation above which a photograph is excluded
-_LEAST_ERROR = 0.3  # pixels: errors below never refute a stated lens
+_MIN_ERROR = 0.3  # pixels: errors below never refute a stated lens
 _OTHER_LENS = 1.5  # times the error with a free lens: above, a stated lens is wrong
 
 
@@ -50,7 +50,7 @@ def placed_cameras(tracks: Tracks, seen_by: Sequence[Camera], factor: float, len
         tracks = tracks.without(outliers)
         bundle, errors, _ = _solved(tracks, seen_by, factor, lens)
     error = float(np.median(errors)) / factor
-    if error * factor > _MOST_ERROR:
+    if error * factor > _MAX_ERROR:
         raise InputError(
             f"no camera positions fit the photographs: points are off by {error:.1f} pixels; the card must be flat and"
             " lie still, and the zoom must not change"
@@ -83,7 +83,7 @@ def _solved(
         return free, _errors(free, views), rotation_errors(free, views)
     fixed = adjusted(start, views, 0.0, relief)
     error, best = (float(np.median(_errors(bundle, views))) for bundle in (fixed, free))
-    if error > max(_OTHER_LENS * best, _LEAST_ERROR):
+    if error > max(_OTHER_LENS * best, _MIN_ERROR):
         angle = np.degrees(2 * np.arctan(cameras[0].width * factor / 2 / free.focal))
         raise InputError(
             f"points are off by {error / factor:.2f} pixels with the given focal length, and by"

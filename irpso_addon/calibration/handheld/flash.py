@@ -14,8 +14,8 @@ _OFF_MIRROR = 18.0  # degrees between normal and half vector: above, gloss adds 
 _ROUNDS = 8
 _SCALE = 0.08  # of the logarithm of radiance: scale of the Cauchy loss
 _GROUPS = 8  # of photographs, for the jackknife's standard error
-_LEAST_SAMPLES = 4  # per point
-_LEAST_MATTE = 0.1  # of the points: a photograph with fewer off the mirror direction uses all
+_MIN_SAMPLES = 4  # per point
+_MIN_MATTE = 0.1  # of the points: a photograph with fewer off the mirror direction uses all
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ def usable_samples(samples: Samples) -> np.ndarray:
     positive = np.isfinite(samples.radiance) & (samples.radiance > 0)
     matte = positive & (cosine < np.cos(np.radians(_OFF_MIRROR)))
     # A photograph from straight above is all near the mirror direction; its strength must be fitted, too.
-    usable = np.where(matte.sum(axis=1, keepdims=True) >= _LEAST_MATTE * positive.shape[1], matte, positive)
-    return usable & (usable.sum(axis=0) >= _LEAST_SAMPLES)
+    usable = np.where(matte.sum(axis=1, keepdims=True) >= _MIN_MATTE * positive.shape[1], matte, positive)
+    return usable & (usable.sum(axis=0) >= _MIN_SAMPLES)
 
 
 def _fit(
@@ -92,7 +92,7 @@ def _fit(
 
     The albedos are eliminated: each column is centred by its weighted mean at each point.
     """
-    k, p = np.nonzero(usable & (usable.sum(axis=0) >= _LEAST_SAMPLES))
+    k, p = np.nonzero(usable & (usable.sum(axis=0) >= _MIN_SAMPLES))
     log = np.log(samples.radiance[k, p])
     count, distance = len(samples.cameras), float(np.median(np.linalg.norm(samples.cameras[:, :3, 3], axis=1)))
     beam, gains, weight = 0.0, np.zeros(count), np.ones(len(log))

@@ -32,9 +32,9 @@ def picture_steps(capture: Capture) -> Generator[float, None, Pictures]:
     longer = max(capture.cameras[0].width, capture.cameras[0].height)
     factor = max(1, int(np.ceil(longer / _WORKING)))
     codes, radiance, sharp = [], [], []
-    for number, shot in enumerate(capture.observations):
+    for number, observation in enumerate(capture.observations):
         yield number / len(capture.observations)
-        rgba = shot.read()
+        rgba = observation.read()
         grey = np.nan_to_num(rgba[..., :3].mean(axis=-1), posinf=0.0)
         reduced = _reduced(grey, factor)
         codes.append(display_codes(reduced))

@@ -20,11 +20,11 @@ from ...core.opencv import opencv
 _FEATURES = 2500  # of a photograph
 _RATIO = 0.8  # best over second-best distance of descriptors (Lowe 2004)
 _PARALLAX = 0.006  # of the diagonal: deviation from the plane's homography by the card's relief
-_FEWEST = 25  # matches that follow one homography
+_MIN_MATCHES = 25  # matches that follow one homography
 _HUBS = 2  # photographs that are tried as the hub
 _TRACKS = 500  # most points, those that most photographs show
-_LEAST_VIEWS = 3
-_LEAST_MARKERS = 3  # of a photograph: two, side by side, do not determine the tilt
+_MIN_VIEWS = 3
+_MIN_MARKERS = 3  # of a photograph: two, side by side, do not determine the tilt
 _VIAS = 10  # photographs to which one that does not match the hub is matched
 _SMALL = 900  # pixels: photographs with a shorter longer side are enlarged
 
@@ -65,7 +65,7 @@ def marker_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
     None for fewer than two photographs with a board. Raises InputError without OpenCV.
     """
     detections = [seen_markers(picture) for picture in codes]
-    seen = {n: one for n, one in enumerate(detections) if one is not None and len(one.numbers) >= _LEAST_MARKERS}
+    seen = {n: one for n, one in enumerate(detections) if one is not None and len(one.numbers) >= _MIN_MARKERS}
     if len(seen) < 2:
         return None
     boards = [one.board for one in seen.values()]
@@ -96,11 +96,11 @@ def feature_tracks(codes: Sequence[np.ndarray]) -> Tracks | None:
         pairs = [_best_matches(descriptors[via], descriptors[number]) for via in vias]
         via = np.repeat(vias, [len(first) for first, _ in pairs])
         first, second = (np.concatenate(side) for side in zip(*pairs, strict=True))
-        if len(first) < _FEWEST:
+        if len(first) < _MIN_MATCHES:
             return None
         expected = np.concatenate([at[own] for at, (own, _) in zip(plane, pairs, strict=True)])
         matrix, near = cv2.findHomography(expected, places[number][second], cv2.USAC_MAGSAC, tolerance, maxIters=2000)
-        if matrix is None or near.sum() < _FEWEST:
+        if matrix is None or near.sum() < _MIN_MATCHES:
             return None
         near = near.ravel().astype(bool)
         return _Match(number, via[near], first[near], second[near], expected[near])
@@ -155,7 +155,7 @@ def _features(cv2: Any, codes: Sequence[np.ndarray]) -> tuple[list[np.ndarray], 
 
 def _best_matches(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of features that match mutually and pass the ratio test (Lowe 2004)."""
-    if min(len(first), len(second)) < _FEWEST:
+    if min(len(first), len(second)) < _MIN_MATCHES:
         return np.zeros(0, int), np.zeros(0, int)
     similarity = first @ second.T  # of square-rooted descriptors: 1 − d² / 2 (Arandjelović & Zisserman 2012)
     nearest = similarity.argmax(axis=1)
@@ -202,11 +202,11 @@ def _longest(ids: dict[tuple[int, int], int], places: Sequence[np.ndarray], plan
     photograph, point = rows[:, 0].astype(int), rows[:, 1].astype(int)
     views = np.bincount(point, minlength=len(plane))
     longest = np.argsort(-views, kind="stable")[:_TRACKS]
-    chosen = longest[views[longest] >= _LEAST_VIEWS]
+    chosen = longest[views[longest] >= _MIN_VIEWS]
     numbers = np.full(len(plane), -1)
     numbers[chosen] = np.arange(len(chosen))
     keep = numbers[point] >= 0
-    used = [n for n in np.unique(photograph[keep]) if (photograph[keep] == n).sum() >= _FEWEST // 2]
+    used = [n for n in np.unique(photograph[keep]) if (photograph[keep] == n).sum() >= _MIN_MATCHES // 2]
     keep &= np.isin(photograph, used)
     return Tracks(
         photograph[keep], numbers[point[keep]], rows[keep, 2:], plane[chosen], tuple(int(n) for n in used), None, hub

@@ -12,7 +12,7 @@ from ...capture.formats.table import FORMAT
 from ...capture.spec import CaptureSpec
 from ...core.toml_text import toml_value
 from ..photographs import relative_path
-from .job import Handheld
+from .handheld_calibration import Handheld
 
 
 def table_text(spec: CaptureSpec, handheld: Handheld, folder: Path) -> str:
@@ -26,11 +26,11 @@ def table_text(spec: CaptureSpec, handheld: Handheld, folder: Path) -> str:
     for position, camera, number, intensity in zip(
         handheld.lamps, handheld.cameras, handheld.numbers, handheld.intensities.tolist(), strict=True
     ):
-        shot = spec.observations[number]
-        lines += ["", "[[observation]]", f"image = {toml_value(relative_path(shot.image.path, folder))}"]
-        if shot.image.colour_space != "auto":
-            lines.append(f"colour_space = {toml_value(shot.image.colour_space)}")
-        lines += [f"camera = {toml_value(shot.name)}", f"light_position = {toml_value(position.round(9))}"]
+        observation = spec.observations[number]
+        lines += ["", "[[observation]]", f"image = {toml_value(relative_path(observation.image.path, folder))}"]
+        if observation.image.colour_space != "auto":
+            lines.append(f"colour_space = {toml_value(observation.image.colour_space)}")
+        lines += [f"camera = {toml_value(observation.name)}", f"light_position = {toml_value(position.round(9))}"]
         lines += [f"light_intensity = {intensity:.9g}", f"light_axis = {toml_value((-camera.backward).round(9))}"]
         lines.append(f"light_cosine = {handheld.flash.beam:.4g}")
     return "\n".join(lines) + "\n"
@@ -42,7 +42,7 @@ def report_of(spec: CaptureSpec, handheld: Handheld) -> dict[str, Any]:
     camera = handheld.cameras[0]
     return {
         "photographs": len(used),
-        "left_out": [shot.name for shot in spec.observations if shot.name not in used],
+        "left_out": [observation.name for observation in spec.observations if observation.name not in used],
         "markers": None if handheld.board is None else handheld.board.name,
         "error_px": round(handheld.error, 4),
         "views_degrees": round(handheld.views, 2),

@@ -146,9 +146,9 @@ def brackets_of(
     return brackets, warnings
 
 
-def _runs(shots: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
+def _runs(exposures: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
     groups: list[list[tuple[Path, float]]] = []
-    for path, amount in shots:
+    for path, amount in exposures:
         repeated = not groups or any(abs(np.log2(amount / other)) < SAME_STOPS for _, other in groups[-1])
         if repeated or groups[-1][0][0].parent != path.parent:
             groups.append([])
@@ -157,7 +157,7 @@ def _runs(shots: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
 
 
 def _bracket(name: str, group: list[tuple[Path, float]]) -> Bracket:
-    group = sorted(group, key=lambda shot: shot[1])
+    group = sorted(group, key=lambda exposure: exposure[1])
     for (a, shorter), (b, longer) in zip(group, group[1:], strict=False):
         if abs(np.log2(longer / shorter)) < 1e-3:
             raise InputError(f"{b}: has the exposure of {a} in the same bracket; remove one of them")

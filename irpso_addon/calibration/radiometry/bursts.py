@@ -25,7 +25,7 @@ _SIDE, _CROP = 48, 384  # pixels: longest side of the images that are compared, 
 _ALIKE, _DIFFERENT = 0.003, 0.01
 _SAME_BRIGHTNESS = 0.02  # relative: under two lamps, images of a flat card may differ only in brightness
 _MOVED = 0.5  # pixels
-_FEWEST = 3  # lights of a capture
+_MIN_LIGHTS = 3  # lights of a capture
 
 
 def bursts_of(paths: Sequence[Path], by: str, store: ImageStore) -> tuple[list[Bracket], list[str]]:
@@ -39,10 +39,10 @@ def bursts_of(paths: Sequence[Path], by: str, store: ImageStore) -> tuple[list[B
     sizes = [len(group) for group in groups]
     if max(sizes, default=0) < 2:
         raise InputError(f"{paths[0].parent}: no two photographs make a burst; omit --bursts")
-    if len(sizes) < _FEWEST:
+    if len(sizes) < _MIN_LIGHTS:
         raise InputError(
             f"{paths[0].parent}: its {len(paths)} photographs show {len(sizes)} light{'s' * (len(sizes) > 1)} by"
-            f" --bursts {by}; {_FEWEST} or more are needed"
+            f" --bursts {by}; {_MIN_LIGHTS} or more are needed"
         )
     usual = max(set(sizes), key=sizes.count)
     warnings = [

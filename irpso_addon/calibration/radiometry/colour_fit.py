@@ -18,14 +18,14 @@ COUNT = ROWS * COLUMNS
 GREY = slice(COUNT - COLUMNS, COUNT)  # white to black
 _GAP = 0.1  # of the pitch, between patches; an error of 0.1 moves no sample off its patch
 _INNER = 0.5  # of a patch's side
-_LEAST_PIXELS = 9  # in a patch
+_MIN_PIXELS = 9  # in a patch
 _CLIPPED = 0.02  # of a patch's pixels
-_LEAST_PATCHES, _LEAST_GREYS = 12, 3
+_MIN_PATCHES, _MIN_GREYS = 12, 3
 # Mean ΔE2000 after the fit. For 60 random cameras and lamps, wrong orders of the patches leave 24 or more; an
 # uncorrected gamma of 2.2 leaves 6.8, of 1.4 3.4.
-_MOST_ERROR, _POOR = 12.0, 3.0
+_MAX_ERROR, _POOR = 12.0, 3.0
 _ROUNDS, _SETTLED = 60, 1e-5
-_MOST_GLOSS = 0.1  # reflectance: bound of the fit
+_MAX_GLOSS = 0.1  # reflectance: bound of the fit
 _GLOSS_GAIN = 0.8  # of the mean ΔE2000 without gloss: gloss is used if it lowers the mean below
 
 
@@ -102,7 +102,7 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
     for n, (name, patch) in enumerate(zip(NAMES, patches, strict=True)):
         unclipped = patch[:, 3] > 0
         values[n] = np.median(patch[unclipped, :3], axis=0) if unclipped.any() else 0
-        small, clipped = len(patch) < _LEAST_PIXELS, (~unclipped).sum() > _CLIPPED * len(patch)
+        small, clipped = len(patch) < _MIN_PIXELS, (~unclipped).sum() > _CLIPPED * len(patch)
         if small or clipped or not (values[n] > 0).all():
             usable[n] = False
             left_out["too small" if small else "clipped" if clipped else "black"].append(name)
@@ -125,7 +125,7 @@ def orient_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.
             rotated = np.roll(order, -first, axis=0)
             chart = sample_chart(rgba, rotated, where)
             given = given or chart
-            if chart.usable.sum() < _LEAST_PATCHES or chart.usable[GREY].sum() < _LEAST_GREYS:
+            if chart.usable.sum() < _MIN_PATCHES or chart.usable[GREY].sum() < _MIN_GREYS:
                 continue
             fit = fitted(chart)
             error = float(np.nanmean(fit.after))
@@ -135,9 +135,9 @@ def orient_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.
         assert given is not None
         raise InputError(
             f"{where}: only {given.usable.sum()} of {COUNT} patches can be measured ({given.left_out_text}), needed are"
-            f" {_LEAST_PATCHES}, {_LEAST_GREYS} of them grey"
+            f" {_MIN_PATCHES}, {_MIN_GREYS} of them grey"
         )
-    if not least <= _MOST_ERROR or not _greys_darken(best[1], best[2]):
+    if not least <= _MAX_ERROR or not _greys_darken(best[1], best[2]):
         raise InputError(
             f"{where}: the corners enclose no 24-patch chart (ΔE2000 {least:.0f} after the best matrix); check their"
             " places, and that the photograph is linear (--response)"
@@ -157,14 +157,14 @@ def fitted(chart: Chart) -> ColourFit:
     20 %, because noise of the dark patches resembles gloss.
     """
     matt = _fit(chart, 0.0)
-    if (mean := np.nanmean(matt.after)) > 2 * _MOST_ERROR:
+    if (mean := np.nanmean(matt.after)) > 2 * _MAX_ERROR:
         return matt
-    shiny = _fit(chart, _MOST_GLOSS)
+    shiny = _fit(chart, _MAX_GLOSS)
     return shiny if np.nanmean(shiny.after) < _GLOSS_GAIN * mean else matt
 
 
-def _fit(chart: Chart, most_gloss: float) -> ColourFit:
-    """Return the fit with a gloss from 0 to ``most_gloss``."""
+def _fit(chart: Chart, max_gloss: float) -> ColourFit:
+    """Return the fit with a gloss from 0 to ``max_gloss``."""
     published, use = patch_colours().reshape(COUNT, 3), chart.usable
     measured, target, x = chart.values[use], published[use], chart.places[use]
     grey = np.flatnonzero(use[GREY]) + GREY.start
@@ -181,7 +181,7 @@ def _fit(chart: Chart, most_gloss: float) -> ColourFit:
         left = (tolerance @ np.concatenate([columns, by_slope, -np.ones((len(x), 3, 1))], axis=-1)).reshape(-1, 9)
         right = (tolerance @ (target - unshaded @ fixed.T)[..., None]).ravel()
         solution = np.linalg.lstsq(left, right, rcond=None)[0]
-        previous, gloss = gloss, float(np.clip(solution[8], 0, most_gloss))
+        previous, gloss = gloss, float(np.clip(solution[8], 0, max_gloss))
         if gloss != solution[8]:
             solution = np.linalg.lstsq(left[:, :8], right - gloss * left[:, 8], rcond=None)[0]
         matrix = fixed + solution[:6].reshape(3, 2) @ free
@@ -218,7 +218,7 @@ def chart_warnings(where: str, stated: np.ndarray, corners: np.ndarray, chart: C
         yield f"{where}: the corners were not given clockwise from the dark skin patch, which is at {first}: corrected"
     if not chart.usable.all():
         yield f"{where}: patches left out, {chart.left_out_text}"
-    if fit.gloss == _MOST_GLOSS:
+    if fit.gloss == _MAX_GLOSS:
         yield f"{where}: the chart shines ({fit.gloss:.0%} of white), so its colours are doubtful; light it from a side"
     if (mean := float(np.nanmean(fit.after))) > _POOR:
         yield (

@@ -16,7 +16,7 @@ from ...capture.images.image import ImageRef, ImageStore
 from ...capture.inspect.checks import middle_window
 from ...core.errors import InputError
 from ...core.steps import map_steps
-from ..register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
+from ..register import MIN_MOVE, find_shifts, moved_back, shift_steps
 from .bursts import averaged
 from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
 from .hdr import SATURATED, merge
@@ -26,7 +26,7 @@ _CROP = 384  # pixels: longest side of the crop for registration
 
 
 @dataclass(frozen=True)
-class Shot:
+class ExposureGroup:
     """The photographs of one light. name: for reports. images: one, a bracket, or a burst. camera: index.
 
     amounts: exposures of the images, or None without exposure correction; several images are then a burst. size:
@@ -65,29 +65,29 @@ class Developed:
     figures: dict = field(default_factory=dict)
 
 
-def corrected(store: ImageStore, shot: Shot, index: int, corrections: Corrections) -> Frame:
-    """Return one image of a shot: linear, minus its dark frame, divided by its flat field. Raises InputError."""
-    image = shot.images[index]
-    frame = read_frame(store, image, corrections.response, shot.size)
-    dark, flat = corrections.darks[shot.camera], corrections.flats[shot.camera]
+def corrected(store: ImageStore, group: ExposureGroup, index: int, corrections: Corrections) -> Frame:
+    """Return one image of a group: linear, minus its dark frame, divided by its flat field. Raises InputError."""
+    image = group.images[index]
+    frame = read_frame(store, image, corrections.response, group.size)
+    dark, flat = corrections.darks[group.camera], corrections.flats[group.camera]
     if dark is not None:
-        amount = None if shot.amounts is None else shot.amounts[index]
+        amount = None if group.amounts is None else group.amounts[index]
         frame = without_dark(frame, dark.of(amount, str(image)), str(image))
     return frame if flat is None else divided_by(frame, flat)
 
 
-def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Developed:
+def developed(store: ImageStore, group: ExposureGroup, corrections: Corrections) -> Developed:
     """Return one light's image from its photographs. Raises InputError if one of them is unusable."""
-    figures: dict = {"files": [image.path.name for image in shot.images]}
-    if shot.amounts is None and len(shot.images) > 1:
-        read = partial(corrected, store, shot, corrections=corrections)
-        rgba, figures["burst_shifts"] = averaged(read, shot.images, corrections.align_brackets)
-    elif shot.amounts is None:
-        frame = corrected(store, shot, 0, corrections)
+    figures: dict = {"files": [image.path.name for image in group.images]}
+    if group.amounts is None and len(group.images) > 1:
+        read = partial(corrected, store, group, corrections=corrections)
+        rgba, figures["burst_shifts"] = averaged(read, group.images, corrections.align_brackets)
+    elif group.amounts is None:
+        frame = corrected(store, group, 0, corrections)
         rgba = np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1)
     else:
-        frames = [corrected(store, shot, i, corrections) for i in range(len(shot.images))]
-        amounts = [amount / corrections.reference for amount in shot.amounts]
+        frames = [corrected(store, group, i, corrections) for i in range(len(group.images))]
+        amounts = [amount / corrections.reference for amount in group.amounts]
         figures["exposures"] = [round(amount, 6) for amount in amounts]
         if corrections.align_brackets and len(frames) > 1:
             frames, figures["bracket_shifts"] = _aligned(frames, amounts)
@@ -102,7 +102,7 @@ def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Develo
     # By noise about black or, with a matrix, colours outside Rec. 709; otherwise the dark frame is too bright.
     figures["negative"] = round(float((weighted & (rgba[..., :3] < 0).any(axis=-1)).mean()), 6)
     if not weighted.any():
-        raise InputError(f"{shot.images[0]}: all pixels are clipped in all exposures; expose less")
+        raise InputError(f"{group.images[0]}: all pixels are clipped in all exposures; expose less")
     rgba[..., :3] = np.maximum(rgba[..., :3], 0)
     return Developed(rgba.astype(np.float32), figures)
 
@@ -114,7 +114,7 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
     shifts = find_shifts(np.stack(greys), len(frames) // 2)
     result = []
     for frame, (right, up) in zip(frames, shifts.pixels, strict=True):
-        if max(abs(right), abs(up)) < SMALLEST_MOVE:
+        if max(abs(right), abs(up)) < MIN_MOVE:
             result.append(frame)
             continue
         rgba = moved_back(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), right, up)
@@ -125,22 +125,26 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
 
 
 def registration_steps(
-    store: ImageStore, shots: Sequence[Shot], masks: Sequence[np.ndarray], corrections: Corrections, reference: int = 0
+    store: ImageStore,
+    groups: Sequence[ExposureGroup],
+    masks: Sequence[np.ndarray],
+    corrections: Corrections,
+    reference: int = 0,
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield the fraction done, 0…1; return shifts (K, 2), agreement (K,) and trusted (K,) of all shots.
+    """Yield the fraction done, 0…1; return shifts (K, 2), agreement (K,) and trusted (K,) of all groups.
 
-    The reference of a camera's shots is shot ``reference`` if it is one of them, else their first. masks: (H, W) bool,
-    one per camera.
+    The reference of a camera's groups is group ``reference`` if it is one of them, else their first. masks: (H, W)
+    bool, one per camera.
     """
-    count = len(shots)
+    count = len(groups)
     pixels, agreement, trusted = np.zeros((count, 2)), np.full(count, np.nan), np.ones(count, bool)
     crops = []
-    for k, shot in enumerate(shots):
+    for k, group in enumerate(groups):
         yield 0.5 * k / count
-        rgba = developed(store, shot, corrections).rgba
-        crops.append(rgba[(*middle_window(masks[shot.camera], _CROP), slice(3))].mean(axis=-1))
-    for camera in sorted({shot.camera for shot in shots}):
-        own = [k for k, shot in enumerate(shots) if shot.camera == camera]
+        rgba = developed(store, group, corrections).rgba
+        crops.append(rgba[(*middle_window(masks[group.camera], _CROP), slice(3))].mean(axis=-1))
+    for camera in sorted({group.camera for group in groups}):
+        own = [k for k, group in enumerate(groups) if group.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
         fraction = np.poly1d([0.5 * len(own) / count, 0.5 + 0.5 * own[0] / count])
         shifts = yield from map_steps(steps, fraction)

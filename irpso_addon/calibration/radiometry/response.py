@@ -22,8 +22,8 @@ _ENDS = 10  # knots whose slope extrapolates the curve below the first
 _SMOOTH = 0.1  # weight of roughness at a knot over the data's mean weight, times the cube of the step in stops
 _ROUNDS, _OUTLIER = 8, 0.05  # reweightings; logarithm of light: the Cauchy scale, about 5 %
 _LOW, _HIGH = 0.03, 0.98  # codes outside are excluded: clipped black and white
-_LEAST_FRAMES, _LEAST_SAMPLES = 2, 64
-_LEAST_RATIO = 1.5  # longest over shortest exposure
+_MIN_FRAMES, _MIN_SAMPLES = 2, 64
+_MIN_RATIO = 1.5  # longest over shortest exposure
 _CURVE_PATCHES = 6  # with fewer patches the curve is a gamma
 
 
@@ -55,10 +55,10 @@ def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np
     frames.
     """
     for times in exposures:
-        if len(times) < _LEAST_FRAMES or max(times) < _LEAST_RATIO * min(times):
+        if len(times) < _MIN_FRAMES or max(times) < _MIN_RATIO * min(times):
             raise InputError(
                 "a response curve needs brackets: at least two frames of one light, whose longest exposure is at least"
-                f" {_LEAST_RATIO:g} times the shortest ({math.log2(_LEAST_RATIO):.1f} stop); give their folder, with"
+                f" {_MIN_RATIO:g} times the shortest ({math.log2(_MIN_RATIO):.1f} stop); give their folder, with"
                 " EXIF or exposures in the names"
             )
     codes = np.linspace(0, 1, TABLE)
@@ -81,7 +81,7 @@ def bracket_step(exposures: Sequence[np.ndarray]) -> float:
 def _rows(values: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return codes, log exposures and weights, each (N, F), of pixels that are usable in at least two frames."""
     usable = (values > _LOW) & (values < _HIGH)
-    enough = usable.sum(axis=1) >= _LEAST_FRAMES
+    enough = usable.sum(axis=1) >= _MIN_FRAMES
     values, usable = values[enough], usable[enough]
     # As Debevec and Malik's hat function: low weight at both ends.
     weights = np.where(usable, values**2 * np.minimum((_HIGH - values) / 0.2 + 0.05, 1), 0.0)
@@ -91,10 +91,10 @@ def _rows(values: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np.ndarray, tuple[float, float], float]:
     """Return one channel's curve (N,) at ``codes``, the lowest and highest measured code, and the residual."""
     count = sum(len(values) for values, _, _ in rows)
-    if count < _LEAST_SAMPLES:
+    if count < _MIN_SAMPLES:
         raise InputError(
             f"only {count} pixels are neither black nor clipped in two frames of the {name} channel; a response curve"
-            f" needs {_LEAST_SAMPLES}: bracket a subject with many tones in smaller steps"
+            f" needs {_MIN_SAMPLES}: bracket a subject with many tones in smaller steps"
         )
     measured = np.concatenate([values[weights > 0] for values, _, weights in rows])
     low, high = np.quantile(measured, (0.01, 0.99))

@@ -23,7 +23,7 @@ from ...core.files import natural, visible
 from ..photographs import is_photograph
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .bursts import bursts_of
-from .develop import Shot
+from .develop import ExposureGroup
 
 _SAME_LIGHT_DEGREES = 0.01
 
@@ -42,12 +42,12 @@ class Exposing:
 
 @dataclass(frozen=True)
 class Source:
-    """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None for a folder.
+    """Photographs to develop. capture: lights, cameras and masks of the groups, in their order; None for a folder.
 
-    framing: of the capture's files; the shots are whole.
+    framing: of the capture's files; the groups are whole.
     """
 
-    shots: tuple[Shot, ...]
+    groups: tuple[ExposureGroup, ...]
     capture: Capture | None
     warnings: tuple[str, ...] = ()
     framing: Framing = Framing()
@@ -88,16 +88,19 @@ def read_source(
     if not images:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
     brackets, warnings = _grouped(images, exposing, bursts, decoder)
-    shots = [Shot(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts) for b in brackets]
+    groups = [
+        ExposureGroup(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts)
+        for b in brackets
+    ]
     if exposing is None:
-        shots = [replace(shot, amounts=None) for shot in shots]
+        groups = [replace(group, amounts=None) for group in groups]
     names: set[str] = set()
-    for shot in shots:
-        if shot.name in names:
-            raise InputError(f"{shot.images[0]}: another photograph has this name; remove or rename it")
-        names.add(shot.name)
-    size = ImageStore(decoder).size(shots[0].images[0])
-    return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings))
+    for group in groups:
+        if group.name in names:
+            raise InputError(f"{group.images[0]}: another photograph has this name; remove or rename it")
+        names.add(group.name)
+    size = ImageStore(decoder).size(groups[0].images[0])
+    return Source(tuple(replace(group, size=size) for group in groups), None, tuple(warnings))
 
 
 def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:
@@ -121,19 +124,19 @@ def _listed_source(
 ) -> Source:
     if exposing is None and not bursts:
         capture = build_capture(spec, decoder)
-        shots = [Shot(s.name, (s.image,), None, s.camera) for s in spec.observations]
-        return Source(tuple(_sized(shots, capture)), capture, framing=spec.framing)
-    if parts := [shot for shot in spec.observations if shot.image.part is not None]:
+        groups = [ExposureGroup(s.name, (s.image,), None, s.camera) for s in spec.observations]
+        return Source(tuple(_sized(groups, capture)), capture, framing=spec.framing)
+    if parts := [observation for observation in spec.observations if observation.image.part is not None]:
         raise InputError(f"{parts[0].image}: parts of one EXR have no exposures of their own; omit the option")
-    listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(spec.observations)))}
-    paths = [shot.image.path for shot in spec.observations]
+    listed = {observation.image.path.resolve(): n for n, observation in reversed(list(enumerate(spec.observations)))}
+    paths = [observation.image.path for observation in spec.observations]
     if bursts or (exposing and exposing.merged):
         paths += _unlisted(spec, exposing, excluded | set(listed))
     brackets, warnings = _grouped(list(dict.fromkeys(paths)), exposing, bursts, decoder)
     chosen: list[tuple[int, Bracket]] = []
     for bracket in brackets:
         resolved = {path.resolve() for path in bracket.paths}
-        indices = [n for n, shot in enumerate(spec.observations) if shot.image.path.resolve() in resolved]
+        indices = [n for n, observation in enumerate(spec.observations) if observation.image.path.resolve() in resolved]
         if indices:
             _same_light(spec, indices)
             chosen.append((indices[0], bracket))
@@ -143,21 +146,23 @@ def _listed_source(
     chosen.sort(key=lambda pair: pair[0])
     firsts = tuple(spec.observations[n] for n, _ in chosen)
     capture = build_capture(replace(spec, observations=firsts), decoder)
-    shots = [
-        Shot(s.name, tuple(replace(s.image, path=p) for p in b.paths), b.amounts if exposing else None, s.camera)
+    groups = [
+        ExposureGroup(
+            s.name, tuple(replace(s.image, path=p) for p in b.paths), b.amounts if exposing else None, s.camera
+        )
         for s, (_, b) in zip(firsts, chosen, strict=True)
     ]
-    return Source(tuple(_sized(shots, capture)), capture, tuple(warnings), spec.framing)
+    return Source(tuple(_sized(groups, capture)), capture, tuple(warnings), spec.framing)
 
 
-def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:
-    return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in shots]
+def _sized(groups: Sequence[ExposureGroup], capture: Capture) -> list[ExposureGroup]:
+    return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in groups]
 
 
 def _unlisted(spec: CaptureSpec, exposing: Exposing | None, excluded: set[Path]) -> list[Path]:
     """Return unlisted images in the folders of a capture's images; with ``exposing``, those with an exposure."""
     masks = {view.mask.path.resolve() for view in spec.views if view.mask}
-    folders = dict.fromkeys(shot.image.path.parent for shot in spec.observations)
+    folders = dict.fromkeys(observation.image.path.parent for observation in spec.observations)
     unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in excluded | masks]
     if exposing is None:
         return unlisted

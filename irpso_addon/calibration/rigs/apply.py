@@ -22,7 +22,7 @@ from ..developing.corrections_file import photograph_at
 from ..developing.measure import Measured, Output, Progress
 from ..developing.write import write_developed_steps
 from ..photographs import relative_path
-from ..radiometry.develop import Corrections, Shot, developed
+from ..radiometry.develop import Corrections, ExposureGroup, developed
 from ..radiometry.frames import TooDark
 from ..radiometry.source import Exposing, Source, read_source
 from .match import check_exposures, check_photographs, matched, rig_exposure
@@ -67,33 +67,35 @@ def apply_steps(
     exposing = None if measured is None else measured.exposing
     space = rig.spec.observations[0].image.colour_space if measured is None else measured.colour_space
     source = read_source(photographs, decoder, exposing, space)
-    shots = source.shots
+    groups = source.groups
     store = ImageStore(decoder)
-    lamps = matched(rig, [_name(shot) for shot in shots], way, str(photographs))
-    taken = [photograph_at(_file(shot), shot.images[0].path) for shot in shots]
-    check_photographs(rig, shots, taken, lamps, store)
+    lamps = matched(rig, [_name(group) for group in groups], way, str(photographs))
+    taken = [photograph_at(_file(group), group.images[0].path) for group in groups]
+    check_photographs(rig, groups, taken, lamps, store)
     if exposing is None:
-        check_exposures(rig, shots, taken, lamps)
+        check_exposures(rig, groups, taken, lamps)
     cameras = [rig.spec.observations[lamp].camera for lamp in lamps]
-    shots = tuple(replace(shot, camera=n, size=rig.spec.views[n].size) for shot, n in zip(shots, cameras, strict=True))
+    groups = tuple(
+        replace(group, camera=n, size=rig.spec.views[n].size) for group, n in zip(groups, cameras, strict=True)
+    )
     measured = None if measured is None else _for_cameras(measured, len(rig.spec.views))
     corrections = Corrections(darks=(None,) * len(rig.spec.views), flats=(None,) * len(rig.spec.views))
-    steps = _lit_steps(store, shots, [rig.spec.observations[lamp].intensity for lamp in lamps],
+    steps = _lit_steps(store, groups, [rig.spec.observations[lamp].intensity for lamp in lamps],
                        corrections if measured is None else measured.corrections)  # fmt: skip
     lit = yield from map_steps(steps, lambda step: Progress(_CHECKED * step.done, step.what))
     names = [photograph.file for photograph in rig.photographs]
-    left_out = [f"{_file(shots[k])}: is black, the lamp of {names[lamps[k]]} failed" for k in np.flatnonzero(~lit)]
+    left_out = [f"{_file(groups[k])}: is black, the lamp of {names[lamps[k]]} failed" for k in np.flatnonzero(~lit)]
     left_out += [f"{name}: its lamp has no photograph" for n, name in enumerate(names) if n not in lamps]
-    order = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(shots[k])))
-    used = [(shots[k], lamps[k]) for k in order]
+    order = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(groups[k])))
+    used = [(groups[k], lamps[k]) for k in order]
     spec = _spec(rig, photographs, out, used)
-    applied = Applied({_file(shot): names[lamp] for shot, lamp in used}, tuple(left_out), source.warnings,
+    applied = Applied({_file(group): names[lamp] for group, lamp in used}, tuple(left_out), source.warnings,
                       measured is not None)  # fmt: skip
     report = {"rig": str(rig.path), "photographs": str(photographs), "lamps": applied.lamps, "left_out": left_out}
     if measured is None:
         _write_table(spec, out, space, report, decoder)
         return applied
-    developing = Source(tuple(shot for shot, _ in used), build_capture(spec, decoder), source.warnings)
+    developing = Source(tuple(group for group, _ in used), build_capture(spec, decoder), source.warnings)
     writing = write_developed_steps(store, developing, measured, out, report, Output(half=half, corrections=False))
     written = yield from map_steps(writing, lambda step: Progress(_CHECKED + (1 - _CHECKED) * step.done, step.what))
     return replace(applied, warnings=tuple(written["warnings"]))
@@ -121,14 +123,14 @@ def _for_cameras(measured: Measured, count: int) -> Measured:
 
 
 def _lit_steps(
-    store: ImageStore, shots: Sequence[Shot], intensities: Sequence[Sequence[float]], corrections: Corrections
+    store: ImageStore, groups: Sequence[ExposureGroup], intensities: Sequence[Sequence[float]], corrections: Corrections
 ) -> Generator[Progress, None, np.ndarray]:
     """Yield before each photograph; return whether a lamp lit each (K,). Raises InputError if most are black."""
-    bright = np.zeros(len(shots))
-    for k, shot in enumerate(shots):
-        yield Progress(k / len(shots), shot.name)
+    bright = np.zeros(len(groups))
+    for k, group in enumerate(groups):
+        yield Progress(k / len(groups), group.name)
         try:
-            rgba = developed(store, shot, corrections).rgba
+            rgba = developed(store, group, corrections).rgba
         except TooDark:
             continue
         step = -(-max(rgba.shape[:2]) // _SAMPLED)
@@ -136,15 +138,17 @@ def _lit_steps(
         bright[k] = np.percentile(sampled[..., :3].max(axis=-1), _BRIGHT) / np.mean(intensities[k])
     median = float(np.median(bright))
     if median <= 0:
-        raise InputError(f"{shots[0].images[0].path.parent}: most of its photographs are black; check lamps and camera")
+        raise InputError(
+            f"{groups[0].images[0].path.parent}: most of its photographs are black; check lamps and camera"
+        )
     return bright > _FAILED * median
 
 
-def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[Shot, int]]) -> CaptureSpec:
+def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[ExposureGroup, int]]) -> CaptureSpec:
     """Return the spec of photographs under their lamps; a single camera uses the mask in their folder."""
     observations = tuple(
-        replace(rig.spec.observations[lamp], name=_file(shot), image=shot.images[0], where=str(shot.images[0].path))
-        for shot, lamp in used
+        replace(rig.spec.observations[lamp], name=_file(group), image=group.images[0], where=str(group.images[0].path))
+        for group, lamp in used
     )
     views = list(rig.spec.views)
     folder = photographs if photographs.is_dir() else photographs.parent
@@ -157,7 +161,7 @@ def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[Shot, int
 def _write_table(spec: CaptureSpec, out: Path, space: str, report: dict, decoder: Decoder | None) -> None:
     """Write a capture.toml that refers to the photographs, and a report, into a new folder."""
     capture = build_capture(spec, decoder)
-    pictures = [{"image": relative_path(shot.image.path, out)} for shot in spec.observations]
+    pictures = [{"image": relative_path(observation.image.path, out)} for observation in spec.observations]
     masks = {n: {"mask": relative_path(view.mask.path, out)} for n, view in enumerate(spec.views) if view.mask}
     text = table_text(capture, pictures, masks, {} if space == "auto" else {_SPACE: space})
     with new_folder(out) as folder:
@@ -165,10 +169,10 @@ def _write_table(spec: CaptureSpec, out: Path, space: str, report: dict, decoder
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
-def _file(shot: Shot) -> str:
-    return shot.images[0].path.name
+def _file(group: ExposureGroup) -> str:
+    return group.images[0].path.name
 
 
-def _name(shot: Shot) -> str:
+def _name(group: ExposureGroup) -> str:
     """Return the name of a photograph without its suffix, or of a bracket without exposures."""
-    return shot.images[0].path.stem if len(shot.images) == 1 else shot.name
+    return group.images[0].path.stem if len(group.images) == 1 else group.name

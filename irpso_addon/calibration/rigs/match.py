@@ -12,7 +12,7 @@ from ...capture.images.image import ImageStore
 from ...core.errors import InputError
 from ...core.files import natural
 from ..developing.corrections_file import Photograph
-from ..radiometry.develop import Shot
+from ..radiometry.develop import ExposureGroup
 from .rig import Rig
 
 _SAME_LENGTH = 0.01  # relative difference of focal lengths
@@ -58,15 +58,15 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
 
 
 def check_photographs(
-    rig: Rig, shots: Sequence[Shot], sources: Sequence[Photograph], lamps: Sequence[int], store: ImageStore
+    rig: Rig, groups: Sequence[ExposureGroup], sources: Sequence[Photograph], lamps: Sequence[int], store: ImageStore
 ) -> None:
     """Raise InputError for the first photograph of another size, orientation, camera, lens or kind than the rig's.
 
-    sources: the photograph of each shot, with its EXIF.
+    sources: the photograph of each group, with its EXIF.
     """
-    for shot, source, lamp in zip(shots, sources, lamps, strict=True):
-        path, expected = shot.images[0].path, rig.photographs[lamp]
-        view, size = rig.spec.views[rig.spec.observations[lamp].camera], store.size(shot.images[0])
+    for group, source, lamp in zip(groups, sources, lamps, strict=True):
+        path, expected = group.images[0].path, rig.photographs[lamp]
+        view, size = rig.spec.views[rig.spec.observations[lamp].camera], store.size(group.images[0])
         if view.size is not None and size != view.size:
             raise InputError(
                 f"{path}: is {size[0]}×{size[1]} pixels, the rig's photographs {view.size[0]}×{view.size[1]}; set the"
@@ -90,16 +90,18 @@ def check_photographs(
                 )
 
 
-def check_exposures(rig: Rig, shots: Sequence[Shot], sources: Sequence[Photograph], lamps: Sequence[int]) -> None:
+def check_exposures(
+    rig: Rig, groups: Sequence[ExposureGroup], sources: Sequence[Photograph], lamps: Sequence[int]
+) -> None:
     """Raise InputError for the first photograph whose exposure, by EXIF, is not that of the rig's."""
-    for shot, photograph, lamp in zip(shots, sources, lamps, strict=True):
+    for group, photograph, lamp in zip(groups, sources, lamps, strict=True):
         expected, actual = rig.photographs[lamp].exposure, photograph.exposure
         if expected is None or actual is None:
             continue
         stops = math.log2(actual.amount / expected.amount)
         if abs(stops) >= SAME_STOPS:
             raise InputError(
-                f"{shot.images[0].path}: is exposed {abs(stops):.1f} stops {'more' if stops > 0 else 'less'} than the"
+                f"{group.images[0].path}: is exposed {abs(stops):.1f} stops {'more' if stops > 0 else 'less'} than the"
                 " rig's photographs; set the camera as for the rig, or scale with --exposure exif"
             )
 

@@ -56,14 +56,14 @@ def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Ri
     if spec.framing.card_width is not None:
         capture = replace(capture, card_distance=framed(capture, spec.framing).card_distance)
     corrections = _corrections_of(spec)
-    images = [shot.image.path for shot in spec.observations]
+    images = [observation.image.path for observation in spec.observations]
     if corrections is None:
         photographs = [photograph_at(path.name, path) for path in images]
     else:
         by_image = {photograph.image: photograph for photograph in read_corrections(corrections)[1]}
         photographs = [by_image[path.name] for path in images]
     top: dict[str, Any] = {"rig": FORMAT}
-    colour_spaces = {shot.image.colour_space for shot in spec.observations}
+    colour_spaces = {observation.image.colour_space for observation in spec.observations}
     if (
         corrections is None and len(colour_spaces) == 1 and not is_exr(images[0])
     ):  # of the photographs; an EXR is always linear
@@ -102,9 +102,9 @@ def _keys(photograph: Photograph) -> dict[str, Any]:
 
 def _corrections_of(spec: CaptureSpec) -> Path | None:
     """Return the folder of the corrections with which all images of a capture were developed, or None."""
-    folders = {shot.image.path.resolve().parent for shot in spec.observations}
+    folders = {observation.image.path.resolve().parent for observation in spec.observations}
     folder = folders.pop() / FOLDER
     if folders or not folder.is_dir():
         return None
     images = {photograph.image for photograph in read_corrections(folder)[1]}
-    return folder if {shot.image.path.name for shot in spec.observations} <= images else None
+    return folder if {observation.image.path.name for observation in spec.observations} <= images else None

@@ -19,7 +19,7 @@ _STARTS = tuple(
 )
 _STEPS, _STEP = 60, 1e-5  # of Gauss–Newton's method
 _FLATTEST = 2.5  # most of |depth|, a logarithm
-_LARGEST_TURN = np.radians(5.0)  # prior standard deviation of a rotation
+_MAX_TURN = np.radians(5.0)  # prior standard deviation of a rotation
 _CORRELATED = 20.0  # rows with a common error: neighbours are correlated
 _RIM = 4  # pixels: width of the outline's band in which normals should point outward
 
@@ -64,7 +64,7 @@ def rotation(
     evidence, whose mean is the identity; by default a prior that keeps undetermined rotations near it.
     """
     rows = _rows(normals, good, mask, plane)
-    vector, known = np.zeros(3), np.linalg.inv(np.eye(3) * _LARGEST_TURN**2 if covariance is None else covariance)
+    vector, known = np.zeros(3), np.linalg.inv(np.eye(3) * _MAX_TURN**2 if covariance is None else covariance)
     if len(rows) < 100:
         return np.eye(3)
     for _ in range(_ROUNDS):

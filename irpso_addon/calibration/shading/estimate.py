@@ -13,12 +13,12 @@ from ...core.steps import map_steps
 from .ambiguity import even_relief, integrable, outward_cosine
 from .factors import factored, scaled_normals, usable_samples
 
-FEWEST = 10  # photographs
+MIN_PHOTOGRAPHS = 10  # photographs
 _GOOD = 0.5  # fraction of the pixels, those of least misfit, that determine the surface
 _LIT = 0.3  # least fraction of a pixel's samples that are neither in shadow nor in a highlight
 PARTS = 4  # of the subject, for the jackknife
 _BLOCKS = 8  # along the subject's larger side; each block of pixels is in one part
-_FEWEST_PIXELS, _FEWEST_LIT = 500, 50  # lit pixels; lit pixels in each photograph
+_MIN_PIXELS, _MIN_LIT = 500, 50  # lit pixels; lit pixels in each photograph
 _ROUNDS = 40  # yields of one fit, for the progress
 _OUTLINE = 0.2  # least |outward_cosine| that distinguishes relief from its inverse
 
@@ -49,22 +49,23 @@ def shading_steps(
     values, weight: (K, P) radiance and weight of the P pixels of a mask (H, W), orthographic. Raises InputError for too
     few photographs or pixels, or too little relief.
     """
-    if len(values) < FEWEST:
+    if len(values) < MIN_PHOTOGRAPHS:
         raise InputError(
-            f"{len(values)} photographs are too few to find lights by shading; take {FEWEST}, or put a ball into them"
+            f"{len(values)} photographs are too few to find lights by shading; take {MIN_PHOTOGRAPHS}, or put a"
+            " ball into them"
         )
     scaled, usable = usable_samples(values, weight)
     lit = np.flatnonzero(usable.mean(axis=0) > _LIT)
-    if len(lit) < _FEWEST_PIXELS:
+    if len(lit) < _MIN_PIXELS:
         raise InputError(
-            f"only {len(lit)} pixels are lit well enough to find lights by shading, {_FEWEST_PIXELS} are needed; put a"
+            f"only {len(lit)} pixels are lit well enough to find lights by shading, {_MIN_PIXELS} are needed; put a"
             " ball into the photographs"
         )
     lit_by = usable[:, lit].sum(axis=1)
-    if lit_by.min() < _FEWEST_LIT:
+    if lit_by.min() < _MIN_LIT:
         raise InputError(
             f"photograph {int(lit_by.argmin()) + 1} of {len(values)} lights only {int(lit_by.min())} pixels of the"
-            f" subject without a highlight, {_FEWEST_LIT} are needed to find its light; leave it out"
+            f" subject without a highlight, {_MIN_LIT} are needed to find its light; leave it out"
         )
     part_of = parts_of(mask, seed)
     fits = []

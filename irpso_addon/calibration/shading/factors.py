@@ -14,7 +14,7 @@ _PIXELS = 2500  # most pixels in the fit of the lights
 _ROUNDS = 40  # of alternating least squares; most captures converge in twenty
 _FEW_ROUNDS = 8  # of reweighting a pixel under fixed lights
 _WIDTH = 2.0  # deviations at which a sample's weight is a half (Cauchy)
-_LEAST_WIDTH = 1e-4
+_MIN_WIDTH = 1e-4
 _EVERY = 50  # stride of residuals for their median
 
 
@@ -82,4 +82,4 @@ def _solved(weight: np.ndarray, factors: np.ndarray, values: np.ndarray) -> np.n
 def _deviation(residual: np.ndarray, initial: np.ndarray) -> float:
     """Return the width of Cauchy's weights, from a subset of the usable residuals."""
     magnitudes = np.abs(residual.ravel()[::_EVERY][initial.ravel()[::_EVERY] > 0])
-    return max(_WIDTH * 1.4826 * float(np.median(magnitudes)) if len(magnitudes) else 0.0, _LEAST_WIDTH)
+    return max(_WIDTH * 1.4826 * float(np.median(magnitudes)) if len(magnitudes) else 0.0, _MIN_WIDTH)

@@ -21,9 +21,9 @@ _GLARE = 1.5  # of the same: highlight
 _NARROW = 0.03  # mean square of a component of the normals, about 10°: below, lights are poorly determined
 _LINEAR_ROUNDS, _ROUNDS, _INNER = 12, 60, 3
 _WIDTH = 2.0  # deviations at which a sample's weight is a half (Cauchy)
-_LEAST_WIDTH = 2e-3
+_MIN_WIDTH = 2e-3
 _SETTLED = 1e-5  # largest step of a lamp, in radians or in a logarithm
-_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e6
+_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-9, 1e6
 _NEAREST = 0.95  # largest size / distance: no lamp is inside the subject
 _TRUST = 10.0  # prior deviation of size / distance and of each step, for what photographs do not determine
 _STRENGTH_TRUST = 1e-3  # prior deviation of the sum of the strengths' logarithms: fixes the free scale
@@ -145,7 +145,7 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAR
         diagonal = np.diag(np.maximum(np.diag(whole), 1e-9))
         system, gradient = whole + equations.prior(width), right.sum(axis=0) - equations.pull(lamps, width)
         before = equations.cost(lamps, weight, width)
-        while damping < _MOST_DAMPING:
+        while damping < _MAX_DAMPING:
             steps = equations.spread(np.linalg.solve(system + damping * diagonal, gradient))
             other = lamps.moved(steps)
             other = replace(other, inverses=np.clip(other.inverses, -nearest, nearest))
@@ -154,7 +154,7 @@ def fit_steps(samples: Samples, lamps: Lamps, near: bool, nearest: float = _NEAR
             damping *= 10
         else:
             break
-        damping = max(damping / 10, _LEAST_DAMPING)
+        damping = max(damping / 10, _MIN_DAMPING)
         lamps = other
         weight, width = equations.weighted(lamps, weight)
         yield
@@ -215,7 +215,7 @@ def _plausible(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def _width(residual: np.ndarray, weight: np.ndarray) -> float:
     """Return the width of Cauchy's weights: two robust deviations of the residuals with weight."""
     magnitudes = np.abs(residual[weight > 0.1])
-    return max(_WIDTH * 1.4826 * float(np.median(magnitudes)) if len(magnitudes) else 0.0, _LEAST_WIDTH)
+    return max(_WIDTH * 1.4826 * float(np.median(magnitudes)) if len(magnitudes) else 0.0, _MIN_WIDTH)
 
 
 class _Equations:

@@ -31,21 +31,21 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     path = folder / INTENSITIES
     intensities = read_intensities(path) if path.exists() else [(0, (1.0, 1.0, 1.0))] * len(names)
     _same_count(path, len(intensities), len(names))
-    shots = []
+    observations = []
     for (number, name), (line, vector), (row, intensity) in zip(names, lights, intensities, strict=True):
         # Errors name the intensity's line if the direction is valid.
         valid = any(vector) and all(abs(v) < float("inf") for v in vector)
         where = f"{path}: line {row}" if row and valid else f"{folder / DIRECTIONS}: line {line}"
         named_in = f"its name in {folder / FILENAMES}: line {number}"
         image = ImageRef(find_image(folder, name), colour_space=colour_space, named_in=named_in)
-        shots.append(ObservationSpec(name, image, vector, where, intensity))
+        observations.append(ObservationSpec(name, image, vector, where, intensity))
     mask = next((folder / m for m in MASKS if (folder / m).exists()), None)
     camera = folder / "camera.toml"
     table = load_toml(camera) if camera.exists() else {}
     known_keys(table, CAMERA_KEYS, str(camera))
     make, lens = camera_maker(table, str(camera)), has_lens(table)
     view = ViewSpec("camera", make, str(camera), None, ImageRef(mask) if mask else None, lens=lens)
-    return CaptureSpec(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
+    return CaptureSpec(folder.resolve().name, "DiLiGenT folder", folder, tuple(observations), (view,))
 
 
 def _same_count(path: Path, count: int, expected: int) -> None:

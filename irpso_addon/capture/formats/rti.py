@@ -25,7 +25,7 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
         raise CaptureError(f"{path}: says {count} images and lists {len(rows)}; correct the first line", "count")
     if not rows:
         raise CaptureError(f"{path}: lists no images; {remedy}", "list_empty")
-    shots = []
+    observations = []
     for line, row in rows:
         where = f"{path}: line {line}"
         # Split from the right, because names may hold spaces.
@@ -34,6 +34,6 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
             raise CaptureError(f"{where}: is not 'name x y z'; complete it", "light_columns")
         name = words[0].strip("\"'")
         image = ImageRef(find_image(path.parent, name), colour_space=colour_space, named_in=f"its name in {where}")
-        shots.append(ObservationSpec(image.path.name, image, tuple(numbers(words[1:], where)), where))
+        observations.append(ObservationSpec(image.path.name, image, tuple(numbers(words[1:], where)), where))
     view = ViewSpec("camera", camera_maker({}, str(path)), str(path), lens=False)
-    return CaptureSpec(path.resolve().parent.name, "RTI light positions", path, tuple(shots), (view,))
+    return CaptureSpec(path.resolve().parent.name, "RTI light positions", path, tuple(observations), (view,))

@@ -44,12 +44,12 @@ def spec_of_keys(table: dict[str, Any], path: Path, colour_space: str = "auto") 
     views = Views(table, path)
     defaults: dict[str, Any] = {key: table[key] for key in ("image", "colour_space") if key in table}
     override: dict[str, Any] = {} if colour_space == "auto" else {"colour_space": colour_space}
-    shots = tuple(
+    observations = tuple(
         _shot({**defaults, **row, **override}, path, n, views)
         for n, row in enumerate(rows(table, "observation", path), 1)
     )
     framing = _framing(table, str(path))
-    return CaptureSpec(name, "capture table", path, shots, tuple(views.specs), distance, framing=framing)
+    return CaptureSpec(name, "capture table", path, observations, tuple(views.specs), distance, framing=framing)
 
 
 def _framing(table: dict[str, Any], where: str) -> Framing:

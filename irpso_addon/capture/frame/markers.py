@@ -11,7 +11,7 @@ from ...core.opencv import opencv
 from .board import BOARDS, DICTIONARY, Board
 from .homography import homography, mapped
 
-_FEWEST = 2  # markers: eight corners
+_MIN_MARKERS = 2  # markers: eight corners
 _SMALL = 900  # pixels of the longer side: smaller pictures are enlarged
 _OFF = 0.01  # largest reprojection error of a corner, of the picture's diagonal
 
@@ -52,7 +52,7 @@ def seen_markers(codes: np.ndarray) -> Seen | None:
     }
     board = max(BOARDS, key=lambda board: len(by_number.keys() & board.markers.keys()))
     shared = sorted(by_number.keys() & board.markers.keys())
-    if len(shared) < _FEWEST:
+    if len(shared) < _MIN_MARKERS:
         return None
     plane = np.concatenate([board.markers[number] for number in shared])
     pixels = np.concatenate([by_number[number] for number in shared])

@@ -15,7 +15,7 @@ from ...core.filters import sampled
 from ...core.opencv import opencv
 
 _WORKING = 800  # pixels of the longer side for the search of quadrilaterals
-_LEAST_AREA = 0.04  # of the picture
+_MIN_AREA = 0.04  # of the picture
 _BORDER = 0.006  # of the diagonal: a corner nearer to the border lies outside, or is the picture's own
 _SAME = 0.02  # of the diagonal: outlines with nearer corners are the same
 _RIVAL = 0.35  # of the largest's area: a larger second rectangle makes the choice ambiguous
@@ -24,7 +24,7 @@ _REACH = 0.012  # of the diagonal: search distance of an edge from the first out
 _ENDS = 0.06  # of a side, ignored at each end: corners may be round
 _SUPPORT = 0.6  # least share of a side's samples with an edge on its line
 _ON_LINE = 1.5  # pixels: largest distance of an edge from its line
-_LEAST_STEP = 0.03  # least contrast of an edge, of the range of display values
+_MIN_STEP = 0.03  # least contrast of an edge, of the range of display values
 
 
 def quadrilaterals(codes: np.ndarray) -> list[np.ndarray]:
@@ -99,7 +99,7 @@ def _candidates(cv2: Any, small: np.ndarray) -> list[np.ndarray]:
         contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
         for contour in contours:
             hull = cv2.convexHull(contour)
-            if cv2.contourArea(hull) < _LEAST_AREA * small.size:
+            if cv2.contourArea(hull) < _MIN_AREA * small.size:
                 continue
             shape = cv2.approxPolyDP(hull, 0.03 * cv2.arcLength(hull, True), True)[:, 0]
             if len(shape) == 4 and cv2.contourArea(shape) > 0.85 * cv2.contourArea(hull):
@@ -128,7 +128,7 @@ def _side(grey: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float) -> np.nd
     strength = np.clip(gradient * sign, 0, None)[:, 1:-1]
     best = strength.argmax(axis=1)
     peak = strength[np.arange(len(best)), best]
-    clear = (peak > _LEAST_STEP) & (best > 0) & (best < strength.shape[1] - 1)
+    clear = (peak > _MIN_STEP) & (best > 0) & (best < strength.shape[1] - 1)
     if clear.mean() < _SUPPORT:
         return None
     rows, at = np.flatnonzero(clear), best[clear]

@@ -20,7 +20,7 @@ _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
 _NO_SEGMENT = b"\xd9\xda"  # end of a JPEG file, and start of a scan
 _LINEAR_GAMMA = struct.pack(">I", 100_000)  # of a gAMA chunk: 100 000 over the exponent
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
-_MOST_ICC = 1 << 22  # bytes
+_MAX_ICC = 1 << 22  # bytes
 _WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT, _ICC_PROFILE, _COLOUR_SPACE = 256, 257, 258, 339, 34675, 40961  # TIFF tags
 _FLOATS, _SRGB = 3, 1  # of the sample format, of the colour space
 
@@ -121,7 +121,7 @@ def _png(path: Path, data: bytes) -> ImageHeader:
 def _png_icc(chunk: bytes) -> bytes:
     """Return the profile of an iCCP chunk: a name, 0, the method, and deflated data."""
     with suppress(zlib.error):
-        return zlib.decompressobj().decompress(chunk.partition(b"\0")[2][1:], _MOST_ICC)
+        return zlib.decompressobj().decompress(chunk.partition(b"\0")[2][1:], _MAX_ICC)
     return b""
 
 

@@ -40,10 +40,10 @@ def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[Non
     """
     sizes: dict[int, tuple[int, int]] = {}
     why: dict[int, str] = {}
-    for k, shot in enumerate(spec.observations):
+    for k, observation in enumerate(spec.observations):
         yield
         try:
-            sizes[k] = _whole_size(shot.image, store)
+            sizes[k] = _whole_size(observation.image, store)
         except CaptureError as error:
             if error.code in DAMAGE:
                 why[k] = error.message
@@ -57,12 +57,16 @@ def without_damaged_steps(spec: CaptureSpec, store: ImageStore) -> Generator[Non
     if len(why) == len(spec.observations):
         raise CaptureError(f"{why[0]} (like all other images of {spec.source})", "list_empty")
     damaged = [(k, spec.observations[k]) for k in sorted(why)]
-    left_out = tuple(LeftOut(k, str(shot.image), why[k], shot.name) for k, shot in damaged)
-    remaining = [shot for k, shot in enumerate(spec.observations) if k not in why]
-    unused = {shot.camera for shot in spec.observations} - {shot.camera for shot in remaining}
+    left_out = tuple(LeftOut(k, str(observation.image), why[k], observation.name) for k, observation in damaged)
+    remaining = [observation for k, observation in enumerate(spec.observations) if k not in why]
+    unused = {observation.camera for observation in spec.observations} - {
+        observation.camera for observation in remaining
+    }
     views = [index for index in range(len(spec.views)) if index not in unused]
-    shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in remaining)
-    return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
+    observations = tuple(replace(observation, camera=views.index(observation.camera)) for observation in remaining)
+    return replace(
+        spec, observations=observations, views=tuple(spec.views[index] for index in views), left_out=left_out
+    )
 
 
 without_damaged = blocking("without_damaged", without_damaged_steps)

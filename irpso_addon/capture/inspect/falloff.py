@@ -16,7 +16,7 @@ _DARK = 0.06  # code value under which even a pixel's bright samples are mostly 
 _WIDTH = 0.03  # of the Cauchy weight, as a fraction of a pixel's bright samples
 _ROUNDS = 3  # of reweighting
 _GROUPS = 6  # of pixels, by angle of their normals
-_LEAST_LIGHTS, _LEAST_PIXELS = 6, 60
+_MIN_LIGHTS, _MIN_PIXELS = 6, 60
 _FLAT = 0.05  # flatness below which lights lie in one plane or direction
 # Measured on rendered captures: linear values of matt and glossy dielectrics have an exponent of 0.96 to 1.22, and of
 # 2.0 to 2.65 once they are decoded as sRGB. sRGB values of rough metals have 0.86 to 1.14, but then the exponent varies
@@ -95,13 +95,13 @@ def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> Fall
     m = (b·l)^k, with low weights for highlights and shadow; the k of least loss is returned. lowest: samples under this
     fraction of a pixel's bright ones are ignored.
     """
-    if len(directions) < _LEAST_LIGHTS or samples.shape[1] < _LEAST_PIXELS or flatness(directions) < _FLAT:
+    if len(directions) < _MIN_LIGHTS or samples.shape[1] < _MIN_PIXELS or flatness(directions) < _FLAT:
         return None
     bright = np.maximum(np.percentile(samples, _BRIGHT, axis=0), 1e-9)
     relative = samples / bright
     used = (samples > 0) & (relative > lowest)
-    enough = used.sum(axis=0) >= _LEAST_LIGHTS
-    if enough.sum() < _LEAST_PIXELS:
+    enough = used.sum(axis=0) >= _MIN_LIGHTS
+    if enough.sum() < _MIN_PIXELS:
         return None
     relative, used = relative[:, enough], used[:, enough]
     fits = [_fit(relative, used, directions, k) for k in _EXPONENTS]

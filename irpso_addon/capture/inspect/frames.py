@@ -13,7 +13,7 @@ from ..types import Capture
 from . import checks
 
 _THUMBNAIL, _CROP = 256, 512  # pixels: longest side of a frame's thumbnail and of its crop
-_LEAST = 16  # pixels: shortest side of a thumbnail, of images of that many
+_MIN_SIDE = 16  # pixels: shortest side of a thumbnail, of images of that many
 _COMPARED = 64  # pixels: longest side of the images that are compared pair by pair
 _MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
 _IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
@@ -82,7 +82,7 @@ def add_frame(frames: Frames, index: int, name: str, samples: Samples) -> Iterat
 def _factors(shape: tuple[int, ...], longest: int) -> tuple[int, int]:
     """Return factors that reduce (rows, columns) to at most ``longest`` pixels; they differ only for narrow strips."""
     factor = -(-max(shape) // longest)
-    rows, columns = (min(factor, max(1, side // _LEAST)) for side in shape)
+    rows, columns = (min(factor, max(1, side // _MIN_SIDE)) for side in shape)
     return rows, columns
 
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from .shading import bright_samples, shading_errors
 
-_FEWEST = 8  # photographs
+_MIN_PHOTOGRAPHS = 8  # photographs
 _MOVES = (1, -1, 2, -2)  # places by which a list may be moved
 _RANDOM = 5  # random orders that the lights are compared with
 _SCALINGS = 2  # times that the photographs' factors are fitted
-_LEAST = 0.07  # median error of a wrong order, as a part of a pixel's bright sample: below, the order hardly matters
+_MIN_ERROR = 0.07  # median error of a wrong order, as part of a pixel's bright sample: below, the order hardly matters
 _METAL = 0.25  # median of the samples, likewise: below, most light is in highlights, which follow no matt shading
 # In the right order the median error is at most 0.53 of that in random orders: on rendered spheres, cards, reliefs and
 # hollows, with gloss, and with intensities unstated within a factor of 2. On a nearly flat icon it is 0.95, and 0.04.
@@ -27,14 +27,14 @@ def light_order_message(values: np.ndarray, usable: np.ndarray, lamps: np.ndarra
     on a moved or reversed ring; on lists of which a small part is wrong; on metals.
     """
     samples = bright_samples(values, usable, lamps)
-    if samples is None or len(values) < _FEWEST:
+    if samples is None or len(values) < _MIN_PHOTOGRAPHS:
         return ""
     relative, used, lamps = samples
     if np.median(relative[used]) < _METAL:
         return ""
     places, generator = np.arange(len(values)), np.random.default_rng(0)
     given = _error(relative, used, lamps)
-    if given < _LEAST:
+    if given < _MIN_ERROR:
         return ""
     random = np.median([_error(relative, used, lamps[generator.permutation(places)]) for _ in range(_RANDOM)])
     if given < _RIGHT * random:

@@ -163,7 +163,7 @@ def _image_steps(
 def _room_light_findings(capture: Capture, frames: Frames, pixels: np.ndarray) -> Iterator[Finding]:
     """Yield a finding of room light, under distant lights only: near ones need the pixels' positions."""
     lights = [capture.observations[index].light for index in frames.indices]
-    if len(lights) < sufficiency.FEWEST or not all(light.distant for light in lights):
+    if len(lights) < sufficiency.MIN_LIGHTS or not all(light.distant for light in lights):
         return
     lamps = np.array([np.multiply(light.vector, np.mean(light.intensity)) for light in lights])
     if text := room_light_message(room_light(pixels, pixels > 0, lamps[:, None])):
@@ -187,7 +187,7 @@ def _errors(error: CaptureError) -> tuple[Finding, ...]:
 
 
 def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str, str]]:
-    formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in spec.observations)
+    formats = Counter(observation.image.path.suffix.lower().lstrip(".") for observation in spec.observations)
     lights = capture.lights
     kinds = (
         (sum(light.distant for light in lights), "distant"),
@@ -226,8 +226,9 @@ def _encoding(encoding: Encoding) -> str:
 
 
 def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
-    vectors = np.array([shot.vector for shot in spec.observations if shot.distant], float).reshape(-1, 3)
-    wheres = [shot.where for shot in spec.observations if shot.distant]
+    distant = [observation for observation in spec.observations if observation.distant]
+    vectors = np.array([observation.vector for observation in distant], float).reshape(-1, 3)
+    wheres = [observation.where for observation in distant]
     lights = written_lights(spec)
     lack = sufficiency.no_normal(lights) if lights else None
     if lack is not None:
@@ -250,7 +251,7 @@ def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
             " are uncertain: add lights off that plane",
             "normals",
         )
-    cameras = [shot.camera for shot in spec.observations if shot.distant]
+    cameras = [observation.camera for observation in distant]
     # Several cameras may photograph the subject under the same lights.
     twice = [(i, j) for i, j in checks.same_lights(directions) if cameras[i] == cameras[j]]
     for i, j in twice[:3]:

@@ -8,7 +8,7 @@ from .shading import WIDTH, bright_samples, shading_errors
 
 _OFFSETS = np.linspace(-0.2, 0.6, 17)  # candidates, as fractions of a pixel's bright sample
 # Least offset, and least loss without it over the loss with it: on a metal ball in a dark room that is up to 1.25.
-_LEAST, _BETTER = 0.08, 1.3
+_MIN_OFFSET, _BETTER = 0.08, 1.3
 
 
 def room_light(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) -> float:
@@ -25,7 +25,7 @@ def room_light(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) -> flo
     relative, used, lamps = samples
     losses = np.array([_loss(shading_errors(relative - offset, used, lamps)[0]) for offset in _OFFSETS])
     best, without = int(losses.argmin()), losses[int(np.abs(_OFFSETS).argmin())]
-    return float(_OFFSETS[best]) if _OFFSETS[best] >= _LEAST and without > _BETTER * losses[best] else 0.0
+    return float(_OFFSETS[best]) if _OFFSETS[best] >= _MIN_OFFSET and without > _BETTER * losses[best] else 0.0
 
 
 def room_light_message(part: float) -> str:

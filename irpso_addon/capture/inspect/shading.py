@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-PIXELS, _FEWEST_PIXELS = 400, 100  # most and fewest pixels in a check
+PIXELS, _MIN_PIXELS = 400, 100  # most and fewest pixels in a check
 _BRIGHT = 90.0  # percentile of a pixel's samples: its bright sample
 _SUBJECT = 0.1  # of the brightest pixels' bright sample: darker pixels are background
 _DARKEST = 0.02  # of the bright sample: darker samples are shadow
-_FEWEST = 6  # least lit samples of a pixel
+_MIN_SAMPLES = 6  # least lit samples of a pixel
 WIDTH = 0.03  # of the Cauchy weight, of the bright sample
 _ROUNDS = 5  # of reweighting
 
@@ -22,13 +22,13 @@ def bright_samples(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) ->
     to the lamps times their irradiance. The result, for P pixels: (K, P) radiance over that of the pixel's bright
     sample, (K, P) bool of samples outside shadows, (K, P, 3) lamps.
     """
-    if values.shape[1] < _FEWEST_PIXELS:
+    if values.shape[1] < _MIN_PIXELS:
         return None
     values = np.where(usable, values, 0).astype(np.float64)
     bright = np.percentile(values, _BRIGHT, axis=0)
     used = usable & (values > _DARKEST * bright)
-    chosen = (used.sum(axis=0) >= _FEWEST) & (bright > _SUBJECT * np.percentile(bright, 95))
-    if chosen.sum() < _FEWEST_PIXELS:
+    chosen = (used.sum(axis=0) >= _MIN_SAMPLES) & (bright > _SUBJECT * np.percentile(bright, 95))
+    if chosen.sum() < _MIN_PIXELS:
         return None
     lamps = np.broadcast_to(lamps, (*values.shape, 3))[:, chosen]
     return values[:, chosen] / bright[chosen], used[:, chosen], lamps

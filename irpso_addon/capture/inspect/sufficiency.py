@@ -50,7 +50,7 @@ ACROSS = (
     Figure(0.2, (0.0, 0.029, 0.029)),
     Figure(0.5, (0.0, 0.006, 0.001)),
 )
-FEWEST = 3  # lights of a normal
+MIN_LIGHTS = 3  # lights of a normal
 FLAT_USELESS = 1e-3  # smallest over largest singular value: below, lights have no third direction
 _ONE_PLACE = 1e-6  # of the distance from the world's origin: closer near lights are at one position
 _SLACK = 0.97  # this fraction of a measured value counts as the value
@@ -70,16 +70,16 @@ def no_normal(lights: Sequence[Light]) -> Shortfall | None:
     Light directions in one plane do not determine the normal's component perpendicular to it. This is so at all points
     for distant lights of rank 2 and for near lights on one line.
     """
-    if len(lights) < FEWEST:
+    if len(lights) < MIN_LIGHTS:
         what = f"has {len(lights)} light{'s' * (len(lights) != 1)}"
         return Shortfall("few", f"{what}; a normal needs at least three")
     rows = _projective(lights)
     different = len(np.unique(np.round(rows, 6), axis=0))
-    if different < FEWEST:
+    if different < MIN_LIGHTS:
         what = f"has {len(lights)} images under {different} different light{'s' * (different > 1)}"
         return Shortfall("same", f"{what}; a normal needs at least three")
     values = np.linalg.svd(rows, compute_uv=False)
-    if values[FEWEST - 1] >= FLAT_USELESS * values[0]:
+    if values[MIN_LIGHTS - 1] >= FLAT_USELESS * values[0]:
         return None
     what = "all lights lie in one plane through the subject" if lights[0].distant else "all lights are on one line"
     return Shortfall("coplanar", f"{what}, across which normals are undetermined; add lights off it")

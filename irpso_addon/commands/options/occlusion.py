@@ -16,7 +16,7 @@ from ...exports.names import OCCLUDED
 from ...exports.result import Result
 from ...geometry.surface.slots import slot_names, slots_of_text
 
-_MOST_RAYS = 4096
+_MAX_RAYS = 4096
 
 
 def check_occlusion(options: Namespace) -> None:
@@ -28,8 +28,8 @@ def check_occlusion(options: Namespace) -> None:
         raise InputError(
             f"--occlusion: --format {options.format} has no occlusion; choose one of {', '.join(OCCLUDED)}"
         )
-    if options.rays is not None and not 1 <= options.rays <= _MOST_RAYS:
-        raise InputError(f"--rays {options.rays}: give a whole number from 1 to {_MOST_RAYS}")
+    if options.rays is not None and not 1 <= options.rays <= _MAX_RAYS:
+        raise InputError(f"--rays {options.rays}: give a whole number from 1 to {_MAX_RAYS}")
 
 
 def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any]) -> Result:

@@ -17,7 +17,7 @@ from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of,
 from ...geometry.build import card_bake, card_lights, domain_from_card
 from ...geometry.domain import with_lights
 from ...pipeline.preview import PART, smaller_capture
-from .job import file_capture
+from .job_options import file_capture
 
 UNNAMED = "its report does not say which part of which photographs its maps show"
 
@@ -62,7 +62,7 @@ def page_photographs(result: Result, options: Namespace) -> Photographs | None:
 
 
 def _chosen(capture: Capture, report: Mapping[str, Any], count: int) -> Photographs:
-    names = [shot.name for shot in capture.observations]
+    names = [observation.name for observation in capture.observations]
     held_out = [k for k, name in enumerate(names) if name in report.get("relighting_psnr_db", ())]
     chosen = spread(card_lights(capture), card_bake(capture), held_out, count)
     domain = domain_from_card(replace(capture, observations=tuple(capture.observations[k] for k in chosen)))

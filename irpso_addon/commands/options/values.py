@@ -22,7 +22,7 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.read import read_parameter
 from ...solver.settings.schedule import Schedule, load_schedule
 
-LARGEST_SIDE = 16384
+MAX_SIDE = 16384
 
 
 def silent(options: Namespace) -> bool:
@@ -62,8 +62,8 @@ def check_shelf(options: Namespace, remedy: str) -> None:
 def size_option(option: str, text: str) -> tuple[int, int]:
     """Return (width, height) of "N" or "WxH". Raises InputError."""
     parts = text.lower().split("x")
-    if len(parts) not in (1, 2) or not all(part.isdecimal() and 1 <= int(part) <= LARGEST_SIDE for part in parts):
-        raise InputError(f"{option} {text}: give a whole number N, or WxH, each from 1 to {LARGEST_SIDE}")
+    if len(parts) not in (1, 2) or not all(part.isdecimal() and 1 <= int(part) <= MAX_SIDE for part in parts):
+        raise InputError(f"{option} {text}: give a whole number N, or WxH, each from 1 to {MAX_SIDE}")
     numbers = [int(part) for part in parts]
     return numbers[0], numbers[-1]
 

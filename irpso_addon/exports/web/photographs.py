@@ -11,7 +11,7 @@ from ...geometry.domain import Domain, GeometryBake
 
 PHOTOGRAPHS = 8  # in a page, by default
 _WHITE = 99.5  # percentile of a photograph: display white
-_LARGEST_BEND = 0.02  # largest deviation from a plane (lens distortion) without a warning, of the card's width
+_MAX_BEND = 0.02  # largest deviation from a plane (lens distortion) without a warning, of the card's width
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def photographs_of(domain: Domain, names: Sequence[str], unseen: Collection[int]
     return Photographs(
         tuple(names), np.isin(np.arange(len(names)), list(unseen)), domain.lights, domain.intensities,
         domain.views[0], place, [domain.stack.layer(k)[..., :3] for k in range(domain.observations)],
-        warnings if bend > _LARGEST_BEND else (),
+        warnings if bend > _MAX_BEND else (),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from ...core.graph import connected
 
 # A slope's error grows with the inverse square of nz, so the optimal weight is its fourth power. On the normals of a
 # scanned bunny with 2° of noise the square is as accurate (0.08 texels of 102), in a fifth of the steps.
-_LEAST_NZ, _POWER = 0.1, 2
+_MIN_NZ, _POWER = 0.1, 2
 _TOLERANCE, _STEPS = 1e-4, 300
 TEXELS = "texels"  # unit of a card's heights: the width of a texel
 
@@ -69,7 +69,7 @@ def card_slopes(
     """
     facing = normals[..., 2] if rays is None else -np.einsum("hwi,hwi->hw", normals, rays)
     # The slope of a surface that turns away is infinite.
-    steep = np.maximum(facing, _LEAST_NZ)
+    steep = np.maximum(facing, _MIN_NZ)
     return -normals[..., :2] / steep[..., None] * (1.0, focal[0] / focal[1]), np.minimum(steep, 1) ** _POWER
 
 
@@ -84,7 +84,7 @@ def tangent_slopes(normals: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, 
     normals: (H, W, 3) in the solver's tangent frames. along: (H, W, 2, 2) one texel's step along x and y, in tangent
     and bitangent components, world units.
     """
-    steep = np.maximum(normals[..., 2], _LEAST_NZ)
+    steep = np.maximum(normals[..., 2], _MIN_NZ)
     return np.einsum("hwki,hwi->hwk", along, -normals[..., :2] / steep[..., None]), steep**_POWER
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .height import TEXELS, Height
 
-_LEAST_NZ = 0.1  # steeper normals count as 84°
+_MIN_NZ = 0.1  # steeper normals count as 84°
 
 
 def periodic_height(normals: np.ndarray) -> Height:
@@ -15,7 +15,7 @@ def periodic_height(normals: np.ndarray) -> Height:
     In texels, toward the normal, mean 0. The mean slope, which is not periodic, is dropped.
     """
     height, width = normals.shape[:2]
-    z = np.maximum(normals[..., 2], _LEAST_NZ).astype(np.float64)
+    z = np.maximum(normals[..., 2], _MIN_NZ).astype(np.float64)
     along, up = (np.fft.fft2(-normals[..., k] / z) for k in (0, 1))
     x, y = 2 * np.pi * np.fft.fftfreq(width)[None], 2 * np.pi * np.fft.fftfreq(height)[:, None]
     square = x**2 + y**2

@@ -44,20 +44,20 @@ class Pieces:
         return result
 
 
-def pieces_of(island: np.ndarray, reach: int) -> Pieces:
-    """Return the pieces of islands (H, W) around blocks of ``reach`` texels."""
+def pieces_of(island: np.ndarray, radius: int) -> Pieces:
+    """Return the pieces of islands (H, W) around blocks of ``radius`` texels."""
     height, width = island.shape
-    rows, columns = -(-height // reach), -(-width // reach)
-    before = _BLOCKS * reach
-    after = (rows * reach - height + before, columns * reach - width + before)
+    rows, columns = -(-height // radius), -(-width // radius)
+    before = _BLOCKS * radius
+    after = (rows * radius - height + before, columns * radius - width + before)
     padded = np.pad(island, ((before, after[0]), (before, after[1])), constant_values=-1)
-    low, high = (_around_blocks(padded, reach, f) for f in (np.minimum, np.maximum))
+    low, high = (_around_blocks(padded, radius, f) for f in (np.minimum, np.maximum))
     mixed = low != high  # a window of one island only is one piece
-    y, x = np.nonzero((island >= 0) & np.kron(mixed, np.ones((reach, reach), bool))[:height, :width])
-    pairs = np.unique(np.stack([y // reach * columns + x // reach, island[y, x]], axis=-1), axis=0)
-    corner = np.stack([pairs[:, 0] % columns, pairs[:, 0] // columns], axis=-1) * reach
-    split, labels = [np.zeros(0, np.int64)], [np.zeros((0, _SIDE * reach, _SIDE * reach), np.int16)]
-    steps = np.arange(_SIDE * reach)
+    y, x = np.nonzero((island >= 0) & np.kron(mixed, np.ones((radius, radius), bool))[:height, :width])
+    pairs = np.unique(np.stack([y // radius * columns + x // radius, island[y, x]], axis=-1), axis=0)
+    corner = np.stack([pairs[:, 0] % columns, pairs[:, 0] // columns], axis=-1) * radius
+    split, labels = [np.zeros(0, np.int64)], [np.zeros((0, _SIDE * radius, _SIDE * radius), np.int16)]
+    steps = np.arange(_SIDE * radius)
     for start in range(0, len(pairs), _WINDOWS):
         part = slice(start, start + _WINDOWS)
         window = padded[corner[part, 1, None, None] + steps[:, None], corner[part, 0, None, None] + steps]
@@ -65,7 +65,7 @@ def pieces_of(island: np.ndarray, reach: int) -> Pieces:
         split.append(start + np.flatnonzero(count > 1))
         labels.append(label[count > 1].astype(np.int16))
     chosen, label = np.concatenate(split), np.concatenate(labels)
-    core = label[:, before : before + reach, before : before + reach]
+    core = label[:, before : before + radius, before : before + radius]
     block, piece = np.unique(np.stack([np.nonzero(core >= 0)[0], core[core >= 0]], axis=-1), axis=0).T.astype(np.int64)
     return Pieces(corner[chosen], pairs[chosen, 1], label, block, piece)
 
@@ -97,31 +97,31 @@ def visible_across_gaps(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -
 
 
 def places_beyond_pieces(
-    edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int
+    edges: SeamEdges, island: np.ndarray, pieces: Pieces, radius: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (N, 2) places past the borders of pieces, (N,) the nearest edge of each, and (N,) their charts."""
     if not len(pieces.block):
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
-    edge, view = _edges_of(edges, island, pieces, reach)
+    edge, view = _edges_of(edges, island, pieces, radius)
 
     def covered(charts: np.ndarray, place: np.ndarray) -> np.ndarray:
         block = pieces.block[charts]
-        x, y = (place - pieces.corner[block] + _BLOCKS * reach).T
+        x, y = (place - pieces.corner[block] + _BLOCKS * radius).T
         # A chart sees at most one block far.
-        outside = np.minimum(x, y) < (_BLOCKS - 1) * reach
-        outside |= np.maximum(x, y) >= (_BLOCKS + 2) * reach
+        outside = np.minimum(x, y) < (_BLOCKS - 1) * radius
+        outside |= np.maximum(x, y) >= (_BLOCKS + 2) * radius
         x, y = np.where(outside, 0, x), np.where(outside, 0, y)
         return outside | (pieces.label[block, y, x] == pieces.piece[charts])
 
     mine = edges.some(edge)
-    place, nearest = places_beyond(mine, view, covered, island.shape, reach)
+    place, nearest = places_beyond(mine, view, covered, island.shape, radius)
     return place, edge[nearest], FIRST_CHART - view[nearest]
 
 
-def _around_blocks(padded: np.ndarray, reach: int, extreme: np.ufunc) -> np.ndarray:
+def _around_blocks(padded: np.ndarray, radius: int, extreme: np.ufunc) -> np.ndarray:
     """Return the smallest, or largest, number in the window of every block."""
-    rows, columns = padded.shape[0] // reach, padded.shape[1] // reach
-    each = extreme.reduce(extreme.reduce(padded.reshape(rows, reach, columns, reach), axis=3), axis=1)
+    rows, columns = padded.shape[0] // radius, padded.shape[1] // radius
+    each = extreme.reduce(extreme.reduce(padded.reshape(rows, radius, columns, radius), axis=3), axis=1)
     rows, columns = rows - _SIDE + 1, columns - _SIDE + 1
     down = extreme.reduce([each[step : step + rows] for step in range(_SIDE)])
     return extreme.reduce([down[:, step : step + columns] for step in range(_SIDE)])
@@ -151,16 +151,16 @@ def _labelled(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _texels(pieces: Pieces, around: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return block, x, y and label of the pieces' texels up to ``around`` blocks from their block."""
-    reach = pieces.label.shape[1] // _SIDE
-    low = (_BLOCKS - around) * reach
-    part = slice(low, low + (2 * around + 1) * reach)
+    radius = pieces.label.shape[1] // _SIDE
+    low = (_BLOCKS - around) * radius
+    part = slice(low, low + (2 * around + 1) * radius)
     a, y, x = np.nonzero(pieces.label[:, part, part] >= 0)
     label = pieces.label[:, part, part][a, y, x].astype(np.int64)
-    x, y = (step + pieces.corner[a, axis] - around * reach for axis, step in enumerate((x, y)))
+    x, y = (step + pieces.corner[a, axis] - around * radius for axis, step in enumerate((x, y)))
     return a, x, y, label
 
 
-def _edges_of(edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int) -> tuple[np.ndarray, np.ndarray]:
+def _edges_of(edges: SeamEdges, island: np.ndarray, pieces: Pieces, radius: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (edge, chart) pairs where the edge lies at the chart's piece inside its window."""
     width = island.shape[1]
     length = np.linalg.norm(edges.end - edges.start, axis=-1)
@@ -171,20 +171,20 @@ def _edges_of(edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int) 
     texel = texel_at(at, edges.island[edge], island)
     edge, texel = edge[texel >= 0], texel[texel >= 0]
     y, x = np.divmod(texel, width)
-    columns = -(-width // reach) + 2 * _BLOCKS
+    columns = -(-width // radius) + 2 * _BLOCKS
     islands = int(island.max()) + 1
-    blocks = pieces.corner // reach + _BLOCKS
+    blocks = pieces.corner // radius + _BLOCKS
     keys = (blocks[:, 1] * columns + blocks[:, 0]) * islands + pieces.island
     order = np.argsort(keys)
     number, pairs = pieces.number(), []
     for dy in range(_SIDE):
         for dx in range(_SIDE):
-            key = ((y // reach + dy) * columns + x // reach + dx) * islands + edges.island[edge]
+            key = ((y // radius + dy) * columns + x // radius + dx) * islands + edges.island[edge]
             index = np.minimum(np.searchsorted(keys, key, sorter=order), len(keys) - 1)
             a = order[index]
             matches = np.flatnonzero(keys[a] == key)
             a = a[matches]
-            wx, wy = (at[matches] - pieces.corner[a, axis] + _BLOCKS * reach for axis, at in enumerate((x, y)))
+            wx, wy = (at[matches] - pieces.corner[a, axis] + _BLOCKS * radius for axis, at in enumerate((x, y)))
             label = pieces.label[a, wy, wx]
             chart = np.where(label >= 0, number[a, np.maximum(label, 0)], -1)
             pairs.append(np.stack([edge[matches], chart], axis=-1)[chart >= 0])

@@ -20,23 +20,23 @@ _AROUND = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
 
 
 def places_beyond(
-    edges: SeamEdges, view: np.ndarray, covered: Covered, shape: tuple[int, ...], reach: int
+    edges: SeamEdges, view: np.ndarray, covered: Covered, shape: tuple[int, ...], radius: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, 2) places past borders, and (N,) the nearest border edge of the same view.
 
     view: (E,) from 0, the chart that looks past an edge; views are independent. covered: tests (n,) views and (n, 2)
-    places: inside the view's own border, or to be skipped. shape: (H, W) texels; the search extends ``reach`` texels
+    places: inside the view's own border, or to be skipped. shape: (H, W) texels; the search extends ``radius`` texels
     on every side. It proceeds ring by ring outward; each place tries the edges of its neighbours.
     """
-    grid = shape[1] + 2 * reach + 2, shape[0] + 2 * reach + 2
+    grid = shape[1] + 2 * radius + 2, shape[0] + 2 * radius + 2
 
     def nearest(place: np.ndarray, edge: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return sorted new keys (view and place), and the nearest of the edges tried for each."""
-        far = ((place < -reach) | (place >= (shape[1] + reach, shape[0] + reach))).any(axis=1)
+        far = ((place < -radius) | (place >= (shape[1] + radius, shape[0] + radius))).any(axis=1)
         place, edge = place[~far], edge[~far]
         left = ~covered(view[edge], place)
         place, edge = place[left], edge[left]
-        key = (view[edge].astype(np.int64) * grid[1] + place[:, 1] + reach) * grid[0] + place[:, 0] + reach
+        key = (view[edge].astype(np.int64) * grid[1] + place[:, 1] + radius) * grid[0] + place[:, 0] + radius
         if len(known):
             new = known[np.minimum(np.searchsorted(known, key), len(known) - 1)] != key
             place, edge, key = place[new], edge[new], key[new]
@@ -48,12 +48,12 @@ def places_beyond(
 
     def place_of(key: np.ndarray) -> np.ndarray:
         rest, x = np.divmod(key, grid[0])
-        return np.stack([x, rest % grid[1]], axis=-1) - reach
+        return np.stack([x, rest % grid[1]], axis=-1) - radius
 
     before = np.zeros(0, np.int64)
     last = nearest(*_seeds(edges), before)
     rings = [last]
-    for _ in range(reach - 1):
+    for _ in range(radius - 1):
         key, edge = last
         around = (place_of(key)[:, None] + _AROUND).reshape(-1, 2)
         new = nearest(around, np.repeat(edge, len(_AROUND)), np.union1d(before, key))

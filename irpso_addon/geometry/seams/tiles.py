@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .seams import LARGEST_SEARCHED_HALO, SeamMap
+from .seams import MAX_SEARCHED_HALO, SeamMap
 
 
 def tile_seams(
@@ -31,7 +31,7 @@ def tile_seams(
     charts = seams.chart[y0 : y0 + high, x0 : x0 + wide]
     near = (seams.place >= (x0 - halo, y0 - halo)) & (seams.place < (x0 + wide + halo, y0 + high + halo))
     chosen = np.flatnonzero(near.all(axis=1) & np.isin(seams.of, np.unique(charts[own])))
-    if halo <= LARGEST_SEARCHED_HALO:
+    if halo <= MAX_SEARCHED_HALO:
         chosen = chosen[_sees(np.where(own, charts, -1), seams.place[chosen] - (x0, y0), seams.of[chosen], halo)]
     target = seams.target[chosen]
     is_ghost = target >= height * width

@@ -17,7 +17,7 @@ from .slots import OPTION, overlapping_slots
 # Largest share of covered texels in several triangles: tightly packed islands touch by rounding, without overlap.
 OVERLAP_LIMIT = 0.005
 _OVERLAP_SIZE = 1024  # side, in texels, of the square for the overlap test
-_LARGEST_SIDE = 16384  # most texels drawn at once along a side, on every device
+_MAX_SIDE = 16384  # most texels drawn at once along a side, on every device
 _BLOCK = 1024  # side, in texels, of the blocks for the coverage test
 _NEAREST = 1e-4  # near plane, as a fraction of the farthest depth
 
@@ -52,7 +52,7 @@ def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False
         _refuse_overlap(mesh)
     places = _uv_places(mesh, width, height)
     context.ensure()
-    side = min(context.max_texture_size(), _LARGEST_SIDE)
+    side = min(context.max_texture_size(), _MAX_SIDE)
     if max(width, height) <= side:
         return _bake(mesh, places, width, height, nearest=False)
     # UDIM tiles side by side may be wider than a texture can be.

@@ -7,7 +7,7 @@ import numpy as np
 from ...capture.camera import Camera
 from .mesh import MeshData
 
-MOST = 8  # most places along a side of a texel: 64 bits hold their visibility
+MAX_PLACES = 8  # most places along a side of a texel: 64 bits hold their visibility
 # A place is interpolated between four pixel centres: places this many pixels apart skip no pixel.
 _SPACING = 1.25
 # κ of slant_weight: the share of a head-on sample's variance that comes from the position of its pixel on the surface.
@@ -48,9 +48,9 @@ def jacobian(camera: Camera, points: np.ndarray, steps: np.ndarray) -> np.ndarra
 
 
 def places_along(sides: np.ndarray) -> np.ndarray:
-    """Return (N, 2) uint8: the number of places along u and v, 1 … MOST, for Jacobians (N, 2, 2)."""
+    """Return (N, 2) uint8: the number of places along u and v, 1 … MAX_PLACES, for Jacobians (N, 2, 2)."""
     lengths = np.sqrt((sides * sides).sum(axis=1))
-    return np.clip(np.ceil(lengths - (_SPACING - 1)), 1, MOST).astype(np.uint8)
+    return np.clip(np.ceil(lengths - (_SPACING - 1)), 1, MAX_PLACES).astype(np.uint8)
 
 
 def place(number: int, along: int) -> float:

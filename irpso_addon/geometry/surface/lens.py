@@ -9,7 +9,7 @@ import numpy as np
 from ...capture.camera import Camera
 
 _MARGIN = 2  # pixels around the lens's view
-_LARGEST = 4  # times the image's longer side: near 90° off the axis an undistorted image is infinite
+_MAX_SIDE = 4  # times the image's longer side: near 90° off the axis an undistorted image is infinite
 
 
 def undistorted_frame(camera: Camera) -> tuple[Camera, np.ndarray]:
@@ -25,7 +25,7 @@ def undistorted_frame(camera: Camera) -> tuple[Camera, np.ndarray]:
         return replace(plain, width=1, height=1), np.full(shown.shape, -1)
     low = np.floor(places[shown].min(axis=0)) - _MARGIN
     size = np.ceil(places[shown].max(axis=0)) + _MARGIN - low
-    part = min(1.0, _LARGEST * max(camera.width, camera.height) / size.max())
+    part = min(1.0, _MAX_SIDE * max(camera.width, camera.height) / size.max())
     width, height = (int(side) for side in np.ceil(size * part))
     frame = replace(
         plain, width=width, height=height, scale=tuple(part * np.asarray(plain.scale)),

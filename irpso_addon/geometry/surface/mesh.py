@@ -8,7 +8,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
-from .udim import SMALLEST_AREA, layout_size, uv_areas
+from .udim import MIN_AREA, layout_size, uv_areas
 
 # Largest share of the surface without area in a valid UV map.
 _DEGENERATE_LIMIT = 0.005
@@ -76,7 +76,7 @@ def check_uvs(name: str, uv_map: str, positions: np.ndarray, uvs: np.ndarray) ->
     surface = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1)
     if not surface.sum() > 0:
         raise InputError(f"the faces of '{name}' have no area; choose a mesh that has a surface")
-    lost = surface[uv_areas(uvs) < SMALLEST_AREA].sum() / surface.sum()
+    lost = surface[uv_areas(uvs) < MIN_AREA].sum() / surface.sum()
     if lost > _DEGENERATE_LIMIT:
         raise InputError(
             f"{where} gives no area to {100 * lost:.3g} % of the surface (collapsed faces); unwrap the mesh again"

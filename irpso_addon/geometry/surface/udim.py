@@ -10,7 +10,7 @@ from ...core.udim import COLUMNS, ONE_SQUARE, ROWS, tile_number
 # Texture coordinates this far outside a tile are rounding, not intent.
 _UV_ROUNDING = 1e-5
 # A millionth of a texel of the largest bake (16384²), which no bake draws.
-SMALLEST_AREA = 1e-14
+MIN_AREA = 1e-14
 # Random numbers are keyed by 16 bits of a texel's column.
 _WIDEST = 1 << 16
 
@@ -23,7 +23,7 @@ def lay_out(where: str, uvs: np.ndarray) -> tuple[tuple[int, ...], np.ndarray]:
     error. Raises InputError, with their number, where triangles cross a border of tiles or lie outside all tiles.
     """
     column, row, fits = _places(uvs)
-    drawn = uv_areas(uvs) >= SMALLEST_AREA
+    drawn = uv_areas(uvs) >= MIN_AREA
     out = drawn & ~(fits & (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS))
     if out.any():
         (u0, v0), (u1, v1) = uvs[drawn].min(axis=(0, 1)), uvs[drawn].max(axis=(0, 1))

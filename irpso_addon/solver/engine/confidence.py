@@ -12,7 +12,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters
-from ..kernels.kernels import confidence_pass
+from ..kernels.single_passes import confidence_pass
 from ..settings.groups import Fitness
 from ..state.textures import DomainTextures, loss_constants
 

@@ -11,7 +11,7 @@ from ...gpu.bands import Bands
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..kernels.kernels import residual_pass, sampled_residual_pass
+from ..kernels.single_passes import residual_pass, sampled_residual_pass
 from ..phases.phase import Phase
 from ..settings.groups import Fitness
 from ..state.alternatives import Alternatives
@@ -54,7 +54,7 @@ class Diagnostics:
         """
         self._bands.paced = paced
         self._of_next = False
-        if phase is not None and phase.placed:
+        if phase is not None and phase.has_result:
             self._of_next = True
             yield from phase.write_estimates(self._bands, seconds)
         targets, inputs = [self._error], {**self._domain.textures, **self._estimates.bindings(self._of_next)}

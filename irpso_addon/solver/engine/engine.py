@@ -33,7 +33,7 @@ from .halo import Box
 from .progress import Progress
 from .watch import Note, note_of
 
-_MOST_RUNNING = 1 << 21  # solvable texels: above it, checkpoints omit the running stage (about a gigabyte)
+_MAX_RUNNING = 1 << 21  # solvable texels: above it, checkpoints omit the running stage (about a gigabyte)
 _DIVIDED = "the recovery runs in tiles or over ranks: no texture holds all of it; lower the resolution to view it"
 
 
@@ -249,7 +249,7 @@ class RecoveryEngine(ABC):
         large. Returns whether a later checkpoint in the same stage would hold more.
         """
         if running is None:
-            running = bool(np.count_nonzero(self.domain.solvable) <= _MOST_RUNNING)
+            running = bool(np.count_nonzero(self.domain.solvable) <= _MAX_RUNNING)
         state = self.state(running)
         checkpoint.write(Path(path), self.identity, replace(state, notes=notes))
         return running or any(name.startswith(checkpoint.PHASE) for name in state.arrays)

@@ -54,12 +54,12 @@ def overlaps_of(places: Sequence[Place]) -> list[list[HaloOverlap]]:
     return [[overlap for overlap in readers if overlap is not None] for readers in pairs]
 
 
-def overlap_of(place: Place, there: Place, other: int, reach: int | None = None) -> HaloOverlap | None:
+def overlap_of(place: Place, there: Place, other: int, width: int | None = None) -> HaloOverlap | None:
     """Return the texels at ``place`` that the tile at ``there`` reads; None where it reads none.
 
-    other: the reader's number. reach: width of the halo that it reads, in texels; None for all of it.
+    other: the reader's number. width: width of the halo that it reads, in texels; None for all of it.
     """
-    here, in_halo = _in_halo(place, there, reach)
+    here, in_halo = _in_halo(place, there, width)
     seen, ghosts = _in_ghosts(place, there)
     if not len(ghosts) and here[0].stop <= here[0].start:
         return None
@@ -105,9 +105,9 @@ def held_rows(numbers: np.ndarray, place: Place) -> np.ndarray:
     return np.concatenate([held[held >= 0], numbers[y, x]])
 
 
-def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]:
+def _in_halo(place: Place, other: Place, width: int | None) -> tuple[Part, Part]:
     """Return the part of a tile's own texels in another's halo, in either's arrays; empty where there is none."""
-    left, right, bottom, top = other.halo if reach is None else np.minimum(other.halo, reach).tolist()
+    left, right, bottom, top = other.halo if width is None else np.minimum(other.halo, width).tolist()
     read = rectangle(other.box, (left, right, bottom, top))
     rows, columns = (
         slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(part_of(place.box), read, strict=True)

@@ -8,8 +8,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ..phases.mixture import merged
 from ..phases.phase import BAND_SECONDS
+from ..state.texel_subset import TexelSubset, merged_subset
 from .halo import HaloOverlap, Place, cells_of, overlaps_of
 from .tiles import TilePool, TileRecovery
 
@@ -26,8 +26,8 @@ class HaloTransport(Protocol):
 
     connected: bool  # whether any tile reads another
 
-    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
-        """Publish (H, W, n) results of a tile's texels. reach: width of the halos that the next iteration reads."""
+    def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
+        """Publish (H, W, n) results of a tile's texels. halo: width of the halos that the next iteration reads."""
 
     def exchange(self) -> None:
         """Send what was published. All tiles of this process have published, at the same iteration."""
@@ -48,7 +48,7 @@ class LocalTransport:
         self._arriving: list[dict[int, Received]] = [{} for _ in places]
         self._held: list[dict[int, Received]] = [{} for _ in places]
 
-    def publish(self, tile: int, results: np.ndarray, reach: int) -> None:
+    def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
         for overlap in self._overlaps[tile]:
             self._arriving[overlap.other][tile] = overlap, overlap_values(overlap, results)
 
@@ -72,8 +72,8 @@ class LockStep:
     def __init__(self, pool: TilePool, transport: HaloTransport, halo: int):
         self._pool, self._transport, self._halo = pool, transport, halo
         self._published = False  # whether the next iteration's halos have been exchanged
-        self._samples: list[np.ndarray] = []  # of this process's tiles, for the next iteration
-        self._sample: np.ndarray | None = None  # of all tiles
+        self._subsets: list[TexelSubset] = []  # of this process's tiles, for the next iteration
+        self._subset: TexelSubset | None = None  # of all tiles
         self._iterations_made = 0  # iterations of the last round
         self._work: Iterator[None] | None = None
 
@@ -85,11 +85,11 @@ class LockStep:
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
-        while self._work is not None or not self._done and (left is None or left > 0 or self._placing):
+        while self._work is not None or not self._done and (left is None or left > 0 or self._initialising):
             if self._work is None:
                 # Longer rounds only save turns. Without turns, short ones leave little for the next call to finish.
                 most = 1 if left is None and deadline is not None and self._pool.resident else left
-                self._work = self._round(0 if self._placing else most, deadline is not None)
+                self._work = self._round(0 if self._initialising else most, deadline is not None)
             for _ in self._work:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return
@@ -107,7 +107,7 @@ class LockStep:
 
     def restart(self) -> None:
         """Discard the round and the published halos: the tiles' recoveries have changed."""
-        self._work, self._published, self._sample = None, False, None
+        self._work, self._published, self._subset = None, False, None
 
     @property
     def settled(self) -> bool:
@@ -119,7 +119,7 @@ class LockStep:
         return all(tile.progress.done for tile in self._pool.tiles)
 
     @property
-    def _placing(self) -> bool:
+    def _initialising(self) -> bool:
         return any(tile.progress.iteration < 0 for tile in self._pool.tiles)
 
     def _round(self, most: int | None, paced: bool) -> Iterator[None]:
@@ -129,7 +129,7 @@ class LockStep:
         Yields after each iteration of a tile; paced: every few milliseconds, after each band has ended.
         """
         order = self._pool.order()
-        if self._pool.recovery(order[0]).reach and not self._published:
+        if self._pool.recovery(order[0]).reads_other_tiles and not self._published:
             for number in order:
                 self._publish(number)
             self._exchange()
@@ -146,7 +146,7 @@ class LockStep:
                 yield from self._stepping(number, 1, budget)
                 made, tile.reached = made + 1, recovery.reached
                 yield
-                if turn == 0 and (recovery.reach or self._reached(recovery)):
+                if turn == 0 and (recovery.reads_other_tiles or self._reached(recovery)):
                     break
             count = made
             if made and made == most and not self._pool.resident:  # for the caller, while the tile is here
@@ -188,32 +188,30 @@ class LockStep:
     def _publish(self, number: int) -> None:
         """Publish the results of a tile's texels, if the next iteration reads them."""
         recovery = self._pool.recovery(number)
-        if not recovery.reach:
-            return
-        if recovery.reach > self._halo:
-            raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
-        if (sample := recovery.sample()) is not None:
-            self._samples.append(sample)
-        if self._transport.connected:
-            self._transport.publish(number, recovery.halo(), recovery.reach)
+        radius = recovery.stencil_radius
+        if radius > self._halo:
+            raise ValueError(f"halo {self._halo}: the next iteration reads {radius} texels away")
+        if recovery.needs_texel_subset:
+            self._subsets.append(recovery.texel_subset())
+        if radius and self._transport.connected:
+            self._transport.publish(number, recovery.halo(), radius)
 
     def _exchange(self) -> None:
-        self._published = bool(self._pool.active.reach)
-        samples, self._samples = self._samples, []
-        self._sample = (
-            merged([each for part in self._transport.allgather(samples) for each in part]) if samples else None
+        self._published = self._pool.active.reads_other_tiles
+        subsets, self._subsets = self._subsets, []
+        self._subset = (
+            merged_subset([each for part in self._transport.allgather(subsets) for each in part]) if subsets else None
         )
-        if self._published and self._transport.connected:
+        if self._pool.active.stencil_radius and self._transport.connected:
             self._transport.exchange()
 
     def _receive(self, number: int) -> None:
         """Copy the published halos into a tile, if its next iteration reads them."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
-        if not recovery.reach:
-            return
-        if self._sample is not None:
-            recovery.take_sample(self._sample)
-        if received := self._transport.received(number):
+        received = self._transport.received(number) if recovery.stencil_radius else ()
+        if recovery.needs_texel_subset and self._subset is not None:
+            recovery.take_texel_subset(self._subset)
+        if received:
             size = received[0][1].shape[-1]
             values = np.full((*tile.domain.shape, size), np.nan, np.float32)
             ghosts = np.full((len(tile.place.ghosts), size), np.nan, np.float32)

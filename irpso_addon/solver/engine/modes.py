@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
 from ...results.maps import Maps
-from ..phases.mixture import features_of, memberships, merged, mixture, sampled
+from ..phases.mixture import features_of, memberships, mixture
 from ..settings.groups import Materials
+from ..state.texel_subset import chosen_texels, merged_subset
 
 _TEXELS = 40  # whose evidence is pooled: as many as the spatial prior reads (kernels/spatial_prior.taps_of)
 _CONTRADICTED = 9.0  # −2 log of the likelihoods' ratio: three standard deviations
@@ -20,17 +22,15 @@ def with_modes(maps: Maps) -> Maps:
     """Return the maps of a whole domain with ``two_modes`` set; the same maps where there are no alternatives.
 
     The evidence of all texels of a material is pooled. One texel does not suffice: a mirror whose highlight falls
-    between the lamps nearly always fits matt paint, too. Materials are a mixture (phases/mixture.py) over a sample of
-    the maps. A number has two modes in a material where the mean of its texels' ``alternatives``, times _TEXELS (or the
+    between the lamps nearly always fits matt paint, too. Materials are a mixture (phases/mixture.py) over some of the
+    texels. A number has two modes in a material where the mean of its texels' ``alternatives``, times _TEXELS (or the
     number of texels, if smaller), is under _CONTRADICTED.
     """
     if not maps.alternatives or not maps.covered.any():
         return maps
     parameters, names = maps.model.parameters, list(maps.alternatives)
-    sample = np.zeros((0, 3 + maps.model.components))
-    for rows, columns, values in _texels(maps):
-        sample = merged([sample, sampled(rows, columns, values)])
-    features = features_of(maps.model, parameters, sample)
+    subset = reduce(lambda a, b: merged_subset([a, b]), (chosen_texels(*texels) for texels in _texels(maps)))
+    features = features_of(maps.model, parameters, subset.values)
     finite = np.isfinite(features).all(axis=1)
     if not finite.any():
         return maps
@@ -39,7 +39,7 @@ def with_modes(maps: Maps) -> Maps:
     weights, deviance_sums = np.zeros(count), np.zeros((count, len(names)))
     material = np.zeros(maps.covered.shape, np.uint8)
     for rows, columns, values in _texels(maps):
-        weight = memberships(features_of(maps.model, parameters, np.pad(values, ((0, 0), (3, 0)))), *materials)
+        weight = memberships(features_of(maps.model, parameters, values), *materials)
         material[rows, columns] = weight.argmax(axis=1)
         deviances = np.column_stack([maps.alternatives[name][rows, columns].min(axis=-1) for name in names])
         weights += weight.sum(axis=0)

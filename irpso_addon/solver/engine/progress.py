@@ -9,13 +9,13 @@ import numpy as np
 
 from ..settings.resolve import Resolved
 
-_LEAST_FRACTION = 0.003  # of the work: least sample for the pace of the run
-_LEAST_OF_STAGE = 0.02  # of the work: least sample for the pace of the stage
+_MIN_FRACTION = 0.003  # of the work: least sample for the pace of the run
+_MIN_STAGE_FRACTION = 0.02  # of the work: least sample for the pace of the stage
 
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a recovery. iteration counts from 0 in the stage, negative while swarms are being placed.
+    """The progress of a recovery. iteration counts from 0 in the stage, negative while swarms are being initialised.
 
     iteration_in_all, iterations_in_all: the same over all stages. fraction: of all the work, 0 to 1; stage_end: the
     fraction at the end of the stage. evaluations: renders of all observations at one texel so far.
@@ -37,7 +37,7 @@ class Progress:
 class Course:
     """The stages of a recovery and their shares of the work.
 
-    works: for each stage the work of each iteration; the placing of swarms comes first.
+    works: for each stage the work of each iteration; the initialisation of swarms comes first.
     """
 
     def __init__(self, stages: Sequence[Resolved], works: Sequence[Sequence[float]]):
@@ -91,10 +91,10 @@ class TimeLeft:
             self._stage, self._number = now, progress.stage
         if progress.done:
             return 0.0
-        pace = _pace(self._run, now, _LEAST_FRACTION)
+        pace = _pace(self._run, now, _MIN_FRACTION)
         if pace is None:
             return None
-        stage_pace = _pace(self._stage, now, _LEAST_OF_STAGE)
+        stage_pace = _pace(self._stage, now, _MIN_STAGE_FRACTION)
         stage_left = max(0.0, progress.stage_end - progress.fraction)
         return stage_left * (pace if stage_pace is None else stage_pace) + (1 - progress.fraction - stage_left) * pace
 

@@ -19,7 +19,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..phases.begin import begin_phase, check_seed, made_by
+from ..phases.create_phase import check_seed, create_phase, made_by
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import AcceptanceTest
 from ..phases.swarm import SwarmPhase
@@ -87,7 +87,7 @@ class Recovery(RecoveryEngine):
         self._measuring: Iterator[None] | None = None
         self._bands = Bands()
         self._work: Iterator[None] | None = None
-        self._counts = False  # whether the last iteration was one of the stage's, not of its placing
+        self._counts = False  # whether the last iteration was one of the stage's, not of its initialisation
         self._index, self._evaluations = begin.index, begin.evaluations
         self._begun = begin.evaluations  # at the begin of the stage
         self._repeats = True  # whether the stage, made again from the estimates, reaches the same result
@@ -117,7 +117,7 @@ class Recovery(RecoveryEngine):
     def stepping(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
         """Make exactly so many iterations, None for all, and place the swarms after them; yields when the time is over.
 
-        Repeated calls of ``step`` are no substitute: one that stops while the next stage's swarms are placed makes
+        Repeated calls of ``step`` are no substitute: one that stops while the next stage's swarms are initialised makes
         another iteration when it is called again.
         """
         self._bands.paced = time_budget_s is not None
@@ -251,7 +251,7 @@ class Recovery(RecoveryEngine):
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):
-            found = goes_on.index < self._index or (self._phase is not None and self._phase.placed)
+            found = goes_on.index < self._index or (self._phase is not None and self._phase.has_result)
             new._phase = new._begin(goes_on.index, warm_started(schedule) if found else schedule)
             if goes_on.swarms is not None and isinstance(new._phase, SwarmPhase):
                 new._phase.inherit(goes_on.swarms)
@@ -259,11 +259,11 @@ class Recovery(RecoveryEngine):
 
     def _copied(self) -> Estimates:
         """Return a copy of the current estimates: this recovery stays as it is."""
-        placed = self._phase is not None and self._phase.placed
-        if placed:
+        has_result = self._phase is not None and self._phase.has_result
+        if has_result:
             self.give_stack()
             self._running().write_estimates_at_once()
-        return Estimates(self.model, self._estimates.values(of_next=placed))
+        return Estimates(self.model, self._estimates.values(of_next=has_result))
 
     def close(self) -> None:
         self._work = self._measuring = self._stack = None  # generators first: they hold textures
@@ -277,7 +277,7 @@ class Recovery(RecoveryEngine):
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         settings = self._stages[index], index, self._model_with_priors(schedule), schedule, self.seed
         held = self._textures, self._estimates
-        return begin_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
+        return create_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
 
     def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
         """Hold the measurements of the phases so far; apply them to the samples. Yields where that takes long."""
@@ -368,7 +368,7 @@ class Recovery(RecoveryEngine):
     def _show(self) -> dict[str, Texture]:
         """Return the current estimates by sampler name."""
         phase = self._phase
-        if phase is None or not phase.placed:
+        if phase is None or not phase.has_result:
             return self._estimates.bindings()
         if self._shown_at != self.at:
             phase.preview(self._estimates.shown)

@@ -80,8 +80,8 @@ class Successive(RecoveryEngine):
                 return self.progress
             made = after.iteration_in_all - before.iteration_in_all
             left = left - min(made, requested) if left and requested else left
-            placed = self._live.progress.iteration >= 0
-            if (left == 0 and placed) or (deadline is not None and time.perf_counter() >= deadline):
+            initialised = self._live.progress.iteration >= 0
+            if (left == 0 and initialised) or (deadline is not None and time.perf_counter() >= deadline):
                 return self.progress
 
     def _finish_transition(self, deadline: float | None) -> bool:

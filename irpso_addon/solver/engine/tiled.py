@@ -33,9 +33,10 @@ class TiledRecovery(RecoveryEngine):
     """A ``RecoveryEngine`` over tiles. Its maps equal those of an untiled recovery bit for bit.
 
     boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
-    least the reach of every phase. on_device: most tiles on the device at once, None for all. If fewer, tiles take
-    turns, up to the next iteration that reads neighbours; the others' state is in memory, or in files in the folder
-    ``scratch``. prepared, guess: as for Recovery. Errors are those of Recovery. Shown by solver/views/tiled_view.py.
+    least the stencil radius of every phase. on_device: most tiles on the device at once, None for all. If fewer, tiles
+    take turns, up to the next iteration that reads neighbours; the others' state is in memory, or in files in the
+    folder ``scratch``. prepared, guess: as for Recovery. Errors are those of Recovery. Shown by
+    solver/views/tiled_view.py.
     """
 
     def __init__(

@@ -21,6 +21,7 @@ from ..state.packing import Packing
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import Prepared
 from ..state.separation_record import Separation
+from ..state.texel_subset import TexelSubset
 from .halo import Box, Place, place_of
 from .progress import Progress
 from .recovery import Recovery
@@ -45,23 +46,33 @@ class TileRecovery(Recovery):
         self._finish_iteration()
         self._running().take_halo(values, ghosts)
 
-    def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
+    def texel_subset(self) -> TexelSubset:
+        """Return this tile's part of the whole domain's subset for the next iteration."""
         self._finish_iteration()
-        return self._phase.sample() if self._phase is not None and self._phase.reach else None
+        return self._running().texel_subset()
 
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Take the sample of the whole domain, from ``phases.mixture.merged``."""
+    def take_texel_subset(self, subset: TexelSubset) -> None:
+        """Take the subset of the whole domain, from ``merged_subset``."""
         self._finish_iteration()
-        self._running().take_sample(sample)
+        self._running().take_texel_subset(subset)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
-        return self._phase.reach if self._phase is not None else 0
+        return self._phase.stencil_radius if self._phase is not None else 0
+
+    @property
+    def reads_other_tiles(self) -> bool:
+        """Whether the next iteration needs the halo, or the subset of the whole domain."""
+        return self.stencil_radius > 0 or self.needs_texel_subset
+
+    @property
+    def needs_texel_subset(self) -> bool:
+        """Whether the next iteration needs the texel subset of the whole domain."""
+        return self._phase is not None and self._phase.needs_texel_subset
 
     def finish_stage(self) -> None:
-        """Begin the next stage, as at the threshold, and place its swarms."""
+        """Begin the next stage, as at the threshold, and initialise its swarms."""
         for _ in self._end_stage(self._running(), BACKGROUND_BAND_SECONDS):
             pass
         self.step(iterations=0)
@@ -159,7 +170,7 @@ class TilePool:
                 tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.snapshot
             )
             tile.snapshot = None
-            tile.recovery.give_stack()  # on the host one packed stack at a time; a sample needs it before an iteration
+            tile.recovery.give_stack()  # on the host one packed stack at a time; a subset needs it before an iteration
             tile.progress = tile.recovery.progress
         self._last = number
         return tile.recovery

@@ -38,7 +38,7 @@ class Watch:
     columns: np.ndarray
     due: Callable[[Progress], bool]
     notes: list[Note] = field(default_factory=list)
-    last: int = 0  # iteration of the last note: the placing of a stage's swarms is no new one
+    last: int = 0  # iteration of the last note: the initialisation of a stage's swarms is no new one
 
     def record_due(self, progress: Progress, note: Callable[[np.ndarray, np.ndarray], Note]) -> None:
         """Record a note if one is due. progress, note: of the texels' recovery."""

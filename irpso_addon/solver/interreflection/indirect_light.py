@@ -14,7 +14,7 @@ from ...geometry.light.light_transport import LightTransport
 from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import TRANSPORT_LIGHTS, light_transport_pass
+from ..kernels.single_passes import TRANSPORT_LIGHTS, light_transport_pass
 from ..phases.phase import BAND_SECONDS
 from ..state.prepare import light_vectors
 from ..state.textures import observation_defines

@@ -9,14 +9,15 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
 
-_MOST_DIMENSIONS = 8  # of a particle
+_MAX_DIMENSIONS = 8  # of a particle
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """dimensions: n, 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
+    """dimensions: n, 0 to 8. source: GLSL ``decode(x, albedo_bound, s)`` and ``encode(s, albedo_bound, x)``.
 
-    lambert_dimensions: bit mask of the dimensions that a Lambertian seed sets: those of normal and albedo.
+    defines: kernels'. lambert_dimensions: bit mask of the dimensions that a Lambertian seed sets: those of
+    normal and albedo.
     """
 
     dimensions: int
@@ -32,7 +33,7 @@ class Encoding:
     @property
     def packed(self) -> Packed:
         """Layout of a particle in textures."""
-        return Packed(self.blocks, _MOST_DIMENSIONS)
+        return Packed(self.blocks, _MAX_DIMENSIONS)
 
 
 def blocks_of(dimensions: int) -> int:
@@ -59,7 +60,7 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
             at += size
             continue
         low, width = p.range[0], p.width
-        span = f"{width!r} * reach" if p.is_albedo else repr(width)
+        span = f"{width!r} * albedo_bound" if p.is_albedo else repr(width)
         for i in range(p.components):
             field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"
             decode.append(f"{field} = {low!r} + {span} * x[{at}];")
@@ -73,7 +74,7 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
     clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
     source = "\n".join(
         ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
-         "void decode(inout float x[8], float reach, inout Material s) {", *decode, "}",
-         "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
+         "void decode(inout float x[8], float albedo_bound, inout Material s) {", *decode, "}",
+         "void encode(Material s, float albedo_bound, out float x[8]) {", clear, *encode, "}", ""]
     )  # fmt: skip
     return Encoding(at, source, defines | {"DIMENSIONS": at, "BLOCKS": blocks_of(at)}, mask)

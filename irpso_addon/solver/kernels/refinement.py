@@ -12,14 +12,23 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
+from .declarations import (
+    FLOAT_2D,
+    GEOMETRY,
+    LOSS_CONSTANTS,
+    OBSERVATIONS,
+    PACKING,
+    fitness_defines,
+    model_includes,
+    packed,
+)
 from .free_parameters import FreeParameters, build_jacobian, build_starts
-from .kernels import FLOAT_2D, GEOMETRY, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings tried in one step
 # Largest distance, in texels, of proposals and support (shaders/refine/propagate.glsl, neighbour_support.glsl).
-PROPAGATION_REACH = 2
+PROPAGATION_RADIUS = 2
 _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
 
 

@@ -9,18 +9,9 @@ from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
+from .declarations import FLOAT_2D, MOVE, OBSERVATIONS, PACKING, SIZE, model_includes, packed, schedule_defines
 from .encoding import Encoding
-from .kernels import (
-    FLOAT_2D,
-    MOVE,
-    OBSERVATIONS,
-    PACKING,
-    SIZE,
-    model_includes,
-    packed,
-    schedule_defines,
-    take_halo_pass,
-)
+from .single_passes import take_halo_pass
 
 
 @dataclass(frozen=True)

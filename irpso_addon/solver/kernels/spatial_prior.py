@@ -8,31 +8,31 @@ from ...core.paths import SHADERS
 from ...gpu.kernel import Defines, Entry, Includes, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import Parameter, ReflectanceModel
-from ..settings.groups import Prior, Refinement
-from ..settings.resolve import ResolvedPrior
+from ..settings.groups import Refinement, SpatialPrior
+from ..settings.resolve import ResolvedSpatialPrior
 from ..settings.schedule import Schedule
-from .free_parameters import build_free_parameters, build_jacobian
-from .kernels import (
+from .declarations import (
     FLOAT_2D,
     GEOMETRY,
     LOSS_CONSTANTS,
     OBSERVATIONS,
     PACKING,
-    copy_pass,
     fitness_defines,
     model_includes,
     packed,
 )
+from .free_parameters import build_free_parameters, build_jacobian
 from .refinement import STEP, renders, resolved_jacobian, step_defines
+from .single_passes import copy_pass
 
 NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # iterations of a prior; its steps follow the rounds
 _NOISE = {"u_noise": FLOAT_2D}
-# Of shaders/prior/pool.glsl.
+# Of shaders/spatial_prior/pool.glsl.
 _KINDS = {"other": 0, "color": 1, "scalar": 2}
 
 
 @dataclass(frozen=True)
-class PriorPasses:
+class SpatialPriorPasses:
     """The compiled passes of a prior, in their order.
 
     ``keep`` is always a fragment pass, because its output may be read back.
@@ -54,19 +54,19 @@ class PriorPasses:
             getattr(self, name).close()
 
 
-def reach_of(prior: Prior) -> int:
+def stencil_radius_of(prior: SpatialPrior) -> int:
     """Return the distance, in texels, at which a round of a prior reads neighbours."""
     return 2**prior.scales
 
 
-def taps_of(prior: Prior) -> int:
+def taps_of(prior: SpatialPrior) -> int:
     """Return the number of neighbours that a round of a prior reads: TAPS of shaders/common/taps.glsl."""
     return 24 + 16 * (prior.scales - 1)
 
 
-def build_prior_passes(
-    model: ReflectanceModel, resolved: ResolvedPrior, schedule: Schedule, domain_defines: Defines, entry: Entry
-) -> PriorPasses:
+def build_spatial_prior_passes(
+    model: ReflectanceModel, resolved: ResolvedSpatialPrior, schedule: Schedule, domain_defines: Defines, entry: Entry
+) -> SpatialPriorPasses:
     """Compile the passes of a prior."""
     prior, fixed = resolved.prior, _fixed_names(model, resolved.parameters)
     free = build_free_parameters(model, fixed)
@@ -87,20 +87,22 @@ def build_prior_passes(
         name = f"{source}.glsl"
         return Pass(Kernel(name, outputs, samplers, LOSS_CONSTANTS, {**common, **more}, includes), how)
 
-    return PriorPasses(
-        noise=make("prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),
-        variance=make("prior/variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
+    return SpatialPriorPasses(
+        noise=make("spatial_prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),
+        variance=make("spatial_prior/variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
         deviation=make("diagnostics/confidence", (deviation,), {**estimates, **OBSERVATIONS, **_NOISE}, NOISE_GIVEN=1),
-        pool=make("prior/pool", (mean, deviation), {**estimates, **pooled_inputs, **own, **PACKING}),
-        pool_last=make("prior/pool", (mean, deviation), {**estimates, **pooled_inputs, **own, **PACKING}, LAST=1),
+        pool=make("spatial_prior/pool", (mean, deviation), {**estimates, **pooled_inputs, **own, **PACKING}),
+        pool_last=make(
+            "spatial_prior/pool", (mean, deviation), {**estimates, **pooled_inputs, **own, **PACKING}, LAST=1
+        ),
         begin=make(
-            "prior/begin",
+            "spatial_prior/begin",
             (estimate, Output("o_status"), Output("o_penalty", "R32F")),
             {**estimates, **pooled_inputs, **own, **_NOISE, **GEOMETRY},
         ),
         step=_step_pass(model, resolved, common, {**estimates, **pooled_inputs, **_NOISE}, includes, entry),
         keep=make(
-            "prior/keep",
+            "spatial_prior/keep",
             (estimate,),
             {**estimates, **work, "u_work_status": FLOAT_2D, **_NOISE, "u_penalty": FLOAT_2D, **OBSERVATIONS},
             "fragment",
@@ -109,7 +111,7 @@ def build_prior_passes(
     )
 
 
-def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: int) -> int:
+def evaluations_of(resolved: ResolvedSpatialPrior, model: ReflectanceModel, iteration: int) -> int:
     """Return the renders of all observations that an iteration makes at a texel that has not converged."""
     if iteration == NOISE:
         return 1
@@ -118,7 +120,7 @@ def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: 
     return 0 if iteration < FIRST_ROUND + resolved.prior.rounds else renders(model, resolved.step)[0]
 
 
-def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
+def components_source(model: ReflectanceModel, resolved: ResolvedSpatialPrior) -> str:
     """Return the GLSL of ``component_at(i, width, kind)``: each component's range, and its kind for the pooling."""
     pooled = {p.name for p in resolved.pooled}
     lines = []
@@ -135,7 +137,7 @@ def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
 
 def _step_pass(
     model: ReflectanceModel,
-    resolved: ResolvedPrior,
+    resolved: ResolvedSpatialPrior,
     common: Defines,
     samplers: Samplers,
     includes: Includes,
@@ -145,7 +147,7 @@ def _step_pass(
     # Lobes are ordered only at the end: each lobe has its own prior.
     unknowns = {name: value for name, value in free.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
-    penalty = SHADERS / "prior" / "penalty.glsl"
+    penalty = SHADERS / "spatial_prior" / "penalty.glsl"
     return Pass(
         Kernel(
             "refine/step.glsl", (Output("o_estimate", packed(model)), Output("o_status")),
@@ -157,10 +159,10 @@ def _step_pass(
     )  # fmt: skip
 
 
-def _settings(prior: Prior, refinement: Refinement) -> Defines:
+def _settings(prior: SpatialPrior, refinement: Refinement) -> Defines:
     numbers = {
         "NOISE_FREEDOM": prior.noise_freedom, "SCALAR_BANDWIDTH": prior.likeness,
-        "COLOR_BANDWIDTH": prior.likeness_color, "SPREAD": prior.spread, "LEAST_SHARE": prior.share,
+        "COLOR_BANDWIDTH": prior.likeness_color, "SPREAD": prior.spread, "MIN_SHARE": prior.share,
         "TOLERANCE": prior.tolerance,
     }  # fmt: skip
     return {

@@ -9,14 +9,14 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSurface
 from ..settings.schedule import Schedule
+from .declarations import FLOAT_2D, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 from .free_parameters import FreeParameters, build_jacobian, has_basis
-from .kernels import FLOAT_2D, LOSS_CONSTANTS, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 from .refinement import jacobian_renders
 
 NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
 SWEEPS = 7  # in a round: each reads adjacent texels; then settle.glsl one texel further, and smooth.glsl a window
 _TAPS, _WINDOW = 24, 2  # neighbours, and the largest distance of them: shaders/common/taps.glsl
-NOISE_REACH, REACH = _WINDOW, SWEEPS + 1 + _WINDOW
+NOISE_STENCIL_RADIUS, STENCIL_RADIUS = _WINDOW, SWEEPS + 1 + _WINDOW
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def build_surface_passes(
         return Pass(Kernel(f"{source}.glsl", outputs, samplers, constants, defines, includes), how)
 
     return SurfacePasses(
-        noise=make("prior/noise", Output("o_noise"), Output("o_mean", numbers)),
-        variance=make("prior/variance", Output("o_noise")),
+        noise=make("spatial_prior/noise", Output("o_noise"), Output("o_mean", numbers)),
+        variance=make("spatial_prior/variance", Output("o_noise")),
         information=make("surface/information", Output("o_field"), Output("o_covariance")),
         relax=make("surface/relax", Output("o_field")),
         settle=make("surface/settle", Output("o_field")),

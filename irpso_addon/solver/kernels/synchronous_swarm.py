@@ -8,9 +8,10 @@ from ...gpu.kernel import Defines, Entry, Kernel, Output, Packed, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
-from . import kernels
+from .declarations import FLOAT_2D, MOVE, OBSERVATIONS, PACKING, model_includes, packed, schedule_defines
 from .encoding import Encoding
 from .linear_weights import LinearWeights
+from .single_passes import take_halo_pass
 
 MAX_PARTICLES = 16  # four outputs of four fitnesses; two more hold the linear weights of the best
 _CHUNK = 4  # particles evaluated per read of an observation
@@ -47,25 +48,25 @@ def build_synchronous_swarm_passes(
     entry: Entry,
 ) -> SynchronousSwarmPasses:
     """Compile the passes for ``particles`` in an atlas ``across`` tiles wide."""
-    estimates, fitness = kernels.packed(model), Packed(-(-particles // 4), MAX_PARTICLES)
-    state = {f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
+    estimates, fitness = packed(model), Packed(-(-particles // 4), MAX_PARTICLES)
+    state = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
     best_inputs: Samplers = {
-        "u_best": encoding.packed, "u_best_linear": linear.packed, "u_best_fitness": kernels.FLOAT_2D, **kernels.PACKING
+        "u_best": encoding.packed, "u_best_linear": linear.packed, "u_best_fitness": FLOAT_2D, **PACKING
     }  # fmt: skip
     fitness_inputs = {"u_fitness": fitness, "u_linear": linear.packed}
     # Placing reads the estimates, moving reads the means: both together would exceed 16 textures.
     place_inputs = {**best_inputs, "u_estimate": estimates}
     move_inputs = {**best_inputs, **state, "u_mean": encoding.packed, "u_estimate": Packed(0)}
     defines = {
-        **domain_defines, **encoding.defines, **linear.defines, **kernels.schedule_defines(schedule),
+        **domain_defines, **encoding.defines, **linear.defines, **schedule_defines(schedule),
         "PARTICLES": particles, "TILES_X": across,
         "CHUNK": min(_CHUNK, particles),
     }  # fmt: skip
-    includes = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source, "basis.glsl": linear.source}
+    includes = {**model_includes(model), "particle_encoding.glsl": encoding.source, "basis.glsl": linear.source}
 
     def make(source: str, outputs: tuple[Output, ...], samplers: Samplers, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/synchronous/{source}.glsl"
-        return Pass(Kernel(name, outputs, samplers, kernels.MOVE, {**defines, **more}, includes), how)
+        return Pass(Kernel(name, outputs, samplers, MOVE, {**defines, **more}, includes), how)
 
     fitness_outputs = Output("o_fitness", fitness), Output("o_linear", linear.packed)
     committed = Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")
@@ -73,13 +74,13 @@ def build_synchronous_swarm_passes(
         Output("o_best", encoding.packed), Output("o_best_linear", linear.packed), Output("o_best_fitness", "R32F")
     )  # fmt: skip
     return SynchronousSwarmPasses(
-        place=make("evaluate", fitness_outputs, {**place_inputs, **kernels.OBSERVATIONS}, START=1),
+        place=make("evaluate", fitness_outputs, {**place_inputs, **OBSERVATIONS}, START=1),
         place_commit=make("commit", committed, {**place_inputs, **state, **fitness_inputs}, START=1),
         place_best=make("best", best, {**place_inputs, **fitness_inputs}, START=1),
         mean=make("mean", (Output("o_mean", encoding.packed),), best_inputs),
-        move=make("evaluate", fitness_outputs, {**move_inputs, "u_estimate": estimates, **kernels.OBSERVATIONS}),
+        move=make("evaluate", fitness_outputs, {**move_inputs, "u_estimate": estimates, **OBSERVATIONS}),
         commit=make("commit", committed, {**move_inputs, **fitness_inputs}),
         best=make("best", best, {**move_inputs, **fitness_inputs}),
         decode_best=make("decode_best", (Output("o_estimate", estimates),), {**place_inputs, **state}, how="fragment"),
-        take_halo=kernels.take_halo_pass(encoding, defines),
+        take_halo=take_halo_pass(encoding, defines),
     )

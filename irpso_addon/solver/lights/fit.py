@@ -20,7 +20,7 @@ _TURN = 2e-3  # radians, of a normal or a light: small against the width of a hi
 _STEP = 2e-3  # of a parameter's range
 _GAIN_PRIOR = 2.0  # standard deviation of a logarithm: weak, it only fixes undetermined gains
 _GROUPS = 8  # of texels, for the deviations
-_LARGEST_STEP = 0.5  # of a logarithm
+_MAX_STEP = 0.5  # of a logarithm
 _FAR, _DARKEST = 0.7, 0.05  # above this log error, a factor of two, shadows and highlights are not detected
 # Factor on the deviations of a common rotation, because all texels share the model's errors. With 1, the lights of
 # bunny_specular and glaze end 0.5 and 0.2° farther off, with 4 those of metal paint 0.5°.
@@ -159,13 +159,13 @@ def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixe
                 steps.append(_Step(parameter.name, up, down, np.full(shape, 2 * _TURN), 1.0))
             continue
         low, high = parameter.range
-        reach = high - low
+        extent = high - low
         for c in range(parameter.components):
             up, down = value.copy(), value.copy()
-            up[..., c] = np.minimum(value[..., c] + _STEP * reach, high)
-            down[..., c] = np.maximum(value[..., c] - _STEP * reach, low)
+            up[..., c] = np.minimum(value[..., c] + _STEP * extent, high)
+            down[..., c] = np.maximum(value[..., c] - _STEP * extent, low)
             width = (up - down)[..., c].astype(np.float64)
-            steps.append(_Step(parameter.name, up, down, np.maximum(width, 1e-9), reach))
+            steps.append(_Step(parameter.name, up, down, np.maximum(width, 1e-9), extent))
     return steps
 
 
@@ -271,7 +271,7 @@ class _Equations:
         gains, deviations = (a[:, :GAINS] if self._gains else zeros for a in (solution, spread))
         moves = solution[:, self._size - MOVES :] if self._moving is not None else zeros
         return LightStep(
-            np.clip(gains, -_LARGEST_STEP, _LARGEST_STEP), moves, deviations,
+            np.clip(gains, -_MAX_STEP, _MAX_STEP), moves, deviations,
             self._determined(whole) if self._gains else 1.0,
             float(solution.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
             np.zeros((3, 3)) if self._moving is None else self._rotation(self._moving, whole + prior, noise),

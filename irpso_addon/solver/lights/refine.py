@@ -19,12 +19,11 @@ from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
 from ..settings.schedule import Schedule, load_schedule
 from ..state.prepare import lambert_seed, texel_scale
-from . import sample as light_sample
 from .fit import GAINS, MOVES, LightStep, Moving, axes_of, brightened, light_step
-from .sample import LightSample
+from .light_texels import LightTexels, draw_texels, fixed_at
 from .semi_calibrated import normalised
 
-MOST_DEGREES = 20.0  # of a refinement: larger errors need a calibration
+MAX_DEGREES = 20.0  # of a refinement: larger errors need a calibration
 _ROUNDS = 12
 _SETTLED = 1e-3  # RMS change (relative intensities, radians of directions) of the last round
 # δ of the fitness in the first rounds: with a narrow δ a wrong light is an outlier and stays wrong. On a relief of 3°
@@ -39,7 +38,7 @@ _CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
 # Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
 # matte model on a glossy surface, 0.01 for correct intensities.
 _EXPLAINED = 0.6
-_LEAST_LIGHTS = 8  # least number for an estimate of intensities
+_MIN_LIGHTS = 8  # least number for an estimate of intensities
 
 Intensities = Literal["auto", "given", "estimate"]
 
@@ -126,7 +125,7 @@ def light_steps(
     refine_degrees: float = 0.0,
     fitted: Sequence[int] | None = None,
     entry: EntryChoice = "auto",
-    sample: LightSample | None = None,
+    texels: LightTexels | None = None,
 ) -> Generator[float, None, Lights]:
     """Return the lights that best explain about a thousand texels of a domain.
 
@@ -136,19 +135,19 @@ def light_steps(
     schedule: of the texels' recovery, ``standard`` by default, without spatial phases. fixed: as for a Recovery.
     intensities: estimate them, each channel by itself. refine_degrees: standard deviation of the error of the given
     directions (for near lights as seen from the texels), 0…20; 0 keeps them. fitted: the observations in the fit, all
-    by default; the others get the intensity that matches their own image. sample: from ``sample.draw`` with the same
+    by default; the others get the intensity that matches their own image. texels: from ``draw_texels`` with the same
     seed and observations, drawn here by default. Yields the fraction done, 0…1. Raises InputError; otherwise like a
     Recovery.
     """
     check(intensities, refine_degrees)
     chosen = _indices(domain, fitted)
-    sample = sample or light_sample.draw(domain, seed, chosen)
-    if not len(sample.rows):
+    texels = texels or draw_texels(domain, seed, chosen)
+    if not len(texels.rows):
         raise InputError(
             "no texel is lit by three observations, so the lights are not determined; give the intensities"
         )
     search = _Search(
-        sample, model, sample_schedule(schedule), seed, light_sample.fixed_at(fixed, sample), chosen, intensities,
+        texels, model, texel_schedule(schedule), seed, fixed_at(fixed, texels), chosen, intensities,
         np.radians(refine_degrees), entry,
     )  # fmt: skip
     step = yield from search.rounds()
@@ -168,7 +167,7 @@ def chosen_steps(
     refine_degrees: float = 0.0,
     fitted: Sequence[int] | None = None,
     entry: EntryChoice = "auto",
-    sample: LightSample | None = None,
+    texels: LightTexels | None = None,
 ) -> Generator[float, None, Lights | None]:
     """Yield the fraction done, 0…1; return the estimated lights, or None if the given ones stay.
 
@@ -180,12 +179,12 @@ def chosen_steps(
     def search(wanted: bool) -> Generator[float, None, Lights]:
         return light_steps(
             domain, model, None, seed, fixed, intensities=wanted, refine_degrees=refine_degrees, fitted=fitted,
-            entry=entry, sample=sample,
+            entry=entry, texels=texels,
         )  # fmt: skip
 
     if intensities == "auto" and can_tell(domain, chosen):
-        sample = sample or light_sample.draw(domain, seed, chosen)
-        if (yield from _contradicted(domain, model, seed, fixed, chosen, entry, sample)):
+        texels = texels or draw_texels(domain, seed, chosen)
+        if (yield from _contradicted(domain, model, seed, fixed, chosen, entry, texels)):
             lights = yield from search(True)
             if lights.determined >= _DETERMINED:
                 return lights
@@ -201,7 +200,7 @@ def can_tell(domain: Domain, fitted: np.ndarray | None = None) -> bool:
     photographs of a ball under lights within 22°, errors rise from 6.2 to 7.2°. fitted: the observations in the fit.
     """
     lights = domain.lights if fitted is None else domain.lights[fitted]
-    if not (domain.intensities == 1).all() or len(lights) < _LEAST_LIGHTS:
+    if not (domain.intensities == 1).all() or len(lights) < _MIN_LIGHTS:
         return False
     middle = domain.bake.position[domain.bake.coverage].mean(axis=0, dtype=np.float64)
     toward = lights[:, :3] - np.where(lights[:, 3:] > 0, middle, 0.0)
@@ -215,17 +214,17 @@ def _contradicted(
     fixed: Mapping[str, np.ndarray],
     fitted: np.ndarray,
     entry: EntryChoice,
-    sample: LightSample,
+    texels: LightTexels,
 ) -> Generator[float, None, bool]:
     """Yield while some texels are recovered under the given lights; return whether the images contradict the lights.
 
     No recovery runs where the first estimate, for matt texels, is near the given intensities.
     """
-    if not len(sample.rows) or _rms(np.log(sample.factors)) < _CONTRADICTED:
+    if not len(texels.rows) or _rms(np.log(texels.factors)) < _CONTRADICTED:
         return False
-    few = light_sample.draw(domain, seed, fitted, _SMALL)
-    part, fixed_values = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
-    with Recovery(part, model, sample_schedule(), seed, fixed_values, entry) as recovery:
+    few = draw_texels(domain, seed, fitted, _SMALL)
+    part, fixed_values = subset(few.domain, fitted), fixed_at(fixed, few)
+    with Recovery(part, model, texel_schedule(), seed, fixed_values, entry) as recovery:
         while not recovery.step(time_budget_s=_SLICE_SECONDS).done:
             yield 0.0
         values = recovery.maps(confidence=False).values
@@ -234,16 +233,16 @@ def _contradicted(
 
 def check(intensities: bool, refine_degrees: float) -> None:
     """Raise InputError where nothing is to be estimated, or the angle is out of range."""
-    if not 0 <= refine_degrees <= MOST_DEGREES:
+    if not 0 <= refine_degrees <= MAX_DEGREES:
         raise InputError(
             f"--refine-directions {refine_degrees:g}: give the directions' typical error in degrees, 0 to"
-            f" {MOST_DEGREES:g}"
+            f" {MAX_DEGREES:g}"
         )
     if not intensities and refine_degrees == 0:
         raise InputError("lights: choose what to estimate, intensities or directions; neither is chosen")
 
 
-def sample_schedule(schedule: Schedule | None = None) -> Schedule:
+def texel_schedule(schedule: Schedule | None = None) -> Schedule:
     """Return a schedule, by default ``standard``, for texels without neighbours and lights that may be wrong."""
     return (schedule or load_schedule("standard")).without_rounds().replaced(
         c3=0.0, neighbour_every=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0, levels=1,
@@ -258,11 +257,11 @@ def contradiction(
 
     values: parameter name → (H, W, components) of the whole domain.
     """
-    sample = light_sample.draw(domain, seed, np.arange(domain.observations), _SMALL)
-    if not len(sample.rows):
+    texels = draw_texels(domain, seed, np.arange(domain.observations), _SMALL)
+    if not len(texels.rows):
         return ""
-    sampled = {name: sample.part(value) for name, value in values.items()}
-    step = _disagreement(sample.domain, model, sampled, fixed)
+    there = {name: texels.part(value) for name, value in values.items()}
+    step = _disagreement(texels.domain, model, there, fixed)
     if step is None:
         return ""
     remedy = (
@@ -292,7 +291,7 @@ class _Search:
 
     def __init__(
         self,
-        sample: LightSample,
+        texels: LightTexels,
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
@@ -302,13 +301,13 @@ class _Search:
         sigma: float,
         entry: EntryChoice,
     ):
-        self._sample, self._model, self._schedule, self._seed, self._fixed = sample, model, schedule, seed, fixed
+        self._texels, self._model, self._schedule, self._seed, self._fixed = texels, model, schedule, seed, fixed
         self._fitted, self._intensities, self._entry = fitted, intensities, entry
-        self._base = subset(sample.domain, fitted)
+        self._base = subset(texels.domain, fitted)
         self._moving = None
         if sigma > 0:
             self._moving = Moving(self._base.lights, axes_of(self._base), np.zeros((len(fitted), MOVES)), sigma)
-        self._factors = sample.factors if intensities else np.ones((len(fitted), GAINS))
+        self._factors = texels.factors if intensities else np.ones((len(fitted), GAINS))
         if intensities:
             self._factors = self._factors * _white_factor(_with_divided_images(self._base, self._factors))
         self._change, self._round = np.inf, 0
@@ -352,7 +351,7 @@ class _Search:
         factors[self._fitted], deviations[self._fitted] = self._factors, step.deviations
         if self._intensities and len(self._fitted) < count:
             others = np.setdiff1d(np.arange(count), self._fitted)
-            factors[others] = brightened(subset(self._sample.domain, others), self._model, self._values)
+            factors[others] = brightened(subset(self._texels.domain, others), self._model, self._values)
         return Lights(
             lights, (domain.intensities * factors).astype(np.float32), factors, deviations, turned, step.determined,
             self._round, self._change, step.rotation,

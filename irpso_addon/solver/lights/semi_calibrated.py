@@ -6,7 +6,7 @@ import numpy as np
 
 _ROUNDS = 30  # of reweighting; most subjects converge in ten
 _SETTLED = 1e-4  # relative change of an intensity in the last round
-_LEAST_WIDTH = 0.02  # of the robust weight, as a fraction of a texel's albedo: the level of noise
+_MIN_WIDTH = 0.02  # of the robust weight, as a fraction of a texel's albedo: the level of noise
 _WIDTH = 2.0  # times the median of the residuals
 _FACING = 0.1  # least cosine of a sample; below it most samples lie in shadow
 _DARK = 0.1  # of the texel's and the image's usual radiance; below it lies shadow, in the first weights
@@ -57,7 +57,7 @@ def _grey_factors(grey: np.ndarray, usable: np.ndarray, vectors: np.ndarray) -> 
         length = np.maximum(np.linalg.norm(scaled, axis=-1), 1e-12)
         shading = np.einsum("ktc,tc->kt", np.broadcast_to(vectors, (*grey.shape, 3)), scaled)
         residual = np.abs(shading - inverse[:, None] * grey) / length
-        width = max(_LEAST_WIDTH, _WIDTH * float(np.median(residual[weights > 0.1]))) if (weights > 0.1).any() else 1.0
+        width = max(_MIN_WIDTH, _WIDTH * float(np.median(residual[weights > 0.1]))) if (weights > 0.1).any() else 1.0
         weights = usable * (shading > _FACING * length) / (1 + (residual / width) ** 2) ** 2
         if np.abs(inverse / before - 1).max() < _SETTLED:
             break

@@ -17,7 +17,7 @@ from .neighbour_test import NeighbourTest
 
 # Share of texels above both limits on rendered captures like DiLiGenT's: goblet 38 % and concave mix 23 %, with normal
 # errors of 55 and 27° there; convex metal 3 %, velvet 2 %, a bunny that only casts shadows 0.
-_LEAST_MISFIT, _LEAST_SURPLUS = 0.2, 0.03
+_MIN_MISFIT, _MIN_SURPLUS = 0.2, 0.03
 
 
 class IndirectPhase(NeighbourTest):
@@ -57,5 +57,5 @@ class IndirectPhase(NeighbourTest):
 def limits(schedule: Schedule) -> dict[str, float]:
     """Return the limits of the test."""
     return {
-        "RAISED_SHADOW": schedule.prefit.indirect_shadow, "LEAST_MISFIT": _LEAST_MISFIT, "LEAST_SURPLUS": _LEAST_SURPLUS
+        "RAISED_SHADOW": schedule.prefit.indirect_shadow, "MIN_MISFIT": _MIN_MISFIT, "MIN_SURPLUS": _MIN_SURPLUS
     }  # fmt: skip

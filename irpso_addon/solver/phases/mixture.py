@@ -1,4 +1,4 @@
-"""Shared materials as a mixture of Gaussians over a sample of the domain's texels."""
+"""Shared materials as a mixture of Gaussians over a subset of the domain's texels."""
 
 from __future__ import annotations
 
@@ -9,59 +9,36 @@ import numpy as np
 from ...gpu.library import defined
 from ...reflectance.model import Parameter, ReflectanceModel
 
-SAMPLE = 8192  # texels, of the whole domain
 _SHADER = defined("materials/shared.glsl")
 _SEARCHED_BANDWIDTH, _LINEAR_BANDWIDTH = _SHADER["SEARCHED_BANDWIDTH"], _SHADER["LINEAR_BANDWIDTH"]
 _ROWS = 7  # of the table: 12 means, 12 inverse variances, the share of the material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation
-_LEAST_VARIANCE = 0.25  # of a material; features that are 1 apart differ
-_LEAST_TEXELS = 4.0  # of a material in the sample
-_MIX = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)  # SplitMix64 (Steele, Lea and Flood 2014)
+_MIN_VARIANCE = 0.25  # of a material; features that are 1 apart differ
+_MIN_TEXELS = 4.0  # of a material in the subset
 
 
-def sampled(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return (n, 3 + C) float64: rank, row, column and values of the texels in the sample.
-
-    rows, columns: (T,) in the whole domain. values: (T, C). A texel's rank depends on its place only; the SAMPLE
-    lowest ranks are the sample, so ``merged`` samples of a domain's parts are the sample of the whole.
-    """
-    place = (rows.astype(np.uint64) << np.uint64(32)) | columns.astype(np.uint64)
-    rank = (place + np.uint64(1)) * _MIX[0]
-    rank = (rank ^ (rank >> np.uint64(29))) * _MIX[1]
-    rank = (rank >> np.uint64(16)).astype(np.float64)  # 48 bits: float64 holds whole numbers of up to 53
-    if len(rank) > SAMPLE:
-        lowest = rank <= np.partition(rank, SAMPLE)[SAMPLE]  # sorting all takes a second for a million
-        rank, rows, columns, values = (array[lowest] for array in (rank, rows, columns, values))
-    return merged([np.column_stack([rank, rows, columns, values])])
-
-
-def merged(samples: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the sample of a domain from those of its disjoint parts, in an order that depends on the texels alone."""
-    texels = np.concatenate(samples)
-    return texels[np.lexsort((texels[:, 2], texels[:, 1], texels[:, 0]))[:SAMPLE]]
-
-
-def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample: np.ndarray) -> np.ndarray:
+def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], values: np.ndarray) -> np.ndarray:
     """Return (n, d) float64, a column for each unknown number as kernels/free_parameters.py counts them; 0 for normals.
 
     Searched numbers are fractions of their range in units of SEARCHED_BANDWIDTH, linear ones the roots of such
-    fractions in units of LINEAR_BANDWIDTH: colours differ by ratios rather than by differences.
+    fractions in units of LINEAR_BANDWIDTH: colours differ by ratios rather than by differences. values: (n, C) of the
+    model's components, then any others.
     """
     features = []
     for p in parameters:
         if p.is_normal:
-            features += [np.zeros(len(sample))] * 2
+            features += [np.zeros(len(values))] * 2
             continue
-        at = 3 + model.offset(p.name)
-        x = np.clip((sample[:, at : at + p.components] - p.range[0]) / p.width, 0.0, 1.0)
+        at = model.offset(p.name)
+        x = np.clip((values[:, at : at + p.components] - p.range[0]) / p.width, 0.0, 1.0)
         linear = p.kind == "linear" and p.name in model.bases
         features += list((np.sqrt(x) / _LINEAR_BANDWIDTH if linear else x / _SEARCHED_BANDWIDTH).T)
     return np.column_stack(features)
 
 
 def material_table(features: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/materials/shared.glsl.
+    """Return (7, K, 4) float32: at most ``count`` materials of a subset, for shaders/materials/shared.glsl.
 
     features: (n, d), d ≤ 12; rows that differ by less than 1 are equal; rows that are not finite are ignored. weights:
     (n,) above 0.
@@ -92,10 +69,10 @@ def mixture(x: np.ndarray, weights: np.ndarray, count: int) -> tuple[np.ndarray,
     for _ in range(_ROUNDS):
         weight = memberships(x, share, mean, variance)
         texels = weight.sum(axis=0)
-        weight = weights[:, None] * weight[:, texels >= min(_LEAST_TEXELS, texels.max())]
+        weight = weights[:, None] * weight[:, texels >= min(_MIN_TEXELS, texels.max())]
         texels = weight.sum(axis=0)
         mean = (weight.T @ x) / texels[:, None]
-        variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _LEAST_VARIANCE)
+        variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _MIN_VARIANCE)
         share = texels / texels.sum()
     return share, mean, variance
 

@@ -10,9 +10,9 @@ from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..kernels import kernels
+from ..kernels import declarations
 from ..kernels.spatial_prior import taps_of
-from ..settings.groups import Prior
+from ..settings.groups import SpatialPrior
 from ..settings.resolve import ResolvedIndirect, ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, TextureTable
@@ -20,7 +20,7 @@ from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates
 from .phase import TexturePhase
 
-REACH, TAPS = 8, taps_of(Prior(scales=3))
+STENCIL_RADIUS, TAPS = 8, taps_of(SpatialPrior(scales=3))
 
 
 class NeighbourTest(TexturePhase):
@@ -30,7 +30,7 @@ class NeighbourTest(TexturePhase):
     ``restore`` follows. limits: by their names in the shader.
     """
 
-    placed = False  # it changes no estimate
+    has_result = False  # it changes no estimate
     passes: Pass
 
     def __init__(
@@ -59,9 +59,9 @@ class NeighbourTest(TexturePhase):
         return 0
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return 0 if self.done else REACH
+        return 0 if self.done else STENCIL_RADIUS
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make the decisions, in bands."""
@@ -104,6 +104,6 @@ class NeighbourTest(TexturePhase):
 
 def decision_pass(source: str, decided: str, limits: Mapping[str, float], defines: Defines) -> Pass:
     """Compile the pass of a NeighbourTest."""
-    samplers = {"u_measured": kernels.FLOAT_2D, **kernels.PACKING}
+    samplers = {"u_measured": declarations.FLOAT_2D, **declarations.PACKING}
     defines = {**defines, "TAPS": TAPS, **{name: f"{value:.9f}" for name, value in limits.items()}}
     return Pass(Kernel(source, (Output(f"o_{decided}", "R32F"),), samplers, {}, defines, {}))

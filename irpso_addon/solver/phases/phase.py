@@ -16,6 +16,7 @@ from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.reader import Reader
+from ..state.texel_subset import TexelSubset
 from ..state.textures import HALO, SOLVED, DomainTextures, Estimates, packed_states, texel_states
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
@@ -43,7 +44,7 @@ class Phase(Protocol):
 
     @property
     def iteration(self) -> int:
-        """Number of finished iterations; negative while swarms are placed."""
+        """Number of finished iterations; negative while swarms are initialised."""
 
     @property
     def done(self) -> bool:
@@ -55,16 +56,21 @@ class Phase(Protocol):
         """Renders of all observations in the next iteration, at a texel that has not converged."""
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours; 0 if it reads none."""
 
     @property
-    def placed(self) -> bool:
+    def needs_texel_subset(self) -> bool:
+        """Whether the next iteration needs the subset of all texels of the whole domain (state/texel_subset.py)."""
+        return False
+
+    @property
+    def has_result(self) -> bool:
         """Whether there is a result to show; until then the current estimates are shown."""
 
     @property
     def keeps_estimates(self) -> bool:
-        """Whether the recovery's estimates stay as they are at the end; then ``placed`` is False."""
+        """Whether the recovery's estimates stay as they are at the end; then ``has_result`` is False."""
         return False
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
@@ -97,15 +103,12 @@ class Phase(Protocol):
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Set (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own texels do not change."""
 
-    def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the domain's sample (mixture.py) that the next iteration needs; None if none.
+    def texel_subset(self) -> TexelSubset:
+        """Return this tile's part of the subset of the whole domain, where ``needs_texel_subset``."""
+        return TexelSubset.none()
 
-        An iteration that needs a sample also has a ``reach``.
-        """
-        return None
-
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Set the sample of the whole domain."""
+    def take_texel_subset(self, subset: TexelSubset) -> None:
+        """Set the subset of the whole domain."""
         return None
 
     def state(self) -> dict[str, np.ndarray]:
@@ -185,7 +188,7 @@ class TexturePhase(Phase):
 
     def fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every texel's best fitness; NaN where none is solved."""
-        raise NotImplementedError
+        return np.zeros((0, 3))
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""

@@ -17,7 +17,7 @@ from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels import kernels
+from ..kernels import declarations
 from ..kernels.free_parameters import build_free_parameters
 from ..kernels.refinement import NO_PENALTY
 from ..settings.resolve import ResolvedPrefit
@@ -36,7 +36,7 @@ _ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally g
 # Least fitness of the first prefit for a second one with sheen: SheenPhase adopts none whose neighbourhood fits better
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
-_LEAST_FITNESS = 0.3
+_MIN_FITNESS = 0.3
 _PENALTY = SHADERS / "prefit" / "exponent_penalty.glsl"
 # Of the prior on the cosine's exponent (mean 1) under narrow lights. On balls under 12 lights within 22° it lowers the
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the
@@ -73,7 +73,7 @@ class PrefitPhase(Phase):
         if resolved.indirect:
             self._chosen = (domain.shadow > 0) | domain.separation.separated
         elif resolved.sheen:
-            self._chosen = present(measurements.fitness) >= _LEAST_FITNESS
+            self._chosen = present(measurements.fitness) >= _MIN_FITNESS
         if self._chosen is not None:
             schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where(self._chosen)
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
@@ -99,7 +99,7 @@ class PrefitPhase(Phase):
 
     @property
     def iteration(self) -> int:
-        """Number of finished iterations, of swarms and refinement; negative while swarms are placed."""
+        """Number of finished iterations, of swarms and refinement; negative while swarms are initialised."""
         return self.inner.iteration + (self._resolved.stage.iterations if self._refining else 0)
 
     @property
@@ -108,14 +108,14 @@ class PrefitPhase(Phase):
         return self.inner.evaluations
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return self.inner.reach
+        return self.inner.stencil_radius
 
     @property
-    def placed(self) -> bool:
+    def has_result(self) -> bool:
         """Whether there are normals to show."""
-        return not self.keeps_estimates and (self._refining or self.inner.placed)
+        return not self.keeps_estimates and (self._refining or self.inner.has_result)
 
     @property
     def keeps_estimates(self) -> bool:
@@ -139,8 +139,8 @@ class PrefitPhase(Phase):
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the normals so far into other textures."""
-        own = self.own.shown if self.inner.placed else self.own.current
-        if self.inner.placed:
+        own = self.own.shown if self.inner.has_result else self.own.current
+        if self.inner.has_result:
             self.inner.preview(own)
         self._adopt.run(targets, self._inputs(own))
 
@@ -275,10 +275,10 @@ def normals_of(estimates: Estimates, model: ReflectanceModel, of_next: bool = Fa
 def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
     """Compile the pass that gives the estimates the normals of u_prefit_0."""
     normal = next(p.name for p in model.parameters if p.is_normal)
-    packed = kernels.packed(model)
-    samplers: Samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
+    packed = declarations.packed(model)
+    samplers: Samplers = {"u_estimate": packed, **declarations.GEOMETRY, "u_prefit_0": declarations.FLOAT_2D}
     defines = {**defines, "NORMAL_COMPONENT": model.offset(normal)}
-    outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
+    outputs, includes = (Output("o_estimate", packed),), declarations.model_includes(model)
     return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, includes))
 
 
@@ -302,39 +302,39 @@ def adopt_where(
 
 
 def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    packed = kernels.packed(model)
+    packed = declarations.packed(model)
     samplers: Samplers = {
-        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": kernels.FLOAT_2D, **kernels.OBSERVATIONS
+        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": declarations.FLOAT_2D, **declarations.OBSERVATIONS
     }  # fmt: skip
     defines = {
-        **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
+        **defines, **declarations.fitness_defines(schedule.fitness, "geman_mcclure"),
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
-    outputs, includes = (Output("o_estimate", packed),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
+    outputs, includes = (Output("o_estimate", packed),), declarations.model_includes(model)
+    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, declarations.LOSS_CONSTANTS, defines, includes))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
+    samplers: Samplers = {"u_estimate": declarations.packed(model), **declarations.OBSERVATIONS}
     defines = {
-        **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
-        "LEAST_SAMPLES": _least_samples(model, schedule),
+        **defines, **declarations.fitness_defines(schedule.fitness, "geman_mcclure"),
+        "MIN_SAMPLES": _min_samples(model, schedule),
     }  # fmt: skip
-    outputs, includes = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
-    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.LOSS_CONSTANTS, defines, includes))
+    outputs, includes = (Output("o_fitness", "R32F"),), declarations.model_includes(model)
+    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, declarations.LOSS_CONSTANTS, defines, includes))
 
 
 def _indirect_misfit_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
+    samplers: Samplers = {"u_estimate": declarations.packed(model), **declarations.OBSERVATIONS}
     defines = {
-        **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "LEAST_SAMPLES": _least_samples(model, schedule),
+        **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "MIN_SAMPLES": _min_samples(model, schedule),
         "RAISED_SHADOW": f"{schedule.prefit.indirect_shadow:.9f}",
     }  # fmt: skip
-    outputs, includes = (Output("o_indirect_misfit"),), kernels.model_includes(model)
+    outputs, includes = (Output("o_indirect_misfit"),), declarations.model_includes(model)
     return Pass(Kernel("prefit/indirect_misfit.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
 
 
-def _least_samples(model: ReflectanceModel, schedule: Schedule) -> int:
+def _min_samples(model: ReflectanceModel, schedule: Schedule) -> int:
     """Return the number of samples from which on a fit is a reference for others."""
     return max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 

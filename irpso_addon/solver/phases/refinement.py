@@ -13,7 +13,7 @@ from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels.refinement import NO_PENALTY, PROPAGATION_REACH, RefinementPasses, build_refinement_passes
+from ..kernels.refinement import NO_PENALTY, PROPAGATION_RADIUS, RefinementPasses, build_refinement_passes
 from ..settings.resolve import BEST, PROPAGATE, ResolvedRefinement, Track
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, refinement_table
@@ -53,13 +53,13 @@ class RefinementPhase(TexturePhase):
         return self.passes.evaluations + (self.passes.proposals if track.start == PROPAGATE and made == 0 else 0)
 
     @property
-    def reach(self) -> int:
-        """PROPAGATION_REACH if the next iteration reads the neighbours' best materials, else 0."""
+    def stencil_radius(self) -> int:
+        """PROPAGATION_RADIUS if the next iteration reads the neighbours' best materials, else 0."""
         track, made = self.track
-        return PROPAGATION_REACH if track.start == PROPAGATE and made == 0 and not self.done else 0
+        return PROPAGATION_RADIUS if track.start == PROPAGATE and made == 0 and not self.done else 0
 
     @property
-    def placed(self) -> bool:
+    def has_result(self) -> bool:
         """Whether a step has been made."""
         return self.iteration > 0
 

@@ -15,7 +15,7 @@ from ...gpu.bands import Bands
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..kernels import kernels
+from ..kernels.declarations import FLOAT_2D, OBSERVATIONS, model_includes, packed
 from ..settings.resolve import ResolvedSeparation
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, shadow_light_table
@@ -24,26 +24,25 @@ from ..state.prepare import lambert_steps
 from ..state.reader import Reader
 from ..state.separation import SeparatedStack, direct_chroma, median_chromas, separation_steps
 from ..state.separation_record import SHADOW_LIGHT, Separation
+from ..state.texel_subset import TexelSubset, chosen_texels
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
-from .mixture import sampled
 from .phase import Phase
 from .prefit import adopt_pass, adopt_where
 
 # Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
 # 0 the normal error of a dirty card is 0.54 in place of 0.16°; in hollows it is 0.1° less.
-LEAST_TURN = 3.0
-REACH = 1  # an iteration that needs the whole domain's sample has a reach
+MIN_TURN = 3.0
 
 
 class SeparationPhase(Phase):
-    """A Phase of one iteration: the chroma of direct light from a sample of the domain, then two chromas per texel.
+    """A Phase of one iteration: the chroma of direct light from a subset of the texels, then two chromas per texel.
 
     On a card, shadows separate the light of texels where colour does not. Where colour does, the result has the normals
     of a Lambertian fit to the direct light: normals with the bias of indirect light are a bad start for the next
     prefit. measurements: of the phases before.
     """
 
-    placed = False  # nothing to show before the end
+    has_result = False  # nothing to show before the end
     iteration = 0
 
     def __init__(
@@ -65,7 +64,7 @@ class SeparationPhase(Phase):
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
         sheen = measurements.sheen_chosen
         self._sheen = domain.packing.unpack(np.zeros_like(domain.scale) if sheen is None else sheen) > 0
-        self._sample: np.ndarray | None = None
+        self._subset: TexelSubset | None = None
         self._separation = Separation.none(domain.domain.shape)
         self._adopt = adopt_pass(model, domain.defines)
 
@@ -75,36 +74,41 @@ class SeparationPhase(Phase):
         return 0
 
     @property
-    def reach(self) -> int:
-        """REACH if the next iteration needs the whole domain's sample, else 0."""
-        return REACH if not self.done and self._sample is None else 0
+    def stencil_radius(self) -> int:
+        """0: neighbours are not read."""
+        return 0
 
-    def sample(self) -> np.ndarray:
-        """Return this tile's part of the sample, as ``mixture.sampled``; values: chroma, and 1 for indirect light."""
+    @property
+    def needs_texel_subset(self) -> bool:
+        """Whether the subset of the whole domain is missing."""
+        return not self.done and self._subset is None
+
+    def texel_subset(self) -> TexelSubset:
+        """Return this tile's part of the subset; values: chroma, and 1 for indirect light."""
         domain = self._domain.domain
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
-        chosen = sampled(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
-        rows, columns = (chosen[:, 1 + i].astype(int) - domain.origin[1 - i] for i in range(2))
-        chromas = median_chromas(domain, rows, columns)
-        return np.column_stack([chosen, chromas, self._indirect[rows, columns]])
+        subset = chosen_texels(rows + domain.origin[1], columns + domain.origin[0], np.zeros((len(rows), 0)))
+        rows, columns = subset.rows - domain.origin[1], subset.columns - domain.origin[0]
+        chromas = median_chromas(domain, rows, columns).astype(np.float64)
+        return replace(subset, values=np.column_stack([chromas, self._indirect[rows, columns]]))
 
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Set the sample of the whole domain."""
-        self._sample = sample
+    def take_texel_subset(self, subset: TexelSubset) -> None:
+        """Set the subset of the whole domain."""
+        self._subset = subset
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Separate the light of all texels of the tile."""
-        if self._sample is None:
-            self._sample = self.sample()
+        if self._subset is None:
+            self._subset = self.texel_subset()
             yield
-        direct = direct_chroma(self._sample[:, 3:6], self._sample[:, 6] > 0)
+        direct = direct_chroma(self._subset.values[:, :3], self._subset.values[:, 3] > 0)
         if direct is not None:
             steps = separation_steps(self._domain.domain, self._indirect, direct, self._least_share)
             self._separation = yield from map_steps(steps, lambda part: None)
         # Not on a mesh: samples in its cast shadows have weight 0, so that they give no evidence.
         if self._domain.domain.card:
             separated = self._separation.separated
-            work = shadow_light_pass(self._model, self._least_share, LEAST_TURN, self._domain.defines, self._entry)
+            work = shadow_light_pass(self._model, self._least_share, MIN_TURN, self._domain.defines, self._entry)
             misfit = np.where(separated | self._sheen, 0, self._misfit)
             asked = shadow_light_steps(work, self._domain, self._estimates, misfit, bands, seconds)
             by_shadows = Separation.of_shadows((yield from asked))
@@ -159,14 +163,14 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 
     It reports light that is at least the part ``least`` of a texel's and turns the normal by ``turn`` degrees or more.
     """
-    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS, "u_misfit": kernels.FLOAT_2D}
+    samplers: Samplers = {"u_estimate": packed(model), **OBSERVATIONS, "u_misfit": FLOAT_2D}
     normal = next(p.name for p in model.parameters if p.is_normal)
     defines = {
-        **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "LEAST_SHARE": f"{least:.9f}",
-        "LEAST_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",
+        **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "MIN_SHARE": f"{least:.9f}",
+        "MIN_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",
     }  # fmt: skip
     outputs = tuple(Output(name) for name in ("o_low", "o_middle", "o_high"))
-    constants, includes = {"u_observations": "INT"}, kernels.model_includes(model)
+    constants, includes = {"u_observations": "INT"}, model_includes(model)
     return Pass(Kernel("prefit/shadow_light.glsl", outputs, samplers, constants, defines, includes), entry)
 
 

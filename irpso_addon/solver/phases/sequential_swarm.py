@@ -27,8 +27,8 @@ class SequentialSwarmPhase(SwarmPhase):
         self.iteration = -self.particles
 
     @property
-    def placed(self) -> bool:
-        """Whether the first particle of every swarm has been placed."""
+    def has_result(self) -> bool:
+        """Whether the first particle of every swarm is initialised."""
         return self.iteration > -self.particles
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:

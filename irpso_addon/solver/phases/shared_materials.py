@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.textures import Texture
-from ..kernels.refinement import PROPAGATION_REACH
+from ..kernels.refinement import PROPAGATION_RADIUS
 from ..settings.resolve import BEST, PROPAGATE, ResolvedMaterials, Track
 from ..state.alternatives import Alternatives
+from ..state.texel_subset import TexelSubset, chosen_texels
 from ..state.textures import SOLVED, texel_states
-from .mixture import features_of, material_table, sampled
+from .mixture import features_of, material_table
 from .refinement import RefinementPhase
 
 _TABLE = "materials"  # name in a state
 _AT_ONCE = 0.1  # seconds of a band of the alternatives
-_LEAST_WEIGHT = 0.02  # of a texel in the mixture
+_MIN_WEIGHT = 0.02  # of a texel in the mixture
 
 
 class SharedMaterialsPhase(RefinementPhase):
-    """A Phase: a refinement whose rounds begin with the materials of a sample of the whole domain (mixture.py).
+    """A Phase: a refinement whose rounds begin with the materials of a subset of all texels (mixture.py).
 
-    Each round estimates the mixture again. A tile or a rank takes the whole domain's sample before an iteration whose
-    ``reach`` is not 0; without it, its own sample replaces the whole's. A texel's weight in the mixture is 1
+    Each round estimates the mixture again. A tile or a rank takes the whole domain's subset before an iteration whose
+    ``needs_texel_subset`` is true; without it, its own part replaces the whole. A texel's weight in the mixture is 1
     minus the likelihood ratio of its best distant alternative (state/alternatives.py), mean of the searched numbers:
     texels without a highlight, which fit matt paint as well as a polished surface, leave the decision to the others.
     """
@@ -35,25 +37,30 @@ class SharedMaterialsPhase(RefinementPhase):
     _alternatives: Alternatives | None = None
 
     @property
-    def reach(self) -> int:
-        """PROPAGATION_REACH if the next iteration needs the halo and the whole domain's sample, else 0."""
-        return PROPAGATION_REACH if self._in_round and self._table is None and not self.done else 0
+    def stencil_radius(self) -> int:
+        """PROPAGATION_RADIUS if the next iteration reads the halo, else 0."""
+        return PROPAGATION_RADIUS if self.needs_texel_subset else 0
 
-    def sample(self) -> np.ndarray:
-        """Return this tile's part of the sample, as ``mixture.sampled`` does, with a last column of weights."""
+    @property
+    def needs_texel_subset(self) -> bool:
+        """Whether the next iteration begins a round, and its materials are missing."""
+        return self._in_round and self._table is None and not self.done
+
+    def texel_subset(self) -> TexelSubset:
+        """Return this tile's part of the subset; values: the model's components, and a weight."""
         self._ensure_ready()
         packed = np.concatenate([self.reader.read(texture) for texture in self.best[:-1]], axis=-1)
         values = self.domain.packing.unpack(packed[..., : self.model.components])
         domain = self.domain.domain
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
-        sample = sampled(rows + domain.origin[1], columns + domain.origin[0], values[rows, columns])
-        rows, columns = (sample[:, 1:3] - domain.origin[::-1]).astype(int).T
-        return np.column_stack([sample, self._weights(rows, columns)])
+        subset = chosen_texels(rows + domain.origin[1], columns + domain.origin[0], values[rows, columns])
+        weights = self._weights(subset.rows - domain.origin[1], subset.columns - domain.origin[0])
+        return replace(subset, values=np.column_stack([subset.values, weights]))
 
-    def take_sample(self, sample: np.ndarray) -> None:
-        """Estimate the materials of this round. sample: of the whole domain."""
-        features = features_of(self.model, self.resolved.parameters, sample)
-        self._table = textures.upload(material_table(features, sample[:, -1], self.resolved.materials.count))
+    def take_texel_subset(self, subset: TexelSubset) -> None:
+        """Estimate the materials of this round. subset: of the whole domain."""
+        features = features_of(self.model, self.resolved.parameters, subset.values)
+        self._table = textures.upload(material_table(features, subset.values[:, -1], self.resolved.materials.count))
 
     def _weights(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (n,) weights of texels: 1 minus the likelihood ratio of the best alternative, mean of the numbers."""
@@ -71,13 +78,13 @@ class SharedMaterialsPhase(RefinementPhase):
             pass
         deviances = [packing.unpack(value)[rows, columns] for value in self._alternatives.read().values()]
         ratios = np.exp(-0.5 * np.maximum(np.nan_to_num(np.concatenate(deviances, axis=-1, dtype=np.float64)), 0.0))
-        return _LEAST_WEIGHT + (1 - _LEAST_WEIGHT) * (1 - ratios.mean(axis=-1))
+        return _MIN_WEIGHT + (1 - _MIN_WEIGHT) * (1 - ratios.mean(axis=-1))
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration, as RefinementPhase does."""
         yield from self._ready(bands)
         if self._in_round and self._table is None:
-            self.take_sample(self.sample())
+            self.take_texel_subset(self.texel_subset())
             yield
         yield from super().advance(bands, seconds)
         if self.track[1] == 0:

@@ -13,14 +13,14 @@ from ..kernels.spatial_prior import (
     DEVIATION,
     FIRST_ROUND,
     NOISE,
-    PriorPasses,
-    build_prior_passes,
+    SpatialPriorPasses,
+    build_spatial_prior_passes,
     evaluations_of,
-    reach_of,
+    stencil_radius_of,
 )
-from ..settings.resolve import ResolvedPrior
+from ..settings.resolve import ResolvedSpatialPrior
 from ..settings.schedule import Schedule
-from ..state.phase_textures import PhaseTextures, prior_table
+from ..state.phase_textures import PhaseTextures, spatial_prior_table
 from ..state.textures import DomainTextures, Estimates, loss_constants
 from .phase import Acceptance, TexturePhase
 
@@ -34,12 +34,12 @@ class SpatialPriorPhase(TexturePhase):
     """
 
     shared = ("noise", "mean", "deviation")
-    placed = False  # nothing to show before the end, when the most probable material is compared with the samples
-    passes: PriorPasses
+    has_result = False  # nothing to show before the end, when the most probable material is compared with the samples
+    passes: SpatialPriorPasses
 
     def __init__(
         self,
-        resolved: ResolvedPrior,
+        resolved: ResolvedSpatialPrior,
         model: ReflectanceModel,
         schedule: Schedule,
         domain: DomainTextures,
@@ -49,8 +49,8 @@ class SpatialPriorPhase(TexturePhase):
     ):
         super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
         self.resolved = resolved
-        self.passes = build_prior_passes(model, resolved, schedule, domain.defines, entry)
-        self.textures = PhaseTextures(prior_table(estimates.count), *estimates.size)
+        self.passes = build_spatial_prior_passes(model, resolved, schedule, domain.defines, entry)
+        self.textures = PhaseTextures(spatial_prior_table(estimates.count), *estimates.size)
         self._first_step = FIRST_ROUND + resolved.prior.rounds
 
     @property
@@ -59,9 +59,9 @@ class SpatialPriorPhase(TexturePhase):
         return evaluations_of(self.resolved, self.model, self.iteration)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return reach_of(self.resolved.prior) if NOISE < self.iteration < self._first_step else 0
+        return stencil_radius_of(self.resolved.prior) if NOISE < self.iteration < self._first_step else 0
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""

@@ -13,8 +13,8 @@ from ..kernels.surface import (
     FIRST_ROUND,
     INFORMATION,
     NOISE,
-    NOISE_REACH,
-    REACH,
+    NOISE_STENCIL_RADIUS,
+    STENCIL_RADIUS,
     SWEEPS,
     SurfacePasses,
     build_surface_passes,
@@ -36,7 +36,7 @@ class SurfacePhase(TexturePhase):
     """
 
     shared = ("noise", "field", "covariance")
-    placed = False  # nothing to show before the end
+    has_result = False  # nothing to show before the end
     passes: SurfacePasses
 
     def __init__(
@@ -60,9 +60,15 @@ class SurfacePhase(TexturePhase):
         return evaluations_of(self.resolved, self.model, self.schedule, self.iteration)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads neighbours."""
-        return 0 if self.done or self.iteration == NOISE else NOISE_REACH if self.iteration == INFORMATION else REACH
+        return (
+            0
+            if self.done or self.iteration == NOISE
+            else NOISE_STENCIL_RADIUS
+            if self.iteration == INFORMATION
+            else STENCIL_RADIUS
+        )
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""

@@ -52,9 +52,9 @@ class SwarmPhase(TexturePhase):
         raise NotImplementedError
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Distance, in texels, at which the next iteration reads global bests."""
-        return reach_at(self.schedule, self.iteration, self.iterations)
+        return stencil_radius_at(self.schedule, self.iteration, self.iterations)
 
     def constants(self) -> dict[str, int | float]:
         """Return the push constants of the next iteration."""
@@ -130,8 +130,8 @@ def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> f
     return swarm.c3 * max(0.0, 1 - max(iteration, 0) / (swarm.c3_until * iterations))
 
 
-def reach_at(schedule: Schedule, iteration: int, iterations: int) -> int:
-    """Return the distance, in texels, at which an iteration reads global bests; 0 while particles are placed."""
+def stencil_radius_at(schedule: Schedule, iteration: int, iterations: int) -> int:
+    """Return the distance, in texels, at which an iteration reads global bests; 0 while particles are initialised."""
     swarm = schedule.swarm
     if iteration < 0:
         return 0

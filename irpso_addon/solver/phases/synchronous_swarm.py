@@ -44,8 +44,8 @@ class SynchronousSwarmPhase(SwarmPhase):
         return self.particles * (2 if self.linear.blocks else 1)
 
     @property
-    def placed(self) -> bool:
-        """Whether the particles have been placed."""
+    def has_result(self) -> bool:
+        """Whether the particles are initialised."""
         return self.iteration >= 0
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:

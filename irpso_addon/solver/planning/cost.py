@@ -10,19 +10,19 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
-from ..kernels.refinement import PROPAGATION_REACH, renders
-from ..phases import neighbour_test, separation
-from ..phases.swarm import particle_count, reach_at
+from ..kernels.refinement import PROPAGATION_RADIUS, renders
+from ..phases import neighbour_test
+from ..phases.swarm import particle_count, stencil_radius_at
 from ..settings.levels import level_schedules
 from ..settings.resolve import (
     Resolved,
     ResolvedIndirect,
     ResolvedMaterials,
     ResolvedPrefit,
-    ResolvedPrior,
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
+    ResolvedSpatialPrior,
     ResolvedSurface,
     ResolvedSwarm,
     resolve,
@@ -32,11 +32,11 @@ from ..state.alternatives import varied
 from ..state.phase_textures import (
     TextureTable,
     indirect_table,
-    prior_table,
     refinement_table,
     sequential_swarm_table,
     shadow_light_table,
     sheen_table,
+    spatial_prior_table,
     surface_table,
     synchronous_swarm_table,
 )
@@ -45,7 +45,7 @@ FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
 _GEOMETRY = 4  # layers: position, normal, tangent, place
 # Relative costs of iterations, measured on llvmpipe with 24 lights; a sample's render is 1.
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
-STEP_DECAY, LEAST_STEP = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
+STEP_DECAY, MIN_STEP = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
 NEIGHBOUR_READ = 10.0  # of a prior or a test, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
@@ -54,7 +54,7 @@ RACING = 0.4  # share of the texels at which a start goes on in the race: from t
 BADLY_FITTED = 0.5  # share of the texels that the first prefit fits badly
 _BEFORE_ROUNDS = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Tests = ResolvedIndirect | ResolvedSheen
-_SinglePhase = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedSeparation | _Tests
+_SinglePhase = ResolvedSwarm | ResolvedRefinement | ResolvedSpatialPrior | ResolvedSurface | ResolvedSeparation | _Tests
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,15 @@ class PhaseCost:
     """Per-texel cost of one phase, without the domain and the estimates.
 
     atlas: W×H tiles of its largest textures, which hold all particles. textures: bytes of all textures. kept: bytes of
-    the textures that persist between iterations and move with a tile that leaves the device. reach: largest distance,
-    in texels, of neighbour reads. exchanges: iterations that read neighbours. evaluations: renders of all observations.
+    the textures that persist between iterations and move with a tile that leaves the device. stencil_radius: largest
+    distance, in texels, of neighbour reads. exchanges: iterations that read other tiles. evaluations: renders
+    of all observations.
     """
 
     atlas: int
     textures: int
     kept: int
-    reach: int = 0
+    stencil_radius: int = 0
     exchanges: int = 0
     evaluations: int = 0
 
@@ -105,13 +106,13 @@ class Cost:
         return -(-self.components // 4)
 
     @property
-    def reach(self) -> int:
+    def stencil_radius(self) -> int:
         """Largest distance of neighbour reads of any phase: the halo of a tile."""
-        return max(phase.reach for phase in self.phases)
+        return max(phase.stencil_radius for phase in self.phases)
 
     @property
     def exchanges(self) -> int:
-        """Number of iterations that read neighbours."""
+        """Number of iterations that read other tiles: neighbours, or a subset of all texels."""
         return sum(phase.exchanges for phase in self.phases)
 
     @property
@@ -173,7 +174,7 @@ def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) 
     if isinstance(resolved, ResolvedPrefit):
         return _prefit_cost(resolved, schedule)
     table = phase_table(resolved, model, schedule)
-    geometry = FLOAT4 * _GEOMETRY if isinstance(resolved, ResolvedMaterials) else 0  # of the texels in the sample
+    geometry = FLOAT4 * _GEOMETRY if isinstance(resolved, ResolvedMaterials) else 0  # of the texels in the subset
     return PhaseCost(
         table.atlas_tiles, table.bytes_per_texel() + geometry, table.bytes_per_texel(kept=True),
         *_neighbour_reads(resolved, schedule), evaluations=_evaluations(resolved, model, schedule),
@@ -199,14 +200,14 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
         return surface_table()
     if isinstance(resolved, ResolvedSheen):
         return sheen_table()
-    kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
+    kind = spatial_prior_table if isinstance(resolved, ResolvedSpatialPrior) else refinement_table
     return kind(-(-model.components // 4))
 
 
 def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
-    """Return the work per texel of each iteration of a phase, in renders of a sample; placing swarms comes first.
+    """Return the work per texel of each iteration of a phase, in renders of a sample.
 
-    Work is roughly proportional to time; Progress uses it.
+    The initialisation of swarms comes first. Work is roughly proportional to time; Progress uses it.
     """
     if isinstance(resolved, ResolvedPrefit):
         own, share = resolved.model, INDIRECT if resolved.indirect else BADLY_FITTED if resolved.sheen else 1.0
@@ -242,8 +243,8 @@ def _refinement_work(
 ) -> tuple[float, ...]:
     """Return the work of a refinement. From a start all texels step, in its race some; from the best, ever fewer."""
     settings, (step, propagation) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
-    from_best = [step * max(LEAST_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
-    after_propagation = [propagation + step * LEAST_STEP, *[step * LEAST_STEP] * (settings.round_iterations - 1)]
+    from_best = [step * max(MIN_STEP, STEP_DECAY**i) for i in range(settings.iterations)]
+    after_propagation = [propagation + step * MIN_STEP, *[step * MIN_STEP] * (settings.round_iterations - 1)]
     from_starts: list[float] = []
     if resolved.starts:
         race = [*[step] * settings.start_iterations, *[step * RACING] * settings.race_iterations]
@@ -262,26 +263,26 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
         max(swarm.atlas, refinement.atlas),
         max(swarm.textures, refinement.textures) + 2 * own + geometry,
         max(swarm.kept, refinement.kept) + own,
-        max(swarm.reach, refinement.reach),
+        max(swarm.stencil_radius, refinement.stencil_radius),
         swarm.exchanges + refinement.exchanges,
         swarm.evaluations + refinement.evaluations,
     )
 
 
 def _neighbour_reads(resolved: _SinglePhase, schedule: Schedule) -> tuple[int, int]:
-    """Return the largest distance of neighbour reads, and the number of iterations that read neighbours."""
+    """Return the largest distance of neighbour reads, and the number of iterations that read other tiles."""
     if isinstance(resolved, ResolvedSwarm):
-        reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
-        return max(reaches), sum(reach > 0 for reach in reaches)
+        radii = [stencil_radius_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
+        return max(radii), sum(radius > 0 for radius in radii)
     if isinstance(resolved, _Tests):
-        return neighbour_test.REACH, 1
+        return neighbour_test.STENCIL_RADIUS, 1
     if isinstance(resolved, ResolvedSeparation):
-        return separation.REACH, 1
-    if isinstance(resolved, ResolvedPrior):
-        return prior_kernels.reach_of(resolved.prior), 1 + resolved.prior.rounds
+        return 0, 1  # a subset of all texels
+    if isinstance(resolved, ResolvedSpatialPrior):
+        return prior_kernels.stencil_radius_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
-        return surface_kernels.REACH, 1 + resolved.surface.rounds
-    return PROPAGATION_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
+        return surface_kernels.STENCIL_RADIUS, 1 + resolved.surface.rounds
+    return PROPAGATION_RADIUS * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
 
 
 def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Schedule) -> int:
@@ -289,14 +290,14 @@ def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Sche
         return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))
-    if isinstance(resolved, ResolvedPrior | ResolvedSurface):
+    if isinstance(resolved, ResolvedSpatialPrior | ResolvedSurface):
         return sum(_renders_by_iteration(resolved, model, schedule))
     step, propagation = renders(model, resolved)
     return resolved.iterations * step + resolved.refinement.rounds * propagation
 
 
 def _renders_by_iteration(
-    resolved: ResolvedPrior | ResolvedSurface, model: ReflectanceModel, schedule: Schedule
+    resolved: ResolvedSpatialPrior | ResolvedSurface, model: ReflectanceModel, schedule: Schedule
 ) -> list[int]:
     """Return the renders of all observations of each iteration."""
     if isinstance(resolved, ResolvedSurface):

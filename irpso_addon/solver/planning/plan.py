@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ...core.errors import InputError
-from ...geometry.seams.seams import LARGEST_SEARCHED_HALO, SEAM_REACH
+from ...geometry.seams.seams import MAX_SEARCHED_HALO, SEAM_RADIUS
 from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
@@ -21,8 +21,8 @@ _TREE = 480  # host bytes per triangle of the tree at which rays are cast (measu
 PREPARED = 28  # host bytes per texel: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # host bytes for every domain: chunks of the preparation, Blender itself
 _TEXTURE, _SHARE = 1 << 30, 8  # bytes of one texture that software GL allows; divisor of a large device memory
-_MOST_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
-_SMALLEST = 8  # texels along the longer side: a tile this small is not cut
+_MAX_TEXTURE = (1 << 33) - (1 << 20)  # Blender indexes a Buffer with 31 bits
+_MIN_SIDE = 8  # texels along the longer side: a tile this small is not cut
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
 
@@ -50,9 +50,9 @@ class Limits:
     texture: int = _TEXTURE
 
 
-def largest_texture(free: int | None) -> int:
+def max_texture_bytes(free: int | None) -> int:
     """Return the most bytes of one texture. free: bytes that the driver reports, or None. On an H100, 8 GiB work."""
-    return min(max(_TEXTURE, (free or 0) // _SHARE), _MOST_TEXTURE)
+    return min(max(_TEXTURE, (free or 0) // _SHARE), _MAX_TEXTURE)
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def plan_recovery(
     texels = _texels(coverage)
     return Plan(
         (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,
-        0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, passes,
+        0 if boxes == [whole] else cost.stencil_radius, on_device, stack_on, state_on, passes,
         device, host, scratch, texels * cost.evaluations, texels * cost.work, memory,
     )  # fmt: skip
 
@@ -243,17 +243,17 @@ def _window(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
 def tile_of(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> Tile:
     """Return a box of the covered texels, (H, W) bool, as a tile."""
     own = coverage[_window(box, 0, coverage.shape)]
-    part = coverage[_window(box, cost.reach, coverage.shape)]
+    part = coverage[_window(box, cost.stencil_radius, coverage.shape)]
     texels, seams = _texels(part), 0
-    border = 0 if borders is None else 2 * SEAM_REACH
+    border = 0 if borders is None else 2 * SEAM_RADIUS
     window = (part.shape[0] + border, part.shape[1] + border)
     if borders is not None:
-        border_length = borders.length_in(box, cost.reach)
-        ghosts = int(border_length * (cost.reach if cost.reach <= LARGEST_SEARCHED_HALO else SEAM_REACH))
+        border_length = borders.length_in(box, cost.stencil_radius)
+        ghosts = int(border_length * (cost.stencil_radius if cost.stencil_radius <= MAX_SEARCHED_HALO else SEAM_RADIUS))
         texels += min(ghosts, _texels(coverage) - texels)
         # Places past borders have four channels; ghosts fill complete layers of the geometry.
         places = _grid_places(texels)
-        layers = -(-int(border_length * SEAM_REACH) // places)
+        layers = -(-int(border_length * SEAM_RADIUS) // places)
         seams = FLOAT4 * (window[0] * window[1] + layers * places) - FLOAT2 * part.size
     device, host = (count(texels, part.size, cost) + seams for count in (device_bytes, host_bytes))
     return Tile(*box, _texels(own), texels, window, device, host, restored_bytes(texels, cost))
@@ -267,14 +267,14 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         unfit = [box for box in boxes if not _fits(coverage, box, cost, memory, limits, borders, in_turns=True)]
         if not unfit:
             return boxes
-        if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
+        if small := [box for box in unfit if max(box[2:]) <= _MIN_SIDE]:
             needs = {box: tile_of(coverage, box, cost, borders).device_in_turns for box in small}
             box = max(small, key=needs.__getitem__)
             rays = ", or interreflection_rays" if cost.rays else ""
             raise InputError(
                 f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {box[2]} × {box[3]} texels"
-                f" with a halo of {cost.reach} needs at least {amount(needs[box])} at its turn; allow more, or lower"
-                f" the number of observations or the number of particles{rays}"
+                f" with a halo of {cost.stencil_radius} needs at least {amount(needs[box])} at its turn; allow more, or"
+                f" lower the number of observations or the number of particles{rays}"
             )
         count = max(count + 1, int(1.1 * count))
 
@@ -291,7 +291,7 @@ def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
         return
     x0, y0 = x0 + int(columns[0]), y0 + int(rows[0])
     width, height = int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1
-    if count == 1 or max(width, height) <= _SMALLEST:
+    if count == 1 or max(width, height) <= _MIN_SIDE:
         yield x0, y0, width, height
         return
     part = part[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

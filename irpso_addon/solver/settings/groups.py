@@ -62,7 +62,7 @@ class Swarm:
     particles: int = setting(
         "Particles",
         "Least number of particles in each texel's swarm. More gives a surer result and takes longer",
-        least=1,
+        minimum=1,
         soft_max=64,
     )
     particles_per_dimension: float = setting(
@@ -86,25 +86,27 @@ class Swarm:
     c3_until: float = setting(
         "Fade Over",
         "The part of the iterations in which c3 (Neighbors) falls to 0; 0 keeps c3 constant",
-        most=1,
+        maximum=1,
         subtype=_FACTOR,
     )
     neighbourhood: int = setting(
-        "Window", "H of Eq. 4: side of the window of neighbors, in texels; odd", least=1, odd=True, soft_max=9,
+        "Window", "H of Eq. 4: side of the window of neighbors, in texels; odd", minimum=1, odd=True, soft_max=9,
         subtype="PIXEL",
     )  # fmt: skip
     neighbour_every: int = setting(
         "Try Every", "Interval, in iterations, at which a particle tries the best result of a neighboring texel;"
         " 0 is never", soft_max=50,
     )  # fmt: skip
-    v_max: float = setting("Speed Limit", "Largest step, as a part of a parameter's range", above=True, soft_max=1)
+    v_max: float = setting(
+        "Speed Limit", "Largest step, as a part of a parameter's range", exclusive_minimum=True, soft_max=1
+    )
     walls: Walls = setting("Walls", "What happens to a particle that would leave the range", choices=_WALLS)
     start_speed: float = setting("Start Speed", "Largest first step, as a part of a parameter's range", soft_max=1)
     seed: Seed = setting("Start", "Where the first particles start", choices=_SEEDS)
     seeded: float = setting(
         "Part Near Guess",
         "The part of the swarm that starts near the Lambertian fit or the first guess; the rest starts at random",
-        most=1,
+        maximum=1,
         subtype=_FACTOR,
     )
     seed_spread: float = setting(
@@ -131,11 +133,11 @@ class Fitness:
     loss: Loss = setting("Loss", "How a difference between render and photograph counts", choices=_LOSSES)
     delta: float = setting(
         "Delta", "The difference beyond which a sample counts as an outlier, as a part of the texel's scale",
-        above=True, soft_max=0.5,
+        exclusive_minimum=True, soft_max=0.5,
     )  # fmt: skip
     percentile: float = setting(
         "Scale At", "A texel's scale is this percentile of its radiances. Delta and Shadow are parts of the scale",
-        above=True, most=100, subtype="PERCENTAGE", precision=1,
+        exclusive_minimum=True, maximum=100, subtype="PERCENTAGE", precision=1,
     )  # fmt: skip
     shadow: float = setting(
         "Shadow", "Samples under this part of a texel's scale count as shadow (robust loss only)", soft_max=1
@@ -150,7 +152,7 @@ class Fitness:
     highlight_power: float = setting(
         "Highlights", "Above the texel's scale, Delta grows with this power of a sample's brightness. 0 keeps"
         " Delta constant (robust loss only)",
-        most=1, soft_max=1, precision=2,
+        maximum=1, soft_max=1, precision=2,
     )  # fmt: skip
 
 
@@ -172,7 +174,7 @@ class Prefit:
     indirect_share: float = setting(
         "Least Indirect Share", "Subtract the light of other surfaces from texels where it is at least this part"
         " of their light. It is found by its color or in a texel's own shadows. 0 is off; needs Shadow Where"
-        " Indirect", 0.0, most=1,
+        " Indirect", 0.0, maximum=1,
     )  # fmt: skip
     sheen_gain: float = setting(
         "Sheen Gain", "Where the prefit fits badly, try a second one with sheen, which is bright at grazing angles"
@@ -183,7 +185,7 @@ class Prefit:
     )
     acceptance_delta: float = setting(
         "Acceptance Delta", "Delta of the loss that compares the prefit's normals with the model's, as a part of"
-        " the texel's scale", 0.0125, above=True,
+        " the texel's scale", 0.0125, exclusive_minimum=True,
         soft_max=0.5, precision=4,
     )  # fmt: skip
     acceptance_ratio: float = setting(
@@ -210,21 +212,21 @@ class Refinement:
     starts: bool = setting(
         "Model's Starts", "Also refine from the starts in the model's file, and keep the best result", True
     )
-    start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, least=1, soft_max=30)
+    start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, minimum=1, soft_max=30)
     race_iterations: int = setting(
         "Race Steps", "Further steps from a start that is then close behind the best result so far; 0 is off", 0,
         soft_max=30,
     )  # fmt: skip
     race_ratio: float = setting(
         "Race Ratio", "A start is close behind if its fitness is below this many times the best one. More finds more"
-        " metals and takes longer", 4.0, least=1, soft_max=10,
+        " metals and takes longer", 4.0, minimum=1, soft_max=10,
     )  # fmt: skip
     race_observations: int = setting(
         "Race Limit", "Most photographs of a capture with which starts race; with more of them Start Steps suffice",
-        32, least=1, soft_max=200,
+        32, minimum=1, soft_max=200,
     )  # fmt: skip
     rounds: int = setting("Rounds", "How many times every texel tries the materials of its neighbors", 1, soft_max=8)
-    round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)
+    round_iterations: int = setting("Round Steps", "Steps after each round", 8, minimum=1, soft_max=30)
     candidate_ratio: float = setting(
         "Candidate Ratio", "A texel refines a neighbor's material if the fitness is below this many times that of"
         " its own material. More tries more materials and takes longer", 1.0, soft_max=10,
@@ -237,7 +239,7 @@ class Refinement:
         "Damping",
         "The first λ of Levenberg–Marquardt, as a part of the diagonal of JᵀJ",
         0.01,
-        above=True,
+        exclusive_minimum=True,
         soft_max=1,
         precision=4,
     )
@@ -257,7 +259,7 @@ class Refinement:
     widening: float = setting(
         "Widening", "Factor on Delta at the first step from the model's starts; it falls to 1 at the last Start Step."
         " More finds highlights that are farther away", 1.0,
-        least=1, soft_max=100,
+        minimum=1, soft_max=100,
     )  # fmt: skip
 
 
@@ -273,8 +275,8 @@ class Materials:
         "Rounds", "How many times every texel tries the shared materials: those that many texels of the surface have;"
         " 0 is off", 0, soft_max=8,
     )  # fmt: skip
-    iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
-    count: int = setting("Materials", "Largest number of shared materials", 16, least=1, soft_max=64)
+    iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, minimum=1, soft_max=30)
+    count: int = setting("Materials", "Largest number of shared materials", 16, minimum=1, soft_max=64)
     weight: float = setting(
         "Weight", "Votes of neighbors that a shared material is worth if the whole surface has it. More gives it"
         " to more texels", 1000.0,
@@ -283,7 +285,7 @@ class Materials:
 
 
 @dataclass(frozen=True)
-class Prior:
+class SpatialPrior:
     """The spatial prior: similar neighbours constrain the numbers that a texel's own samples leave undetermined."""
 
     rounds: int = setting(
@@ -293,15 +295,16 @@ class Prior:
         soft_max=8,
     )
     scales: int = setting(
-        "Scales", "Distance of the farthest neighbors in a round: 2 to the power of this, in texels", 4, least=1, most=6
-    )
-    iterations: int = setting("Iterations", "Levenberg–Marquardt steps after each round", 6, least=1, soft_max=30)
+        "Scales", "Distance of the farthest neighbors in a round: 2 to the power of this, in texels", 4, minimum=1,
+        maximum=6,
+    )  # fmt: skip
+    iterations: int = setting("Iterations", "Levenberg–Marquardt steps after each round", 6, minimum=1, soft_max=30)
     likeness: float = setting(
         "Likeness",
         "Neighbors count as similar up to this difference, as a part of a parameter's range. More averages over"
         " more of them",
         0.1,
-        above=True,
+        exclusive_minimum=True,
         soft_max=1,
     )
     likeness_color: float = setting(
@@ -309,7 +312,7 @@ class Prior:
         "Neighbors count as similar up to this difference of their colors, as a part of the brighter one. More"
         " averages over more of them",
         0.1,
-        above=True,
+        exclusive_minimum=True,
         soft_max=1,
     )
     spread: float = setting(
@@ -317,23 +320,23 @@ class Prior:
         "Least standard deviation that similar texels are assumed to have, as a part of a parameter's range. More"
         " leaves them more different",
         0.02,
-        above=True,
+        exclusive_minimum=True,
         soft_max=0.5,
     )
     noise_freedom: float = setting(
         "Noise Weight", "Weight of the neighbors' mean noise in a texel's own noise, as a number of samples",
-        10.0, above=True, soft_max=100, precision=1,
+        10.0, exclusive_minimum=True, soft_max=100, precision=1,
     )  # fmt: skip
     share: float = setting(
         "Least Share",
         "A texel stays as it is if the prior would have less influence on it than this part",
         0.02,
-        above=True,
+        exclusive_minimum=True,
         soft_max=1,
     )
     tolerance: float = setting(
-        "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0, above=True,
-        soft_max=10, precision=1,
+        "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0,
+        exclusive_minimum=True, soft_max=10, precision=1,
     )  # fmt: skip
     turn: bool = setting("Turn Normals", "Also apply the prior to normals", True)
 
@@ -350,11 +353,12 @@ class Surface:
     )  # fmt: skip
     weight: float = setting(
         "Weight", "Cost, as −log of a likelihood, if the slopes around four texels sum to one standard deviation"
-        " of their noise instead of 0. More turns normals further", 1.0, above=True, soft_max=4, precision=2,
+        " of their noise instead of 0. More turns normals further", 1.0, exclusive_minimum=True, soft_max=4,
+        precision=2,
     )  # fmt: skip
     tolerance: float = setting(
-        "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0, above=True,
-        soft_max=10, precision=1,
+        "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0,
+        exclusive_minimum=True, soft_max=10, precision=1,
     )  # fmt: skip
     smoothness: float = setting(
         "Smoothness", "Afterward, slopes move toward the plane of their neighbors' slopes as far as noise explains the"
@@ -381,19 +385,19 @@ class Interreflection:
     )  # fmt: skip
     resolution: int = setting(
         "Resolution", "Largest number of surface elements along the longer side of the maps; light is exchanged"
-        " between them. More shows smaller hollows and takes longer", 64, least=8,
-        most=1024, soft_max=256,
+        " between them. More shows smaller hollows and takes longer", 64, minimum=8,
+        maximum=1024, soft_max=256,
     )  # fmt: skip
     rays: int = setting(
         "Rays",
         "Number of directions from which an element receives light. More has less noise and takes longer",
         256,
-        least=8,
-        most=1024,
+        minimum=8,
+        maximum=1024,
         soft_max=512,
     )
     bounces: int = setting(
-        "Bounces", "Largest number of bounces of the light between surfaces", 3, least=1, most=16, soft_max=8
+        "Bounces", "Largest number of bounces of the light between surfaces", 3, minimum=1, maximum=16, soft_max=8
     )
 
     @property

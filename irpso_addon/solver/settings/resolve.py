@@ -8,7 +8,7 @@ from functools import cache
 from ...core.errors import InputError
 from ...core.paths import SHADERS
 from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage, Surface
+from .groups import Materials, NormalSearch, Prefit, Refinement, SpatialPrior, Stage, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
 PROPAGATE = -2  # instead of a start: the best materials of neighbours
@@ -141,7 +141,7 @@ class ResolvedSeparation:
 
 
 @dataclass(frozen=True)
-class ResolvedPrior:
+class ResolvedSpatialPrior:
     """The spatial prior for one model.
 
     parameters: all free ones. pooled: the scalars among them; colours are pooled, too. step: the steps after pooling.
@@ -149,7 +149,7 @@ class ResolvedPrior:
 
     parameters: tuple[Parameter, ...]
     pooled: tuple[Parameter, ...]
-    prior: Prior
+    prior: SpatialPrior
     step: ResolvedRefinement
 
     title = "prior"
@@ -182,7 +182,7 @@ Resolved = (
     | ResolvedSeparation
     | ResolvedSwarm
     | ResolvedRefinement
-    | ResolvedPrior
+    | ResolvedSpatialPrior
     | ResolvedSurface
 )
 
@@ -257,12 +257,12 @@ def _resolve_materials(schedule: Schedule, parameters: tuple[Parameter, ...]) ->
     return (ResolvedMaterials(parameters, rounds, (), "shared materials", settings),)
 
 
-def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedPrior, ...]:
+def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedSpatialPrior, ...]:
     prior, pooled = schedule.prior, tuple(p for p in parameters if p.components == 1)
     if prior.rounds == 0 or not pooled:
         return ()
     moved = tuple(p for p in parameters if prior.turn or not p.is_normal)
-    return (ResolvedPrior(parameters, pooled, prior, ResolvedRefinement(moved, schedule.refinement, ())),)
+    return (ResolvedSpatialPrior(parameters, pooled, prior, ResolvedRefinement(moved, schedule.refinement, ())),)
 
 
 def _resolve_surface(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedSurface, ...]:

@@ -12,7 +12,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import load_shipped_table, shipped_names
 from ...core.paths import PRESETS
-from .groups import Fitness, Interreflection, Materials, Prefit, Prior, Refinement, Stage, Surface, Swarm
+from .groups import Fitness, Interreflection, Materials, Prefit, Refinement, SpatialPrior, Stage, Surface, Swarm
 from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
@@ -42,7 +42,7 @@ class Schedule:
         "How many times the search runs through all stages. Each further time starts"
         " from the maps so far and takes as long again",
         1,
-        least=1,
+        minimum=1,
         soft_max=10,
     )
     threshold: float = setting(
@@ -52,17 +52,17 @@ class Schedule:
     )  # fmt: skip
     levels: int = setting(
         "Levels", "Number of map sizes that are solved, from small to full. Each is half the next one and gives"
-        " its first guess; 1 solves the full size alone", 1, least=1, most=5,
+        " its first guess; 1 solves the full size alone", 1, minimum=1, maximum=5,
     )  # fmt: skip
     level_iterations: float = setting(
         "Finer Levels", "Iterations at all levels but the smallest, as a part of those at the smallest. Less is"
-        " faster and less exact", 0.4, above=True, most=1,
+        " faster and less exact", 0.4, exclusive_minimum=True, maximum=1,
         subtype="FACTOR",
     )  # fmt: skip
     prefit: Prefit = Prefit()
     refinement: Refinement = Refinement()
     materials: Materials = Materials()
-    prior: Prior = Prior()
+    prior: SpatialPrior = SpatialPrior()
     surface: Surface = Surface()
     interreflection: Interreflection = Interreflection()
 
@@ -128,7 +128,7 @@ def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
 
 # Groups with defaults. A preset sets only what differs; without a group's table its phase does not run.
 _OPTIONAL = {
-    "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior,
+    "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": SpatialPrior,
     "surface": Surface, "interreflection": Interreflection,
 }  # fmt: skip
 

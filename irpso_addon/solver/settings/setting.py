@@ -16,7 +16,7 @@ class Setting:
     """Limits, label and help of a setting.
 
     label, help: as shown in the window and in docs/presets.md. kind: int, float, bool, or str for one of ``choices``;
-    read from the field's type. least: the smallest number, excluded where ``above``. most: the largest, or None. odd:
+    read from the field's type. minimum: excluded where ``exclusive_minimum``. maximum: or None. odd:
     even numbers are refused. soft_max: upper end of the slider. subtype: Blender's name of the unit. precision:
     decimals. choices: value → (label, help). default: None where every preset sets the value.
     """
@@ -24,9 +24,9 @@ class Setting:
     label: str
     help: str
     kind: type = float
-    least: int = 0
-    above: bool = False
-    most: int | None = None
+    minimum: int = 0
+    exclusive_minimum: bool = False
+    maximum: int | None = None
     odd: bool = False
     soft_max: float | None = None
     subtype: str = "NONE"
@@ -46,12 +46,12 @@ class Setting:
             return
         kinds, words = (int, "a whole number") if self.kind is int else (int | float, "a number")
         number = isinstance(value, kinds) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or value < self.least:
-            raise InputError(f"{where}: {name} must be {words} from {self.least}, not {value!r}")
-        if self.above and value == self.least:
-            raise InputError(f"{where}: {name} must be above {self.least}, not {value!r}")
-        if self.most is not None and value > self.most:
-            raise InputError(f"{where}: {name} must be at most {self.most}, not {value!r}")
+        if not number or value < self.minimum:
+            raise InputError(f"{where}: {name} must be {words} from {self.minimum}, not {value!r}")
+        if self.exclusive_minimum and value == self.minimum:
+            raise InputError(f"{where}: {name} must be above {self.minimum}, not {value!r}")
+        if self.maximum is not None and value > self.maximum:
+            raise InputError(f"{where}: {name} must be at most {self.maximum}, not {value!r}")
         if self.odd and value % 2 == 0:
             raise InputError(f"{where}: {name} must be odd (1, 3, 5, …), not {value!r}")
 

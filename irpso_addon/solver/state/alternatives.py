@@ -11,8 +11,8 @@ from ...gpu.bands import Bands
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters, has_basis
-from ..kernels.kernels import alternatives_pass
 from ..kernels.linear_weights import MAX_WEIGHTS, linear_weights
+from ..kernels.single_passes import alternatives_pass
 from ..settings.groups import Fitness
 from .textures import DomainTextures, loss_constants
 

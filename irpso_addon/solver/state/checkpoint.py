@@ -20,7 +20,7 @@ from ...core.files import replacing_file
 from ...geometry.domain import Domain
 from ...gpu.library import read_source
 from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import model_includes
+from ..kernels.declarations import model_includes
 from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 

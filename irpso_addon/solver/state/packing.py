@@ -86,17 +86,17 @@ class Packing:
         numbers[height * width :] = len(self._rows) + np.arange(self.ghosts)
         target = numbers[seams.target]
         valid = np.flatnonzero(target >= 0)
-        place, target = seams.place[valid] + seams.reach, target[valid]
+        place, target = seams.place[valid] + seams.radius, target[valid]
         if len(place) >= _EXACT:
             raise InputError("this domain has more texels beside seams than a texture can number; solve it in tiles")
-        flat = place[:, 1].astype(np.int64) * (width + 2 * seams.reach) + place[:, 0]
+        flat = place[:, 1].astype(np.int64) * (width + 2 * seams.radius) + place[:, 0]
         begins = np.diff(flat, prepend=-1) != 0
         next_link = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
         chain = np.stack([target % self.width, target // self.width, seams.of[valid], next_link], axis=-1)
         layers = -(-len(chain) // (self.width * self.height))
         chains = np.full((layers, self.height, self.width, 4), -1, np.float32)
         chains.reshape(-1, 4)[: len(chain)] = chain
-        border = ((seams.reach, seams.reach), (seams.reach, seams.reach), (0, 0))
+        border = ((seams.radius, seams.radius), (seams.radius, seams.radius), (0, 0))
         packed = np.concatenate([inverse, seams.chart[..., None], np.full((height, width, 1), -1)], axis=-1)
         packed = np.pad(packed.astype(np.float32), border, constant_values=-1)
         packed.reshape(-1, 4)[flat[begins], 3] = np.flatnonzero(begins)

@@ -134,12 +134,12 @@ def shadow_light_table() -> TextureTable:
     })  # fmt: skip
 
 
-def prior_table(estimates: int) -> TextureTable:
+def spatial_prior_table(estimates: int) -> TextureTable:
     """Return the table of a spatial prior. estimates: RGBA textures of a material.
 
-    noise: of the samples (shaders/prior/variance.glsl). mean, deviation: read by neighbours; after the last round, the
-    prior. own: deviations from the texel's own samples alone. work, status: the estimates that are fitted to samples
-    and prior. penalty: of the estimates at the start.
+    noise: of the samples (shaders/spatial_prior/variance.glsl). mean, deviation: read by neighbours; after the last
+    round, the prior. own: deviations from the texel's own samples alone. work, status: the estimates that are fitted to
+    samples and prior. penalty: of the estimates at the start.
     """
     pooled = numbered("belief", 2 * estimates)
     return TextureTable({
@@ -156,7 +156,7 @@ def prior_table(estimates: int) -> TextureTable:
 def surface_table() -> TextureTable:
     """Return the table of the surface phase, which makes normals integrable and smooth.
 
-    noise: of the samples (shaders/prior/variance.glsl). field, covariance: shaders/surface/relax.glsl.
+    noise: of the samples (shaders/spatial_prior/variance.glsl). field, covariance: shaders/surface/relax.glsl.
     """
     return TextureTable({
         "noise": TextureGroup(("u_noise",), ("noise",), double=True),

@@ -23,8 +23,8 @@ from .textures import domain_arrays
 
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: shadow edges lie below, highlights above
 _CHUNK = 1 << 16  # samples at a time: their temporaries, about 80 bytes a sample, stay in a cache
-_EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with a margin
-_MOST_THREADS = 8  # numpy releases the GIL; more threads would wait for memory
+_EXPONENTS, _MIN_EXPONENT = 280, -149  # of float32 numbers, with a margin
+_MAX_THREADS = 8  # numpy releases the GIL; more threads would wait for memory
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
 Report = Callable[[float], object]  # receives the fraction done, 0 to 1
@@ -126,7 +126,7 @@ def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, in
         mean = _irradiance(domain, texels).mean(axis=-1)
         values = (over_lights(mean) / len(mean)).astype(np.float32)[counted[texels]]
         mantissa, exponent = np.frexp(values)
-        np.add.at(sums, exponent - _LEAST_EXPONENT, (mantissa * 2.0**24).astype(np.int64))
+        np.add.at(sums, exponent - _MIN_EXPONENT, (mantissa * 2.0**24).astype(np.int64))
         count += len(values)
     return sums, count
 
@@ -136,7 +136,7 @@ def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
     if not domain.lights[:, 3].any():
         return float(domain.intensities.mean())
     total = sum(int(part) << place for place, part in enumerate(sums.tolist()))
-    return float(Fraction(total, max(1, count)) * Fraction(2) ** (_LEAST_EXPONENT - 24))
+    return float(Fraction(total, max(1, count)) * Fraction(2) ** (_MIN_EXPONENT - 24))
 
 
 def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.ndarray]:
@@ -340,7 +340,7 @@ def percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float
 
 def chunk_steps(domain: Domain, work: Callable[[int, Texels], None]) -> Generator[float, None, None]:
     """Run work(start, texels) for all chunks in a pool of threads; yield the fraction done."""
-    with ThreadPoolExecutor(min(_MOST_THREADS, len(available_cores()))) as pool:
+    with ThreadPoolExecutor(min(_MAX_THREADS, len(available_cores()))) as pool:
         waiting = [pool.submit(work, *chunk) for chunk in chunks(domain)]
         for number, future in enumerate(waiting, 1):
             future.result()

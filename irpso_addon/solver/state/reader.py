@@ -7,7 +7,7 @@ import numpy as np
 from ...gpu import textures
 from ...gpu.kernel import Entry
 from ...gpu.textures import Texture
-from ..kernels.kernels import copy_pass
+from ..kernels.single_passes import copy_pass
 
 
 class Reader:

@@ -24,22 +24,22 @@ from .separation_record import Separation
 from .shadow_light import light_of
 from .textures import DomainTextures
 
-_LEAST_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma above this part of this percentile of the texel's light
+_MIN_LIGHT, _BRIGHT = 0.02, 90.0  # a sample has a chroma above this part of this percentile of the texel's light
 _DIRECT = 10.0  # percentile of the saturations of a texel's samples: the least indirect ones
 
 # Conditions on a subject. The median distance of its chromas from their middle is 0.04 to 0.06 for brass, gold, copper
 # and terracotta, 0.17 for enamel with its highlights, 0.27 for patina, 0.48 for a concave mix. Of the texels whose
 # shading shows indirect light, 74 to 97 % are doubly coloured on the first four, at most 42 % on others.
-_LEAST_CHROMA = 0.3
-_MOST_SPREAD = 0.15
-_LEAST_FOUND = 0.02  # of the texels
-_LEAST_SATURATION, _MOST_SATURATION, _MOST_DISTANCE = 1.2, 4.0, 0.15
+_MIN_CHROMA = 0.3
+_MAX_SPREAD = 0.15
+_MIN_FOUND = 0.02  # of the texels
+_MIN_SATURATION, _MAX_SATURATION, _MAX_DISTANCE = 1.2, 4.0, 0.15
 
 # Least weight of a sample after its light is separated by colour; with 0.05 or 0.2, copper, brass and gold differ by at
 # most 0.5°. Mean normal errors (subjects of benchmarks/separation.py, standard) with all weights 1 and with these:
 # copper 15.7 and 14.0°, brass 4.3 and 3.8°, bronze 12.0 and 11.9°, terracotta 4.7 and 4.5°, gold 18.8 and 18.9° (median
 # 5.5 and 4.7°). More texels are called known, 44 in place of 39 % of copper; those of gold are off by 2.8, not 2.5°.
-_LEAST_WEIGHT = 0.1
+_MIN_WEIGHT = 0.1
 
 
 def median_chromas(domain: Domain, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -60,13 +60,13 @@ def direct_chroma(chroma: np.ndarray, indirect: np.ndarray) -> np.ndarray | None
     """
     known = np.isfinite(chroma).all(axis=-1)
     direct, hollow = chroma[known & ~indirect], chroma[known & indirect]
-    if len(direct) == 0 or len(hollow) < _LEAST_FOUND * len(chroma):
+    if len(direct) == 0 or len(hollow) < _MIN_FOUND * len(chroma):
         return None
     middle = _chroma(np.median(direct, axis=0))
-    if np.linalg.norm(_logarithm(middle)) < _LEAST_CHROMA:
+    if np.linalg.norm(_logarithm(middle)) < _MIN_CHROMA:
         return None
     distance = np.linalg.norm(_logarithm(direct) - _logarithm(middle), axis=-1)
-    if np.median(distance) > _MOST_SPREAD:
+    if np.median(distance) > _MAX_SPREAD:
         return None
     saturation, _ = _saturation_of(direct, middle)
     unmixed = _chroma(np.median(direct[saturation <= np.median(saturation)], axis=0))
@@ -112,7 +112,7 @@ class SeparatedStack:
 
     Metal seen at a grazing angle reflects nearly white light, which the chromas do not explain. So the more light is
     removed by colour, the less a sample weighs: with the direct part d and the removed part r of its light, its weight
-    becomes d² / (d² + r²), at least _LEAST_WEIGHT. Samples separated by shadows keep their weights: with the same
+    becomes d² / (d² + r²), at least _MIN_WEIGHT. Samples separated by shadows keep their weights: with the same
     formula, a concave mix is off by 8.82 in place of 8.80°, a goblet of enamel by 3.51 in place of 3.52°.
 
     separation: (H, W).
@@ -202,7 +202,7 @@ def _without_bounces(domain: Domain, texels: Texels, samples: np.ndarray, separa
     light = _radiance(samples, domain.intensities)
     direct = _without(light, separation.direct_chroma, separation.bounced_chroma)
     kept, removed = (dot(part, part) for part in (direct, light - direct))
-    weight = np.maximum(1 - removed / np.maximum(kept + removed, 1e-30), _LEAST_WEIGHT) * samples[..., 3]
+    weight = np.maximum(1 - removed / np.maximum(kept + removed, 1e-30), _MIN_WEIGHT) * samples[..., 3]
     return np.concatenate([direct * domain.intensities[:, None], weight[..., None]], axis=-1)
 
 
@@ -278,7 +278,7 @@ def _chromas(samples: np.ndarray, intensities: np.ndarray) -> np.ndarray:
     counted = np.where(samples[..., 3] > 0, total, np.nan)
     with np.errstate(invalid="ignore"):
         (bright,) = percentiles(counted, [_BRIGHT])
-        counted = counted > np.maximum(_LEAST_LIGHT * bright, 1e-30)
+        counted = counted > np.maximum(_MIN_LIGHT * bright, 1e-30)
     return np.where(counted[..., None], _chroma(light), np.nan)
 
 
@@ -304,7 +304,7 @@ def _saturation_of(chroma: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, 
 def _doubly_coloured(chroma: np.ndarray, direct: np.ndarray) -> np.ndarray:
     """Return bool: whether chromas (…, 3) are powers of the direct one with one or more further bounces."""
     saturation, distance = _saturation_of(chroma, direct)
-    return (saturation >= _LEAST_SATURATION) & (saturation <= _MOST_SATURATION) & (distance <= _MOST_DISTANCE)
+    return (saturation >= _MIN_SATURATION) & (saturation <= _MAX_SATURATION) & (distance <= _MAX_DISTANCE)
 
 
 def _all_light(light: np.ndarray) -> np.ndarray:

@@ -117,7 +117,7 @@ def kernel_defines(domain: Domain) -> dict[str, str | int]:
     defines = observation_defines(domain.lights, domain.views, domain.card)
     if domain.noise:
         defines["NOISE"] = f"{domain.noise:.9f}"
-    return defines if domain.seams is None else {**defines, "SEAMS": domain.seams.reach}
+    return defines if domain.seams is None else {**defines, "SEAMS": domain.seams.radius}
 
 
 def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, str | int]:

@@ -21,7 +21,8 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
 from ..engine.engine import RecoveryEngine
 from ..engine.progress import Progress
-from ..kernels import kernels
+from ..kernels import declarations
+from ..kernels.single_passes import residual_pass
 from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from ..state.packing import Packing, level_size
 from ..state.textures import kernel_defines
@@ -174,12 +175,12 @@ class Display:
         if kind not in self._measures:
             model = self._recovery.model
             if kind == "error":
-                work = kernels.residual_pass(model, self._defines)
+                work = residual_pass(model, self._defines)
                 observations = {"u_observations": self._recovery.domain.observations}
                 self._measures[kind] = _Measure(work, 1, "R32F", observations)
             else:
                 work, constants = self._recovery.deviation_pass()
-                self._measures[kind] = _Measure(work, kernels.packed(model).textures, "RGBA32F", constants)
+                self._measures[kind] = _Measure(work, declarations.packed(model).textures, "RGBA32F", constants)
         return self._measures[kind]
 
     def _indirect(self, alike: Texture) -> Texture:
@@ -288,15 +289,15 @@ def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[
 
 def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: Mapping[str, str | int]) -> Pass:
     """Return the pass that draws a kind of picture."""
-    packed = kernels.packed(model)
+    packed = declarations.packed(model)
     numbers = {"error": 1, "indirect": 1, "confidence": packed.textures, "unknown": packed.textures}
     measured = Packed(numbers.get(kind, 0))
     own = {"u_estimate": packed, "u_measure": measured}
-    samplers = {**own, "u_ramp": kernels.FLOAT_2D, **kernels.OBSERVATIONS, **kernels.PACKING}
+    samplers = {**own, "u_ramp": declarations.FLOAT_2D, **declarations.OBSERVATIONS, **declarations.PACKING}
     name, constants = f"show_{kind}", _OBSERVATION
     if kind in ("parameter", "unknown"):
         name, constants = "show_parameter", _PARAMETER
     elif measured.textures:
         name, constants = "show_measure", _MEASURE
-    output, includes = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
+    output, includes = Output("o_picture", "RGBA16F"), declarations.model_includes(model)
     return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, domain_defines, includes))

@@ -13,7 +13,7 @@ from ...geometry.domain import Domain, GeometryBake, tile
 from ...gpu import context, textures
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import render_pass
+from ..kernels.single_passes import render_pass
 from ..state.textures import Estimates, geometry_layers, observation_defines, upload_observations
 
 

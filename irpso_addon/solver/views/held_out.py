@@ -19,8 +19,8 @@ from ...results.preview import PreviewRow, on_one_scale, preview
 from .forward import rendered
 from .pictures import SHOWN_WHITE, Indirect, image_psnr, image_row, no_indirect
 
-_STEP, _MOST = 8, 6  # of the automatic choice
-FEWEST_SPARING = _STEP // 2 + 1  # least observations of a capture that holds one out
+_STEP, _MAX_HELD_OUT = 8, 6  # of the automatic choice
+MIN_OBSERVATIONS = _STEP // 2 + 1  # least observations of a capture that holds one out
 RELIT_LINES = (  # with no, one and both figures
     "Unseen photographs: nothing to compare",
     "Unseen photographs: RMS error {error}",
@@ -31,12 +31,12 @@ _DARK = 0.02  # … and by this fraction of display white, to exceed noise
 
 
 def spared(cameras: Sequence[int]) -> list[int]:
-    """Return the indices that the automatic choice holds out of observations, [] for fewer than ``FEWEST_SPARING``.
+    """Return the indices that the automatic choice holds out of observations, [] for fewer than ``MIN_OBSERVATIONS``.
 
     One in eight, evenly spaced, at most six, because the fit cannot use them. cameras: of each observation. Cameras
     often list the same lamps in one order: none is held out at the place of its camera's list where another is.
     """
-    step = max(_STEP, math.ceil(len(cameras) / _MOST))
+    step = max(_STEP, math.ceil(len(cameras) / _MAX_HELD_OUT))
     places = [list(cameras[:k]).count(camera) for k, camera in enumerate(cameras)]
     chosen: list[int] = []
     for middle in range(step // 2, len(cameras), step):
@@ -61,7 +61,7 @@ def order_of(count: int, held_out: Sequence[int]) -> list[int]:
 
 def preview_names(capture: Capture, held_out: Sequence[int]) -> list[str]:
     """Return the observations' names for pictures, with a mark on those held out."""
-    return [shot.name + " (held out)" * (k in held_out) for k, shot in enumerate(capture.observations)]
+    return [observation.name + " (held out)" * (k in held_out) for k, observation in enumerate(capture.observations)]
 
 
 def relit_steps(

@@ -14,7 +14,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..engine.engine import RecoveryEngine
-from ..kernels import kernels
+from ..kernels import declarations
 from ..phases.prefit import PrefitPhase
 from ..phases.swarm import SwarmPhase
 from ..state.packing import level_size
@@ -48,7 +48,7 @@ class TexelState:
     """The current state of a texel.
 
     error: mean absolute difference between render and reference over channels and weighted observations. values:
-    parameter name → (components,). particles: None without a searching swarm, or while it is being placed.
+    parameter name → (components,). particles: None without a searching swarm, or while it is being initialised.
     """
 
     error: float
@@ -105,12 +105,12 @@ class TexelProbe:
         """Return the components of the estimate, padded to RGBA texels, then the error and three more numbers."""
         if self._texel is None or self._row is None:
             model = self._recovery.model
-            packed = kernels.packed(model)
+            packed = declarations.packed(model)
             samplers: dict[str, str | Packed]
-            samplers = {"u_estimate": packed, **kernels.OBSERVATIONS, **kernels.PACKING}
+            samplers = {"u_estimate": packed, **declarations.OBSERVATIONS, **declarations.PACKING}
             defines = {**self._defines, "ESTIMATES": packed.textures}
             constants = {**_AT, "u_observations": "INT"}
-            glsl = kernels.model_includes(model)
+            glsl = declarations.model_includes(model)
             self._texel = Pass(
                 Kernel("view/probe_texel.glsl", (Output("o_numbers"),), samplers, constants, defines, glsl)
             )
@@ -152,15 +152,15 @@ class _SwarmProbe:
         defines = {
             **domain_defines,
             **encoding.defines,
-            **kernels.schedule_defines(phase.schedule),
+            **declarations.schedule_defines(phase.schedule),
             "PARTICLES": phase.particles,
             "TILES_X": self._held.atlas.across,
         }
         samplers: dict[str, str | Packed] = {
-            **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
-            "u_best": encoding.packed, "u_estimate": kernels.packed(model), **kernels.PACKING,
+            **{f"u_particle_{name}": declarations.FLOAT_2D for name in ("position", "best", "fitness")},
+            "u_best": encoding.packed, "u_estimate": declarations.packed(model), **declarations.PACKING,
         }  # fmt: skip
-        glsl = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source}
+        glsl = {**declarations.model_includes(model), "particle_encoding.glsl": encoding.source}
         constants = {**_AT, "u_width": "INT", "u_height": "INT"}
         self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, glsl))
         self._target = textures.empty(max(phase.particles, 3), _ROWS)

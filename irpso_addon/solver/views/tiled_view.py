@@ -14,7 +14,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ..engine.engine import RecoveryEngine
 from ..engine.halo import Box
-from ..kernels.kernels import FLOAT_2D
+from ..kernels.declarations import FLOAT_2D
 from .display import KEPT, Display, Shown
 from .texel_probe import TexelProbe, TexelState
 

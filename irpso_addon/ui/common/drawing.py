@@ -11,7 +11,7 @@ import bpy
 _CHARACTER_WIDTH = 6.6  # pixels at scale 1: mean width in Blender's font
 _MARGINS = 58  # pixels of a panel's width that hold no text: edges, tab, icon
 _MARGINS_NO_ICON = 45  # the same in a row without an icon
-_LEAST_CHARACTERS = 16  # characters per line
+_MIN_CHARACTERS = 16  # characters per line
 _PIECES = re.compile(r"[!-~À-ɏ]+|[「『（【“]?.")  # Latin words and single characters
 _CLOSING = "、。，．：；！？）」』】"
 _NAME_FRACTION = 0.4  # fraction of a row's width for the name
@@ -73,7 +73,7 @@ def _characters(context, margins: int = _MARGINS) -> int:
     """Return the number of Latin characters in a line of the panel."""
     width = context.region.width if context.region is not None else 0
     scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
-    return max(_LEAST_CHARACTERS, int((width / scale - margins) / _CHARACTER_WIDTH))
+    return max(_MIN_CHARACTERS, int((width / scale - margins) / _CHARACTER_WIDTH))
 
 
 def clock(seconds: float) -> str:

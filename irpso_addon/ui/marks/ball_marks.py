@@ -21,10 +21,10 @@ from ..overlay.paint import HALO, Painter
 from .marking import Marking
 
 _COLOUR, _DROPPED_COLOUR = (1.0, 0.75, 0.2, 1.0), (1.0, 0.3, 0.25, 1.0)
-_MOST_SHOWN = 24  # photographs whose brightest values are shown: each has a highlight
+_MAX_SHOWN = 24  # photographs whose brightest values are shown: each has a highlight
 _CROSS = 5.0  # half the size of a dropped highlight's cross, in pixels at scale 1
-_LEAST_RADIUS = 5.0  # in pixels of the photographs
-_MOST = 10  # most balls
+_MIN_RADIUS = 5.0  # in pixels of the photographs
+_MAX_BALLS = 10  # most balls
 
 
 class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
@@ -39,7 +39,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
     )
 
     moves: FloatVectorProperty(
-        name="Moves", description="For each ball, in pixels: to the right, down, and of the radius", size=3 * _MOST
+        name="Moves", description="For each ball, in pixels: to the right, down, and of the radius", size=3 * _MAX_BALLS
     )
     dropped: StringProperty(name="Dropped", description="Photographs, one in a line, whose highlight is dropped")
 
@@ -56,7 +56,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
             self._read(context)
         except InputError as error:
             return failures.report_and_cancel(self, error)
-        self._circles += np.reshape(self.moves, (_MOST, 3))[: len(self._circles)]
+        self._circles += np.reshape(self.moves, (_MAX_BALLS, 3))[: len(self._circles)]
         self._dropped = set(self.dropped.splitlines())
         return self._find_lights()
 
@@ -68,14 +68,14 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
             self._read(context)
         except InputError as error:
             return failures.report_and_cancel(self, error)
-        return self.begin(context, _MOST_SHOWN)
+        return self.begin(context, _MAX_SHOWN)
 
     def _read(self, context) -> None:
         """Read the report's circles (N, 3) and highlights, in pixels from the upper left. Raises InputError."""
         self._path = absolute(context.scene.irpso.capture_path, "Capture")
         report = report_beside(self._path)
         self._kind, self._input = report["kind"], report["asked"]
-        self._circles = np.array([ball["circle"] for ball in report["balls"]][:_MOST], float)
+        self._circles = np.array([ball["circle"] for ball in report["balls"]][:_MAX_BALLS], float)
         self._highlights = [
             (light["name"], np.array(spot)) for light in report["lights"] for spot in light["highlights"] if spot
         ]
@@ -119,7 +119,7 @@ class IRPSO_OT_mark_balls(Marking, bpy.types.Operator):
             self._circles[number, :2] = x, y
         else:
             distance = float(np.hypot(*(self._circles[number, :2] - (x, y))))
-            self._circles[number, 2] = max(distance, _LEAST_RADIUS)
+            self._circles[number, 2] = max(distance, _MIN_RADIUS)
 
     def drawn(self, painter: Painter) -> None:
         """Draw the circles with their handles, and the highlights; dropped ones are crossed out."""

@@ -28,7 +28,7 @@ from ..session.scene_capture import spec_of
 
 T = TypeVar("T")
 _PICTURE = "IRPSO Photograph"
-_MOST_PIXELS = 1600  # most pixels of the shown picture's longer side
+_MAX_PIXELS = 1600  # most pixels of the shown picture's longer side
 _PICTURES = 3  # photographs whose brightest values are shown
 _BRIGHT = 99.0  # percentile that is shown white
 _GRAB_RADIUS = 20.0  # pixels at scale 1 within which a click grabs a handle
@@ -73,17 +73,19 @@ class Marking:
         """
         spec = spec_of(settings)
         camera = spec.observations[0].camera
-        shots = tuple(replace(shot, camera=0) for shot in spec.observations if shot.camera == camera)
-        whole = replace(spec, observations=shots, views=(spec.views[camera],))
-        shown = replace(whole, observations=_spread(shots, most))
+        observations = tuple(
+            replace(observation, camera=0) for observation in spec.observations if observation.camera == camera
+        )
+        whole = replace(spec, observations=observations, views=(spec.views[camera],))
+        shown = replace(whole, observations=_spread(observations, most))
         if settings.skip_damaged:
             store = ImageStore(decode)
             try:
                 shown = without_damaged(shown, store)
             except CaptureError:
                 shown = without_damaged(whole, store)
-        for shot in _spread(build_capture(shown, decode).observations, most):
-            yield without_bounds(shot.read())[..., :3]
+        for observation in _spread(build_capture(shown, decode).observations, most):
+            yield without_bounds(observation.read())[..., :3]
 
     def begin(self, context, readers: int = _PICTURES) -> set[str]:
         """Show the brightest values of some photographs and wait for the mouse."""
@@ -198,7 +200,7 @@ def _make_picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
     size = np.zeros(2)
     for radiance in radiances:
         size = np.array(radiance.shape[1::-1], float)
-        step = math.ceil(max(radiance.shape) / _MOST_PIXELS)
+        step = math.ceil(max(radiance.shape) / _MAX_PIXELS)
         peak = np.maximum(peak, np.nan_to_num(radiance[::step, ::step]))
     peak = srgb_from_linear(np.clip(peak / max(float(np.percentile(peak, _BRIGHT)), 1e-6), 0, 1))
     height, width = peak.shape[:2]

@@ -34,8 +34,8 @@ from ..common.polls import NO_CAPTURE, usable
 from ..common.words import n_, rpt
 from ..properties import findings
 from ..properties.scene_settings import UPDATE_CALLBACKS, model_of
-from ..session.job import subject_object
 from ..session.scene_capture import capture_of, capture_path, keep_corners, store_light_facts
+from ..session.scene_job import subject_object
 
 # Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice lasts as long as
 # this took. After each image Blender redraws all views. If that takes a second (software renderer on a busy machine),

@@ -105,8 +105,8 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
         source = capture_path(settings)
         options = self._options(settings)
         out = free_folder(source, "linear")
-        shots = read_source(source, decode, None, settings.colour_space, options.left_out)
-        report = yield from develop_steps(ImageStore(decode), shots, options, out, {"capture": str(source)})
+        photographs = read_source(source, decode, None, settings.colour_space, options.left_out)
+        report = yield from develop_steps(ImageStore(decode), photographs, options, out, {"capture": str(source)})
         return out, report
 
     def _options(self, settings) -> MeasureOptions:

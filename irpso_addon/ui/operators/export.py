@@ -142,14 +142,14 @@ class IRPSO_OT_export(bpy.types.Operator):
         spaces = tuple(space for space in NORMAL_SPACES if getattr(self, f"normal_{space}"))
         found = current_maps(running, True, DerivedMaps(spaces, self.height))
         report, pictures = report_of(running, found), pictures_of(running, found)
-        files = write_maps(found.written, folder, report, pictures, found.derived)
+        files = write_maps(found.in_blender_frames, folder, report, pictures, found.derived)
         priors = running.job.schedule.fitness.priors
         text = rpt("{count} files written to {folder}", count=len(files), folder=folder)
-        return text, mode_warnings(found.solver, priors)
+        return text, mode_warnings(found.in_solver_frames, priors)
 
     def _write_seamless(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
         found = current_maps(running, False)
-        tile = tiled(found.written, self.height)
+        tile = tiled(found.in_blender_frames, self.height)
         report = tile.report(report_of(running, found))
         files = write_maps(tile.maps, folder, report, {"repeated": tile.picture()}, tile.derived)
         return rpt("{count} files of maps that repeat written to {folder}", count=len(files), folder=folder), []
@@ -161,7 +161,9 @@ class IRPSO_OT_export(bpy.types.Operator):
             running, self.format == WEB, DerivedMaps(height="height" in optional or (card and occluded))
         )
         job = running.job
-        result = Result(file_stem(job.name), found.written, found.height, card=card, mesh=job.mesh, occluded=occluded)
+        result = Result(
+            file_stem(job.name), found.in_blender_frames, found.height, card=card, mesh=job.mesh, occluded=occluded
+        )
         if occluded and not card:
             result = replace(result, baked_sky=mesh_open_sky(alone(job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)

@@ -12,8 +12,8 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
 from ...blender.images import decode
+from ...calibration.ball_calibration import BallRequest, calibrate_steps
 from ...calibration.balls.lights import Request
-from ...calibration.job import BallRequest, calibrate_steps
 from ...calibration.photographs import lens_of_files, read_photographs, with_camera
 from ...calibration.write import write_calibration
 from ...capture.formats.table import TABLE

@@ -16,7 +16,7 @@ from ..properties import preferences
 from ..properties.recipe import schedule_recipe
 from ..properties.schedule_settings import schedule_of
 from ..session import session, stored_recoveries
-from ..session.job import make_job, missing
+from ..session.scene_job import make_job, missing
 from .restore import run_in_window
 
 _TIMER_SECONDS = 1 / 60

@@ -17,7 +17,7 @@ from ..common.words import iface, n_
 from ..properties.recipe import apply_recipe, unchanged_on_error
 from ..session import session, stored_recoveries
 from ..session.card_place import show_card
-from ..session.job import SceneJob, make_job
+from ..session.scene_job import SceneJob, make_job
 
 _AFTER_SAVING = 0.1  # seconds until Blender has marked a file as saved
 

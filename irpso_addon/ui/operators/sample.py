@@ -16,8 +16,8 @@ import bpy
 from bpy.props import StringProperty
 
 from ...blender.images import decode
+from ...calibration.ball_calibration import BallRequest, calibrate_steps, written_table
 from ...calibration.balls.lights import Request
-from ...calibration.job import BallRequest, calibrate_steps, written_table
 from ...calibration.photographs import lens_of_files, read_photographs, with_camera
 from ...calibration.write import write_calibration
 from ...capture.images.image import ImageStore
@@ -25,7 +25,7 @@ from ...core.errors import InputError
 from ...core.steps import map_steps
 from ...gpu.child import child_command
 from ...sample import layout
-from ...sample.job import FOLDER, PHOTOGRAPHS
+from ...sample.render_sample import FOLDER, PHOTOGRAPHS
 from ...sample.truth import PAGE
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute

@@ -39,8 +39,8 @@ from ..common.words import rpt
 from ..properties.scene_settings import UPDATE_CALLBACKS
 from ..session import session
 from ..session.card_place import is_automatic, show_card
-from ..session.job import subject_object
 from ..session.scene_capture import spec_steps
+from ..session.scene_job import subject_object
 
 _ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12"
 _FILES = "irpso_capture_files"  # custom property beside CAPTURE: the capture's source, as its name may be another's
@@ -76,11 +76,11 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
         obj.irpso.image = None if view.mask is None or mask.all() else images.of(view.mask, mask=True)
         views.append(obj)
     lights = []
-    for index, (shot, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
+    for index, (listed, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
         name = f"Light {index:03d} {observation.name}"
         obj = _object(existing, made, f"light {index}", name, "SUN", collection, capture)
         set_light(obj, observation.light, dome.centre, dome.radius)
-        obj.irpso.image, obj.irpso.camera = images.of(shot.image), views[observation.camera]
+        obj.irpso.image, obj.irpso.camera = images.of(listed.image), views[observation.camera]
         lights.append(obj)
     _remove(set(existing.values()) - set(made))
     if scene.camera is None:

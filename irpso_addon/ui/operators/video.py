@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ...blender.frames import COUNT, Frames, frame_steps
 from ...calibration.photographs import is_photograph, videos_of
-from ...calibration.video import FEWEST
+from ...calibration.video import MIN_FRAMES
 from ...core.errors import InputError
 from ...core.steps import map_steps
 from ..common import failures
@@ -51,7 +51,7 @@ class PhotographsOfVideo(VideoBrowser, SlicedOperator, bpy.types.Operator):
 
     count: IntProperty(
         name="Photographs", description="Most frames that become photographs. Each takes time in the recovery;"
-        " roughness needs 20 or more", min=FEWEST, soft_max=200, default=COUNT,
+        " roughness needs 20 or more", min=MIN_FRAMES, soft_max=200, default=COUNT,
     )  # fmt: skip
 
     def execute(self, context):

@@ -20,7 +20,7 @@ from .plot import curve_plot
 
 _MEAN_COLOR = (0.80, 0.80, 0.82, 1.0)
 _WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
-_LEAST = (290.0, 140.0)
+_MIN_SIZE = (290.0, 140.0)
 _SHARE = (0.42, 0.36)  # most width and height of the panel over those of the free space
 _LIST_WIDTH = 136.0  # width of the list with names and last errors, in pixels at scale 1
 _LIFT = 0.3  # a ring's height above the surface over its radius
@@ -87,8 +87,8 @@ def draw_flat_rings(painter: Painter, areas: Sequence[Rectangle], running: Sessi
 
 def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:
     """Return width and height of the panel in pixels; smaller in a region with little free space."""
-    width = max(_LEAST[0], min(_WIDTH, _SHARE[0] * free.width / scale))
-    height = max(_LEAST[1], min(_HEIGHT, _SHARE[1] * free.height / scale))
+    width = max(_MIN_SIZE[0], min(_WIDTH, _SHARE[0] * free.width / scale))
+    height = max(_MIN_SIZE[1], min(_HEIGHT, _SHARE[1] * free.height / scale))
     return width * scale, height * scale
 
 

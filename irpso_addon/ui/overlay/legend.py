@@ -17,7 +17,7 @@ from ..common.words import iface
 from .layout import Rectangle
 from .paint import DIM, SMALL, Painter
 
-_BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # bar's height and least height, panel's width, in pixels at scale 1
+_BAR, _MIN_BAR, _WIDTH = 150.0, 70.0, 104.0  # bar's height and least height, panel's width, in pixels at scale 1
 _BAR_SHARE = 0.3  # most height of the bar over that of the free space
 _AROUND = 62.0  # height of the panel without the bar, in pixels at scale 1
 _EDGE = 12.0  # from the panel's edge to its texts, in pixels at scale 1
@@ -71,7 +71,7 @@ def legend_size(scale: float, free: Rectangle, widest: float = 0.0) -> tuple[flo
 
     widest: width of its longest text in pixels.
     """
-    bar = max(_LEAST_BAR, min(_BAR, _BAR_SHARE * free.height / scale))
+    bar = max(_MIN_BAR, min(_BAR, _BAR_SHARE * free.height / scale))
     return max(_WIDTH * scale, widest + 2 * _EDGE * scale), (bar + _AROUND) * scale
 
 

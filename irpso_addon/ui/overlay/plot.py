@@ -10,9 +10,9 @@ import numpy as np
 from ...results.scales import linear_ticks, log_ticks, round_down, round_up, tick_text
 from .layout import Rectangle
 
-_FEWEST_ITERATIONS = 10  # least length of the iterations' axis
-_LEAST_SPAN = 10.0  # least ratio of the error axis's ends, so that a constant curve looks constant
-_LEAST_RATIO = 1e-8  # least error drawn over the axis's upper end: smaller ones are rounding
+_MIN_ITERATIONS = 10  # least length of the iterations' axis
+_MIN_SPAN = 10.0  # least ratio of the error axis's ends, so that a constant curve looks constant
+_MIN_RATIO = 1e-8  # least error drawn over the axis's upper end: smaller ones are rounding
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def curve_plot(area: Rectangle, curves: Sequence[Sequence[tuple[float, float]]])
     """
     points = [_finite_points(curve) for curve in curves]
     all_points = np.concatenate([np.empty((0, 2)), *points])
-    last = max(_FEWEST_ITERATIONS, all_points[:, 0].max(initial=0))
+    last = max(_MIN_ITERATIONS, all_points[:, 0].max(initial=0))
     low, high = _error_range(all_points[:, 1])
     major, minor = log_ticks(low, high)
 
@@ -67,8 +67,8 @@ def _error_range(errors: np.ndarray) -> tuple[float, float]:
     if not len(positive):
         return 0.01, 1.0
     high = round_up(positive.max())
-    low = round_down(max(positive.min(), _LEAST_RATIO * high))
-    return min(low, high / _LEAST_SPAN), high
+    low = round_down(max(positive.min(), _MIN_RATIO * high))
+    return min(low, high / _MIN_SPAN), high
 
 
 def _thinned(points: np.ndarray, most: int) -> np.ndarray:

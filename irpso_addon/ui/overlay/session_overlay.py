@@ -18,9 +18,9 @@ from ...solver.views.texel_probe import TexelProbe
 from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
 from ..common.words import iface
 from ..properties import preferences
-from ..session.job import image_map
 from ..session.probes import Probe
 from ..session.recovery import Session
+from ..session.scene_job import image_map
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import SMALL, Painter
@@ -29,7 +29,7 @@ from .place import Placement, to_pixels, transformed
 _log = logging.getLogger(__name__)
 
 _MARGIN, _GAP = 14.0, 10.0  # pixels at scale 1
-_LEAST_FREE = (300.0, 230.0)  # least free width and height of a region with panels, in pixels at scale 1
+_MIN_FREE = (300.0, 230.0)  # least free width and height of a region with panels, in pixels at scale 1
 _PICTURE_SECONDS = 0.012  # time per redraw for the measurement of errors
 _STRIPE_SPACING = 9.0  # distance between stripes, in pixels at scale 1
 _SPLIT_LINE = (1.0, 1.0, 1.0, 0.85)
@@ -350,7 +350,7 @@ def _stripes(view, scale: float) -> float:
 
 
 def _has_room(free: Rectangle, scale: float) -> bool:
-    return free.width >= _LEAST_FREE[0] * scale and free.height >= _LEAST_FREE[1] * scale
+    return free.width >= _MIN_FREE[0] * scale and free.height >= _MIN_FREE[1] * scale
 
 
 def _free_area(area, region) -> Rectangle:

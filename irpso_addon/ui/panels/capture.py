@@ -23,7 +23,7 @@ _FACTS = {  # name of a fact of the check → label in the panel
     "brightness": n_("Brightness"), "colours": n_("Colors"), "used": n_("Used"), "card": n_("Card"),
 }  # fmt: skip
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
-_MOST_ERRORS, _MOST_FINDINGS = 8, 1  # in the panel Capture; more warnings would push Recover out of view
+_MAX_ERRORS, _MAX_FINDINGS = 8, 1  # in the panel Capture; more warnings would push Recover out of view
 _FIRST_STEP = n_(
     "Photographs with a ball in them: Find Lights. With a list of their lights: Import Capture. Without any: Open"
     " Sample"
@@ -135,7 +135,7 @@ def _first_findings(settings) -> tuple[list, list]:
     """Return the findings for the panel Capture (errors, else the first warning) and those for Details."""
     faults = findings.shown(settings)
     errors = sum(item.severity == "error" for item in faults)
-    count = min(errors, _MOST_ERRORS) or _MOST_FINDINGS
+    count = min(errors, _MAX_ERRORS) or _MAX_FINDINGS
     return faults[:count], faults[count:]
 
 

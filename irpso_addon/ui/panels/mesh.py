@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..common.words import iface
-from ..session.job import subject_object
+from ..session.scene_job import subject_object
 
 
 def draw_mesh(column, context) -> None:

@@ -15,9 +15,9 @@ from ..operators.presets import label_of
 from ..operators.restore import draw_stored
 from ..session import session
 from ..session.forecast import search_time
-from ..session.job import missing
 from ..session.keep import is_standard_view
 from ..session.scene_capture import has_capture
+from ..session.scene_job import missing
 from .sidebar import Sidebar
 
 

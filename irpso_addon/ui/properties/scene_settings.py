@@ -19,7 +19,7 @@ from bpy.props import (
 from ...core.errors import InputError
 from ...core.paths import DEFAULT_MODEL
 from ...reflectance.model import ReflectanceModel, load_model, shipped_models
-from ...solver.lights.refine import MOST_DEGREES
+from ...solver.lights.refine import MAX_DEGREES
 from ...solver.views.texel_probe import component_names
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
@@ -29,7 +29,7 @@ CUSTOM = "CUSTOM"  # the user's own model
 UPDATE_CALLBACKS: dict[
     str, Callable[[bpy.types.PropertyGroup], None]
 ] = {}  # setting → the operators' function on its change
-_LARGEST_SIDE = 16384
+_MAX_SIDE = 16384
 _COLOUR_SPACES = (
     ("auto", "Automatic", "8-bit images are sRGB unless file or pixels show that they are linear; others are linear"),
     ("srgb", "sRGB", "All images are sRGB, like a camera's JPEG"),
@@ -281,7 +281,7 @@ class Settings(bpy.types.PropertyGroup):
     refine_directions: FloatProperty(
         name="Refine Lights", description="Typical error (standard deviation) of the lights' directions. The"
         " photographs correct them before the search. 0: no correction", subtype="ANGLE", min=0,
-        max=math.radians(MOST_DEGREES), default=0,
+        max=math.radians(MAX_DEGREES), default=0,
     )  # fmt: skip
     hold_out: EnumProperty(
         name="Hold Out", description="Test the maps on photographs that the fit has not used: some are left out of the"
@@ -347,7 +347,7 @@ class Settings(bpy.types.PropertyGroup):
     resolution: IntProperty(
         name="Resolution", description="Texels along each side of the mesh's maps, per UDIM tile. A card's maps have"
         " the size of the images",
-        subtype="PIXEL", min=1, max=_LARGEST_SIDE, soft_min=64, soft_max=4096, default=512,
+        subtype="PIXEL", min=1, max=_MAX_SIDE, soft_min=64, soft_max=4096, default=512,
     )  # fmt: skip
     shadows: BoolProperty(
         name="Predict Shadows", description="Ignore the photographs' pixels where the mesh shadows itself. Switch it"

@@ -146,17 +146,17 @@ def _property(setting: Setting, default: Any) -> Any:
         return EnumProperty(items=items, default=default, **texts)
     if setting.kind is bool:
         return BoolProperty(default=default, **texts)
-    bounds = {"min": setting.least, "soft_min": setting.least}
-    if setting.most is not None:
-        bounds |= {"max": setting.most, "soft_max": setting.most}
+    bounds = {"min": setting.minimum, "soft_min": setting.minimum}
+    if setting.maximum is not None:
+        bounds |= {"max": setting.maximum, "soft_max": setting.maximum}
     if setting.soft_max is not None:
         bounds["soft_max"] = setting.soft_max
     if setting.kind is int:
         if setting.odd:
             bounds["update"] = _make_odd
         return IntProperty(default=default, subtype=setting.subtype, **bounds, **texts)
-    if setting.above:
-        bounds |= {"min": setting.least + _OPEN_OFFSET, "soft_min": setting.least + _OPEN_OFFSET}
+    if setting.exclusive_minimum:
+        bounds |= {"min": setting.minimum + _OPEN_OFFSET, "soft_min": setting.minimum + _OPEN_OFFSET}
     return FloatProperty(
         default=default, subtype=setting.subtype, precision=min(setting.precision, _DIGITS), step=1, **bounds, **texts
     )

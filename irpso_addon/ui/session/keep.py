@@ -46,14 +46,14 @@ def report_of(running: session.Session, recovered: ResultMaps) -> dict[str, Any]
         "hold_out": "auto" if job.held_out else None,
         "done": running.progress.done,
     }
-    running.relight(recovered.solver)
+    running.relight(recovered.in_solver_frames)
     return result.report_of(running.work, recovered, settings, running.seconds)
 
 
 def pictures_of(running: session.Session, recovered: ResultMaps) -> dict[str, np.ndarray]:
     """Return the pictures of a result: file stem → (H, W, 3) display values; convergence if there is a history."""
-    running.relight(recovered.solver)
-    pictures, maps = result.pictures_of(running.work, recovered), recovered.solver
+    running.relight(recovered.in_solver_frames)
+    pictures, maps = result.pictures_of(running.work, recovered), recovered.in_solver_frames
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-MOST = 4
+MAX_PROBES = 4
 
 
 @dataclass
@@ -32,8 +32,8 @@ class Probes(list[Probe]):
 
     def add(self, row: int, column: int) -> Probe | None:
         """Watch a texel. A fifth probe replaces the oldest, which is returned; else return None."""
-        dropped = self.pop(0) if len(self) == MOST else None
-        free_slots = set(range(MOST)) - {probe.slot for probe in self}
+        dropped = self.pop(0) if len(self) == MAX_PROBES else None
+        free_slots = set(range(MAX_PROBES)) - {probe.slot for probe in self}
         self.append(Probe(row, column, slot=min(free_slots)))
         self._changed()
         return dropped

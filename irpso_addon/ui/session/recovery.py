@@ -29,8 +29,8 @@ from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
 from ..common.words import iface, n_
 from . import stored_recoveries
-from .job import SceneJob
 from .probes import Probes
+from .scene_job import SceneJob
 from .worker import Worker
 
 _ERROR_SECONDS = 0.5  # seconds between measurements of the mean error, each a small render

@@ -103,7 +103,7 @@ def crop_around(corners: np.ndarray) -> list[int]:
 
 def store_light_facts(settings, spec: CaptureSpec) -> None:
     """Store whether lights of the files have positions, and the files' card distance."""
-    settings.near_lights = not all(shot.distant for shot in spec.observations)
+    settings.near_lights = not all(observation.distant for observation in spec.observations)
     settings.stated_distance, settings.stated_width = spec.card_distance or 0.0, spec.framing.card_width or 0.0
 
 

@@ -13,8 +13,8 @@ from ..common import failures
 from ..common.polls import usable
 from ..common.words import n_
 from . import stored_recoveries
-from .job import SceneJob
 from .recovery import Session
+from .scene_job import SceneJob
 
 _LEAVING = n_("Leaving the file")
 listeners: list[Callable[[], None]] = []  # called for every redraw

@@ -26,7 +26,7 @@ from ...pipeline.flat_card import flat_card_steps, width_keys
 from ...pipeline.known_shape import known_shape_steps
 from ...pipeline.uncalibrated import uncalibrated_steps
 from ...reflectance.model import load_model
-from .job import mesh_of, subject_object
+from .scene_job import mesh_of, subject_object
 
 WAYS = ("NONE", "MESH", "FLAT")
 _DETECTION = 0.2  # part of the progress for the detection of corners

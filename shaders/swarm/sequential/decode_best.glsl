@@ -11,7 +11,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_OUTSIDE) {
         float best[8];
         read_best(texel, best);
-        decode(best, reach_of(radiance_scale_at(texel)), s);
+        decode(best, albedo_bound_of(radiance_scale_at(texel)), s);
     }
     float c[12];
     material_to(s, c);

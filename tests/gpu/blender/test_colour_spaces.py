@@ -20,7 +20,7 @@ from irpso_addon.capture.images.image import ImageRef, ImageStore
 from irpso_addon.capture.types import Light
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
-from irpso_addon.ui.session.job import _fixed_map, image_map
+from irpso_addon.ui.session.scene_job import _fixed_map, image_map
 from tests.builders.captures import write_png
 
 CONFIG = """ocio_profile_version: 2

@@ -157,7 +157,7 @@ def test_the_seconds_of_a_run_sum_over_its_resumes(tmp_path):
             return True
 
     run = GoneOnWith(fails=False)
-    seconds, _ = drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", True, 0.0), quiet=True)
+    seconds, _ = drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", True, 0.0), silent=True)
     assert 700 < run.noted <= seconds < 760
 
 
@@ -176,7 +176,7 @@ def test_a_checkpoint_without_disk_space_is_reported_once_and_keeps_the_old_one(
     path = tmp_path / "checkpoint.npz"
     path.write_bytes(b"the one before")
     run = FullDisk(fails=True)
-    _, warnings = drive.drive(run, NoHistory(), drive.Saving(path, every=0.0), quiet=True)
+    _, warnings = drive.drive(run, NoHistory(), drive.Saving(path, every=0.0), silent=True)
     assert run.saved == 4 and len(warnings) == 1
     assert warnings[0] == f"no checkpoint: {path}: cannot be written (No space left on device); choose another place"
     assert capsys.readouterr().err == f"irpso: warning: {warnings[0]}\n"
@@ -186,7 +186,7 @@ def test_a_checkpoint_without_disk_space_is_reported_once_and_keeps_the_old_one(
 def test_checkpoints_are_written_at_their_interval(tmp_path):
     runs = [FullDisk(fails=False) for _ in range(3)]
     for run, every in zip(runs, (0.0, 3600.0, None), strict=True):
-        drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=every), quiet=True)
+        drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=every), silent=True)
     assert [run.saved for run in runs] == [4, 0, 0]
 
 
@@ -205,7 +205,7 @@ def test_slow_checkpoints_take_at_most_a_twentieth_of_the_time(tmp_path, monkeyp
 
     monkeypatch.setattr(drive.time, "perf_counter", lambda: clock[0])
     run = Slow(fails=False)
-    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=10.0), quiet=True)
+    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=10.0), silent=True)
     assert 12 <= run.saved <= 1 + 10000 / 600
 
 
@@ -216,7 +216,7 @@ def test_a_checkpoint_waits_until_tiles_are_at_the_same_iteration(tmp_path):
             return self._made == 3
 
     run = InTurns(fails=False)
-    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), quiet=True)
+    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), silent=True)
     assert run.saved == 1
 
 
@@ -232,14 +232,14 @@ def test_the_begin_of_a_stage_is_written_once(tmp_path):
             return False  # a later one would hold no more
 
     run = OfStages(fails=False)
-    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), quiet=True)
+    drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=0.0), silent=True)
     assert run.saved == 2
 
 
 def test_the_next_run_removes_half_written_files(tmp_path):
     left, other = tmp_path / ".checkpoint.partial-123.npz", tmp_path / "notes.partial-1.npz"
     left.touch(), other.touch()
-    drive.drive(FullDisk(fails=False), NoHistory(), drive.Saving(tmp_path / "checkpoint.npz"), quiet=True)
+    drive.drive(FullDisk(fails=False), NoHistory(), drive.Saving(tmp_path / "checkpoint.npz"), silent=True)
     assert not left.exists() and other.exists()
 
 

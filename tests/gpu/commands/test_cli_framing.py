@@ -10,7 +10,7 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.cli.parser import build_parser
-from irpso_addon.commands.options.job import file_capture
+from irpso_addon.commands.options.job_options import file_capture
 from tests.builders.command_line import angle, dome_lights, read_map, run_cli
 from tests.builders.near_card import DISTANCE, write_near_card
 from tests.oracles import reflectance as oracles

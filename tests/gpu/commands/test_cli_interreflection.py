@@ -69,7 +69,7 @@ def test_an_interrupted_run_resumes_to_the_same_maps(card, tmp_path):
     assert recover(capture, tmp_path / "whole", *settings)[0] == 0
     looks = iter([False] * 12 + [True] * 100)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(drive, "_MOST_ITERATIONS", 4)
+        patch.setattr(drive, "_MAX_ITERATIONS", 4)
         patch.setattr(drive, "delayed_signals", lambda: _Interrupted(looks))
         assert run_cli("recover", capture, "--model", "lambert", "-o", tmp_path / "cut", *settings)[0] == 130
     assert recover(capture, tmp_path / "cut", *settings, "--resume")[0] == 0

@@ -44,7 +44,7 @@ def test_tiles_are_baked_side_by_side():
 def test_a_domain_wider_than_a_texture_bakes_in_blocks_without_change(monkeypatch):
     mesh = tiled((0, 0), (1, 0), (2, 0))
     whole = bake.bake_uv(mesh, 69, 31)
-    monkeypatch.setattr(bake, "_LARGEST_SIDE", 20)
+    monkeypatch.setattr(bake, "_MAX_SIDE", 20)
     blocks = bake.bake_uv(mesh, 69, 31)
     clear = oracle.bake_uv(mesh, 69, 31)[1] > 1e-3
     assert clear.mean() > 0.95

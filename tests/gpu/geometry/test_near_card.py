@@ -6,7 +6,7 @@ import pytest
 
 from irpso_addon.capture.read import read_capture
 from irpso_addon.ui.session import scene_capture
-from irpso_addon.ui.session.job import make_job, missing
+from irpso_addon.ui.session.scene_job import make_job, missing
 from tests.builders.command_line import angle, listing, read_map, run_cli
 from tests.builders.near_card import DISTANCE, SHAPE, near_card, write_near_card
 

@@ -34,7 +34,7 @@ from tests.oracles.geometry import joined
 
 LAMBERT = load_model("lambert")
 TWO_LOBES = load_model("cook_torrance_two_lobe")
-REACH = 2
+RADIUS = 2
 
 
 def observed(subject, observations=8, seed=3, holes=0.0, model="lambert"):
@@ -59,7 +59,7 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     subject = sheet(turn)
     domain = observed(subject, holes=0.1)
     schedule = load_schedule("standard").replaced(
-        neighbourhood=2 * REACH + 1, normal=search, search=["normal"], linear="search", prefit_iterations=0, c3=0.3
+        neighbourhood=2 * RADIUS + 1, normal=search, search=["normal"], linear="search", prefit_iterations=0, c3=0.3
     )
     stage = resolve(schedule, LAMBERT, set())[0]
     packing = Packing(domain.solvable, domain.seams)
@@ -82,7 +82,7 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     checked = 0
     for y, x in np.argwhere(solvable)[::2]:
         window, sure, crossed = [], True, False
-        for by in [(i, j) for j in range(-REACH, REACH + 1) for i in range(-REACH, REACH + 1)]:
+        for by in [(i, j) for j in range(-RADIUS, RADIUS + 1) for i in range(-RADIUS, RADIUS + 1)]:
             there = subject.neighbour((x, y), by)
             # What lies less than half a texel past the sheet's own border may be taken for what lies within it.
             sure &= there is not None or subject.outside((x, y), by) >= 0.5
@@ -119,7 +119,7 @@ def whole_of(domain, model, schedule):
 
 def tiled(domain, model, schedule, boxes, on_device=None):
     """Return a recovery of it in tiles, which see each other across the cut."""
-    halo = recovery_cost(model, schedule, (), domain.observations).reach
+    halo = recovery_cost(model, schedule, (), domain.observations).stencil_radius
     options = {"boxes": BOXES[boxes], "halo": halo, "on_device": on_device}
     recovery = TiledRecovery(domain, model, schedule, 1, entry="fragment", **options)
     assert sum(len(part.domain.seams.ghosts) for part in recovery._pool.tiles) > 8

@@ -12,7 +12,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.kernel import Kernel, Output, Packed
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.gpu.program import ProgramCache
-from irpso_addon.solver.kernels.kernels import copy_pass
+from irpso_addon.solver.kernels.single_passes import copy_pass
 
 pytestmark = pytest.mark.usefixtures("gpu")
 

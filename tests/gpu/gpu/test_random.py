@@ -11,7 +11,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.kernel import Kernel, Output
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.kernels.kernels import copy_pass
+from irpso_addon.solver.kernels.single_passes import copy_pass
 from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule

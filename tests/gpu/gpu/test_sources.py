@@ -12,7 +12,7 @@ from irpso_addon.gpu.kernel import Kernel, Output
 from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.kernels.kernels import render_pass
+from irpso_addon.solver.kernels.single_passes import render_pass
 from tests.gpu.gpu.test_passes import expected, marks
 
 pytestmark = pytest.mark.usefixtures("gpu")

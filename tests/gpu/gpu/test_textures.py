@@ -9,7 +9,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.kernel import Kernel, Output
 from irpso_addon.gpu.passes import Pass
-from irpso_addon.solver.kernels.kernels import copy_pass
+from irpso_addon.solver.kernels.single_passes import copy_pass
 
 pytestmark = pytest.mark.usefixtures("gpu")
 

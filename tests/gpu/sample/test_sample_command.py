@@ -16,8 +16,8 @@ from irpso_addon.capture.images.exr import read_exr  # noqa: E402
 from irpso_addon.capture.read import read_capture  # noqa: E402
 from irpso_addon.core.encode import linear_from_srgb  # noqa: E402
 from irpso_addon.sample import layout  # noqa: E402
-from irpso_addon.sample.job import Request, sample_steps  # noqa: E402
 from irpso_addon.sample.relief import height  # noqa: E402
+from irpso_addon.sample.render_sample import Request, sample_steps  # noqa: E402
 from tests.builders.command_line import angle, run_cli  # noqa: E402
 
 pytestmark = pytest.mark.bpy_only

@@ -38,7 +38,7 @@ def whole(bowl):
 
 def in_tiles(bowl, scratch=None, **options):
     """Return the rounds in tiles; with a folder for files they take turns."""
-    reach = recovery_cost(LAMBERT, SINGLE, (), bowl[0].observations).reach
+    reach = recovery_cost(LAMBERT, SINGLE, (), bowl[0].observations).stencil_radius
     tiles = {"boxes": BOXES, "halo": reach, "on_device": scratch and 1, "scratch": scratch}
     return rounds_of(bowl, solve=partial(TiledRecovery, **tiles), **options)
 

@@ -17,7 +17,7 @@ from irpso_addon.gpu.kernel import Kernel, Output
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.kernels import kernels
+from irpso_addon.solver.kernels import declarations
 from irpso_addon.solver.phases import prefit
 from irpso_addon.solver.phases.prefit import grey
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -107,7 +107,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
     kernel = Kernel(
         str(root / "tests/gpu/kernels/observe.glsl"),
         outputs,
-        kernels.OBSERVATIONS,
+        declarations.OBSERVATIONS,
         {"u_observation": "INT"},
         grey_textures.defines,
     )
@@ -115,7 +115,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
     targets = [textures.empty(pack.width, pack.height) for _ in outputs]
     dropped = 0
     for k in range(domain.observations):
-        one.run(targets, {n: grey_textures.textures[n] for n in kernels.OBSERVATIONS}, {"u_observation": k})
+        one.run(targets, {n: grey_textures.textures[n] for n in declarations.OBSERVATIONS}, {"u_observation": k})
         light, intensity, radiance, clipped = (pack.unpack(textures.download(t)) for t in targets)
         sample = domain.stack.values[k].astype(np.float64)
         weight, bound = weight_and_clipped(domain.stack.values[k][..., 3])

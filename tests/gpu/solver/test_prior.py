@@ -12,7 +12,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.phases.spatial_prior import SpatialPriorPhase
 from irpso_addon.solver.planning.cost import recovery_cost
-from irpso_addon.solver.settings.groups import Prior
+from irpso_addon.solver.settings.groups import SpatialPrior
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -32,7 +32,7 @@ from tests.oracles import confidence as confidence_oracle
 from tests.oracles import spatial_prior as prior_oracle
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
-PRIOR = Prior(rounds=2, scales=2, iterations=3)
+PRIOR = SpatialPrior(rounds=2, scales=2, iterations=3)
 NOISE = 0.003
 recover = pytest.fixture(recoveries)
 
@@ -141,7 +141,7 @@ def test_the_pooling_is_that_of_float64(prior, rounds, entry):
     bench.run(2 + rounds)
     mean, deviation = bench.read("mean"), bench.read("deviation")
     estimates, covered = components(TWO_LOBES, values), domain.solvable
-    wanted, spread = prior_oracle.pooled(Prior(rounds=rounds, scales=3), TWO_LOBES, covered, estimates, own)
+    wanted, spread = prior_oracle.pooled(SpatialPrior(rounds=rounds, scales=3), TWO_LOBES, covered, estimates, own)
     pooled = [c for c, _ in prior_oracle.components(TWO_LOBES)]
     assert (spread[covered][:, pooled] > 0).any(axis=0).all()
     for c in pooled:
@@ -269,7 +269,7 @@ def test_neighbours_improve_two_lobes(recover):
 
 def test_without_rounds_and_for_models_without_scalars_there_is_no_prior(recover):
     domain, _, _ = smooth(6, 7)
-    plain = replace(schedule_of(rounds=2), prior=Prior())
+    plain = replace(schedule_of(rounds=2), prior=SpatialPrior())
     bits = []
     for schedule in (plain, plain.replaced(prior_rounds=0, prior_likeness=0.7)):
         run = recover(domain, TWO_LOBES, schedule)
@@ -346,13 +346,13 @@ def test_a_prior_reads_and_renders_as_planned(prior):
     schedule = schedule_of().replaced(iterations=0)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12).phases[-1]
     domain, truth, _ = smooth(9, 11, 12)
-    bench, reaches, renders = prior(TWO_LOBES, domain, truth, schedule), [], 0
+    bench, radii, renders = prior(TWO_LOBES, domain, truth, schedule), [], 0
     while not bench.prior.done:
-        reaches.append(bench.prior.reach)
+        radii.append(bench.prior.stencil_radius)
         renders += bench.prior.evaluations
         bench.run(bench.prior.iteration + 1)
-    wanted = cost.reach, cost.exchanges, cost.evaluations
-    assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == wanted
+    wanted = cost.stencil_radius, cost.exchanges, cost.evaluations
+    assert (max(radii), sum(radius > 0 for radius in radii), renders) == wanted
 
 
 @pytest.mark.parametrize("setting, value", [("rounds", -1), ("scales", 0), ("scales", 7), ("iterations", 0),

@@ -11,7 +11,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.coarse_to_fine import Pyramid
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.planning import planning
+from irpso_addon.solver.planning import make_plan as planning
 from irpso_addon.solver.settings.levels import level_schedules
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import bits_of, make_domain, masked, subject, unit, with_radiance
@@ -214,7 +214,7 @@ def test_a_refusal_of_levels_names_the_limit_that_was_met(monkeypatch):
     coverage, schedule = np.ones((128, 128), bool), PRESETS["swarm"].replaced(levels=2)
     with pytest.raises(InputError, match="does not fit in memory at once, .* allow more with --memory"):
         planning.make_plan(coverage, LAMBERT, schedule, (), 12, memory="device=8M,host=4G")
-    monkeypatch.setattr(planning, "largest_texture", lambda free: 1 << 20)
+    monkeypatch.setattr(planning, "max_texture_bytes", lambda free: 1 << 20)
     for device in ("8M", "4G"):  # more memory does not make textures larger
         with pytest.raises(InputError, match=r"exceeds this GPU's textures \(.* 1.0 MiB\), .* fewer photographs"):
             planning.make_plan(coverage, LAMBERT, schedule, (), 12, memory=f"device={device},host=4G")

@@ -130,10 +130,10 @@ def test_tiles_of_several_stages_are_the_whole_bit_for_bit(whole, recover):
 def test_a_tile_reports_when_it_reads_neighbours():
     schedule = SHORT.replaced(neighbourhood=5, c3_until=0.5, neighbour_every=5)
     with TileRecovery(subject(5, 4)[0], LAMBERT, schedule, 1, entry="fragment") as recovery:
-        found = [recovery.reach]
+        found = [recovery.stencil_radius]
         for _ in range(12):
             recovery.step(iterations=1)
-            found.append(recovery.reach)
+            found.append(recovery.stencil_radius)
     # Nothing while swarms are placed, the window's while Eq. 4 counts, one texel in every fifth iteration.
     assert found == [0] + [2] * 5 + [0, 0, 0, 1, 0, 0, 0]
 

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares, minimize
 
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.kernels.refinement import PROPAGATION_REACH
+from irpso_addon.solver.kernels.refinement import PROPAGATION_RADIUS
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled
 from tests.builders.refinement import DELTA, SETTINGS, materials, near, observed, refinements, schedule_of
@@ -205,7 +205,7 @@ def test_tiles_that_exchange_results_equal_the_whole_bit_for_bit(recover, entry)
     )
     whole = recover(domain, model, schedule, entry=entry)
     whole.step()
-    assert run_tiled(domain, model, schedule, PROPAGATION_REACH, entry) == bits_of(whole.maps())
+    assert run_tiled(domain, model, schedule, PROPAGATION_RADIUS, entry) == bits_of(whole.maps())
 
 
 def test_fixed_and_unsearched_parameters_stay(recover):

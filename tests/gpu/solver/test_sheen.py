@@ -35,7 +35,7 @@ LAMBERT = load_model("lambert")
 SHEEN = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0, surface_rounds=0,
                                            prefit_indirect_shadow=0.0, refinement_iterations=0)  # fmt: skip
 OFF = SHEEN.replaced(prefit_sheen_gain=0.0)
-LEAST, GAIN, UNFIT = 0.37, 0.03, 1e30
+MIN_FITNESS, GAIN, UNFIT = 0.37, 0.03, 1e30
 recover = pytest.fixture(recoveries)
 
 
@@ -99,7 +99,7 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     phase.close()
     counted = domain.solvable & (first < UNFIT)
     sums = around(np.stack([first, second, counted], axis=-1) * counted[..., None])
-    chosen = counted & (sums[..., 0] > LEAST * sums[..., 2]) & (sums[..., 1] < (1 - GAIN) * sums[..., 0])
+    chosen = counted & (sums[..., 0] > MIN_FITNESS * sums[..., 2]) & (sums[..., 1] < (1 - GAIN) * sums[..., 0])
     assert 0.1 < chosen[domain.solvable].mean() < 0.9
     inside = domain.solvable
     np.testing.assert_allclose(found[inside], np.where(chosen[..., None], normals, up)[inside], atol=1e-6)

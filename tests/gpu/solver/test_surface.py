@@ -322,13 +322,13 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover):
 def test_a_surface_reads_and_renders_as_planned(bench):
     domain, _ = cracked(12, 16)
     cost = recovery_cost(TWO_LOBES, ON, (), 6).phases[-1]
-    made, reaches, renders = bench(TWO_LOBES, domain, subject(12, 16, TWO_LOBES.name)[1]), [], 0
+    made, radii, renders = bench(TWO_LOBES, domain, subject(12, 16, TWO_LOBES.name)[1]), [], 0
     while not made.phase.done:
-        reaches.append(made.phase.reach)
+        radii.append(made.phase.stencil_radius)
         renders += made.phase.evaluations
         made.run(made.phase.iteration + 1)
-    assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == (
-        cost.reach,
+    assert (max(radii), sum(radius > 0 for radius in radii), renders) == (
+        cost.stencil_radius,
         cost.exchanges,
         cost.evaluations,
     )

@@ -105,10 +105,10 @@ def test_a_prior_with_a_reach_beyond_its_tile_equals_the_whole(card, resident):
     domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
     schedule = NARROW.replaced(iterations=2, prior_rounds=2, prior_scales=2)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12)
-    assert cost.reach == 4
+    assert cost.stencil_radius == 4
     wanted, progress = whole_of(domain, schedule)
     boxes = FEW if resident else [(0, 0, 9, 13), (9, 0, 8, 13)]
-    with tiled(domain, schedule, boxes, halo=cost.reach, resident=resident) as recovery:
+    with tiled(domain, schedule, boxes, halo=cost.stencil_radius, resident=resident) as recovery:
         assert recovery.step() == progress
         assert everything(recovery.maps()) == wanted
 
@@ -210,10 +210,10 @@ def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
         assert third.progress.done and everything(third.maps()) == wanted
 
 
-@pytest.mark.parametrize("most", [0, engine._MOST_RUNNING], ids=["begin of the stage", "all"])
+@pytest.mark.parametrize("most", [0, engine._MAX_RUNNING], ids=["begin of the stage", "all"])
 @pytest.mark.parametrize("name", ["several stages", "materials", "refinement"])
 def test_a_checkpoint_does_not_depend_on_the_tiles(name, most, tmp_path, monkeypatch):
-    monkeypatch.setattr(engine, "_MOST_RUNNING", most)
+    monkeypatch.setattr(engine, "_MAX_RUNNING", most)
     (domain, wanted, progress), schedule = known(name), SCHEDULES[name]
     makes = {
         "whole": lambda: Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment"),
@@ -340,7 +340,7 @@ def test_swapped_tiles_take_at_most_the_planned_bytes(preset, budget, device):
 
 @pytest.mark.parametrize("tiles", [False, True], ids=["whole", "tiles"])
 def test_a_stage_whose_settings_changed_is_stored_whole(tiles, tmp_path, monkeypatch):
-    monkeypatch.setattr(engine, "_MOST_RUNNING", 0)
+    monkeypatch.setattr(engine, "_MAX_RUNNING", 0)
     (domain, _, _), schedule, path = known("several stages"), SCHEDULES["several stages"], tmp_path / "run.npz"
     changed = schedule.replaced(c1=1.1)
     with Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as recovery:

@@ -22,7 +22,7 @@ def session_of_card(registered, card):
     import bpy
 
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.context.scene.irpso.capture_path = str(card)

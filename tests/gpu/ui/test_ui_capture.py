@@ -154,10 +154,10 @@ def test_files_can_be_dropped_where_maps_are_seen():
 def recoverable(scene):
     """Return whether Recover can be pressed, and what the panel says where it cannot."""
     from irpso_addon.ui.properties import upkeep
-    from irpso_addon.ui.session import job
+    from irpso_addon.ui.session import scene_job
 
     upkeep.fill_lists()
-    return bpy.ops.irpso.recover.poll(), job.missing(bpy.context)
+    return bpy.ops.irpso.recover.poll(), scene_job.missing(bpy.context)
 
 
 @pytest.mark.parametrize("count", [1, 2])

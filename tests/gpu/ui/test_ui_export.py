@@ -87,7 +87,7 @@ def test_a_card_is_written_as_a_web_page_with_its_photographs(settings, session_
 def test_a_card_is_written_as_maps_that_repeat_if_it_is_large_enough(settings, monkeypatch, tmp_path):
     wanted = {"filepath": str(tmp_path / "out"), "format": "maps", "seamless": True, "height": True}
     assert "largest square without holes" in refusal(**wanted) and not (tmp_path / "out").exists()
-    monkeypatch.setattr(seamless, "_LEAST", 4)
+    monkeypatch.setattr(seamless, "_MIN_SIDE", 4)
     assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
     found = read_result(tmp_path / "out")
     rows, columns = found.maps.covered.shape

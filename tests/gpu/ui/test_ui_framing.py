@@ -16,7 +16,7 @@ from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.ui.marks.card_marks import around
 from irpso_addon.ui.marks.marking import Marking
-from irpso_addon.ui.session import job, scene_capture
+from irpso_addon.ui.session import scene_capture, scene_job
 from tests.builders.flat_scene import from_upper_left, looking_camera, seen_plane
 from tests.builders.handheld import on_board
 from tests.builders.near_card import DISTANCE, write_near_card, write_unlit_card
@@ -70,11 +70,11 @@ def test_corners_of_a_card_that_is_turned_begin_at_the_upper_left():
 def test_what_is_marked_is_what_is_recovered(settings):
     assert shape(settings) == (16, 24)
     settings.framing = "CROP"
-    assert "nothing is marked" in job.missing(bpy.context)
+    assert "nothing is marked" in scene_job.missing(bpy.context)
     bpy.ops.irpso.mark_card(corners=np.ravel(MARKS))
     assert (settings.framing, shape(settings)) == ("CROP", (11, 17))
     settings.framing = "CORNERS"
-    assert job.missing(bpy.context) == ""
+    assert scene_job.missing(bpy.context) == ""
     found = scene_capture.capture_of(settings.id_data)
     assert found.masks[0].shape == (9, 16)
     assert not np.allclose(found.cameras[0].matrix, np.eye(4))
@@ -86,9 +86,9 @@ def test_the_width_of_a_card_gives_its_distance(settings, tmp_path):
     folder = write_near_card(tmp_path / "unknown", card_distance=None)
     settings.capture_path = str(folder)
     scene_capture.capture_of(settings.id_data)  # reads whether the lights are near
-    assert "Card Width" in job.missing(bpy.context)
+    assert "Card Width" in scene_job.missing(bpy.context)
     settings.card_width = 2 * DISTANCE * np.tan(np.radians(15))  # of a picture over 30°
-    assert job.missing(bpy.context) == ""
+    assert scene_job.missing(bpy.context) == ""
     assert scene_capture.capture_of(settings.id_data).card_distance == pytest.approx(DISTANCE, rel=1e-6)
     settings.card_distance = 3.0
     assert scene_capture.capture_of(settings.id_data).card_distance == 3.0

@@ -59,7 +59,7 @@ def settings(capture, monkeypatch):
 
 def begin():
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     return session.begin(make_job(bpy.context))
 
@@ -203,7 +203,7 @@ def test_too_few_photographs_are_refused_before_any_is_read(settings, tmp_path, 
 
 
 def test_lights_that_are_too_few_without_those_held_out_are_refused(settings, tmp_path):
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     # Of five the last is held out, and the first four lie in one plane.
     angles = np.radians((-40, -15, 15, 40))
@@ -240,7 +240,7 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
 
 def test_held_out_photographs_are_part_of_the_recipe_and_of_the_domain(settings):
     from irpso_addon.ui.properties.recipe import apply_recipe
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     job = make_job(bpy.context)
     settings.hold_out = "OFF"

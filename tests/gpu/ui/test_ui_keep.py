@@ -140,7 +140,7 @@ def test_keep_after_an_undone_keep_replaces_its_files_and_no_others(recovered, t
 
 def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made(recovered, tmp_path, monkeypatch):
     from irpso_addon.ui.properties import preferences
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     wanted = preferences.PreferenceValues(output_folder="//irpso test maps/")
     monkeypatch.setattr(preferences, "current", lambda context: wanted)

@@ -34,14 +34,14 @@ def settings(tmp_path_factory, truth):
 
 def begun():
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     return session.begin(make_job(bpy.context))
 
 
 def test_lights_are_refined_on_request_or_automatically(settings):
     from irpso_addon.pipeline.job import LightOptions
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     assert make_job(bpy.context).lights == LightOptions("auto", 0.0)
     settings.refine_directions = np.radians(2.5)
@@ -69,7 +69,7 @@ def test_strengths_are_estimated_in_slices_and_reported(settings, truth, monkeyp
     assert off(running.lights.intensities, FACTORS).max() < 0.02
     np.testing.assert_array_equal(running.recovery.domain.intensities, running.lights.intensities)
     found = keep.current_maps(running, True)
-    assert np.median(cli_maker.angle(found.solver.values["normal"], truth["normal"])) < 0.5
+    assert np.median(cli_maker.angle(found.in_solver_frames.values["normal"], truth["normal"])) < 0.5
     assert keep.report_of(running, found)["lights"] == running.lights.report()
     drawn = Drawn()
     monkeypatch.setattr(

@@ -145,7 +145,7 @@ def test_a_light_of_the_scene_is_given_its_photograph(settings):
 
 def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(settings, card, tmp_path):
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     settings.capture_path = str(card)
     assert "observation" not in drawn().props
@@ -161,7 +161,7 @@ def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(se
 
 def test_the_panels_show_the_next_steps_from_loading_to_kept(settings, card):
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     settings.capture_path = str(card)
     running = session.begin(make_job(bpy.context))
@@ -200,7 +200,7 @@ def test_the_panels_show_the_next_steps_from_loading_to_kept(settings, card):
 
 def test_a_result_of_photographs_that_state_srgb_opens_none_of_them_to_be_drawn(settings, tmp_path, monkeypatch):
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     values = cli_maker.smooth_maps((10, 12), {}, seed=3)
     radiance = cli_maker.render_oracle("lambert", values, LIGHTS)
@@ -249,7 +249,7 @@ def test_below_recover_stands_how_long_the_search_will_take(settings, card, monk
 
 def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     settings.capture_path = str(card)
     running = session.begin(make_job(bpy.context))
@@ -287,7 +287,7 @@ def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
 
 def test_the_panels_show_rounds_of_interreflection_and_what_they_found(settings, card):
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     settings.capture_path, settings.view.shown = str(card), "INDIRECT"
     settings.model, settings.schedule.interreflection = "lambert", True

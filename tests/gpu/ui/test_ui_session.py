@@ -41,7 +41,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def job(scene, folder):
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     scene.irpso.capture_path, scene.irpso.subject = str(folder), "CARD"
     return lambda: make_job(bpy.context)
@@ -135,7 +135,7 @@ def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
 
 
 def given(name, path, space):
-    from irpso_addon.ui.session.job import image_map
+    from irpso_addon.ui.session.scene_job import image_map
 
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = space

@@ -47,7 +47,7 @@ def plane(tmp_path):
 def stored(plane, folder):
     """A recovery of which 3 of 6 iterations are made, stored as when its file closes."""
     from irpso_addon.ui.session import session, stored_recoveries
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     running = session.begin(make_job(bpy.context))
     while running.recovery is None:
@@ -72,7 +72,7 @@ def forget_settings(settings):
 
 def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, plane, tmp_path):
     from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     bpy.context.object.active_material_index = 1
     forget_settings(plane)
@@ -101,7 +101,7 @@ def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, pl
 
 def test_occluders_come_back_with_their_recovery(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     subject = bpy.context.object
     group = bpy.data.collections.new("Around")
@@ -144,7 +144,7 @@ def test_a_stored_recovery_outlives_a_keep_that_was_undone_before_saving(stored,
 
 def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     session.begin(make_job(bpy.context)).run()
     bpy.ops.irpso.keep()
@@ -234,7 +234,7 @@ def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
 def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, folder, caplog):
     from irpso_addon.ui.common import failures
     from irpso_addon.ui.session import session, stored_recoveries
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     folder.write_text("in the way")
     session.begin(make_job(bpy.context)).run()
@@ -246,7 +246,7 @@ def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, 
 
 def test_another_recovery_replaces_one_that_is_less_far_and_none_that_cannot_be_stored(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     def begun(steps):
         running = session.begin(make_job(bpy.context))

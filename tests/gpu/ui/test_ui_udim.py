@@ -60,7 +60,7 @@ def settings(tmp_path):
 
 
 def make_job():
-    from irpso_addon.ui.session.job import make_job
+    from irpso_addon.ui.session.scene_job import make_job
 
     return make_job(bpy.context)
 
@@ -78,7 +78,7 @@ def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings, tmp_p
         image = bpy.data.images["IRPSO Two base_color"]
         assert image.source == "TILED" and tuple(tile.number for tile in image.tiles) == TILES
         # What was recovered can be given again, as the tiled image that it became.
-        from irpso_addon.ui.session.job import image_map
+        from irpso_addon.ui.session.scene_job import image_map
 
         found = image_map(image, load_model("lambert").parameter("base_color"), (SIDE, 2 * SIDE), TILES)
         inside = (slice(1, -1), slice(1, SIDE - 1)), (slice(1, -1), slice(SIDE + 1, -1))
@@ -169,7 +169,7 @@ def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_p
 
 
 def test_missing_slots_are_reported_before_anything_is_read(settings):
-    from irpso_addon.ui.session.job import missing
+    from irpso_addon.ui.session.scene_job import missing
 
     settings.slots = "NAMED"
     assert missing(bpy.context) == "No slot is chosen: name those to be recovered, of 0 'Skin', 1 'Cloth'"
@@ -190,7 +190,7 @@ def test_another_choice_of_slots_makes_another_domain(settings):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_given_maps_come_from_the_tiles_of_a_tiled_image(settings, tmp_path, packed):
-    from irpso_addon.ui.session.job import image_map
+    from irpso_addon.ui.session.scene_job import image_map
 
     model = load_model("lambert")
     color = np.random.default_rng(1).random((SIDE, 2 * SIDE, 3)).astype(np.float32)
@@ -280,7 +280,7 @@ def test_an_image_follows_the_tiles_and_takes_no_file_of_former_ones(settings, t
         assert image.source == ("FILE" if tiles == (1001,) else "TILED")
         assert tuple(tile.number for tile in image.tiles) == tiles
         assert (image.packed_file is not None) == packed and len(image.packed_files) == packed * len(tiles)
-        from irpso_addon.ui.session.job import image_map
+        from irpso_addon.ui.session.scene_job import image_map
 
         found = image_map(image, model.parameter("base_color"), shape, tiles)
         np.testing.assert_allclose(found, values["base_color"], atol=2e-5)

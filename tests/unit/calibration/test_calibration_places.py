@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from irpso_addon.calibration.ball_calibration import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.balls.lights import Request
-from irpso_addon.calibration.job import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.photographs import read_photographs, with_camera
 from irpso_addon.capture.framing import Framing
 from irpso_addon.capture.read import read_spec

@@ -102,7 +102,7 @@ def test_a_folder_gives_all_photographs_except_left_out_ones(tmp_path):
         photograph(tmp_path / name)
     (tmp_path / "notes.txt").write_text("no photograph")
     source = read_source(tmp_path, decode_png, left_out=[tmp_path / "dark.png"])
-    assert [(s.name, s.amounts, s.size) for s in source.shots] == [("9", None, (6, 4)), ("10", None, (6, 4))]
+    assert [(s.name, s.amounts, s.size) for s in source.groups] == [("9", None, (6, 4)), ("10", None, (6, 4))]
     assert source.capture is None
 
 
@@ -118,7 +118,7 @@ def test_a_list_may_name_one_photograph_of_each_bracket(tmp_path):
     photograph(tmp_path / "card.png")
     lists(tmp_path, [f"{k}_ev0.png" for k in (3, 1, 0, 4)], LIGHTS[[3, 1, 0, 4]])
     source = read_source(tmp_path, decode_png, NAMES)
-    assert [[i.path.name for i in s.images] for s in source.shots] == [
+    assert [[i.path.name for i in s.images] for s in source.groups] == [
         [f"{k}_ev{ev}.png" for ev in (-2, 0, 2)] for k in (3, 1, 0, 4)
     ]
     found = [observation.light.vector for observation in source.capture.observations]
@@ -130,7 +130,7 @@ def test_a_list_may_name_all_photographs_of_a_bracket_with_one_light(tmp_path):
     names = [photograph(tmp_path / f"{n}.png", t).name for n, t in enumerate([(1, 60), (1, 15)] * 5)]
     lists(tmp_path, names, np.repeat(LIGHTS, 2, axis=0))
     source = read_source(tmp_path, decode_png, EXIF)
-    assert [len(s.images) for s in source.shots] == [2] * 5
+    assert [len(s.images) for s in source.groups] == [2] * 5
     np.testing.assert_allclose([o.light.vector for o in source.capture.observations], LIGHTS)
     lists(tmp_path, names, np.repeat(LIGHTS, 2, axis=0)[1:].tolist() + [LIGHTS[0]])
     with pytest.raises(InputError, match="line 2: is in one bracket with .*line 1, but their lights differ"):
@@ -141,7 +141,7 @@ def test_single_frames_are_scaled_by_their_own_exposure(tmp_path):
     names = [photograph(tmp_path / f"{k}.png", (1, 10 * (k + 1))).name for k in range(5)]
     lists(tmp_path, names, LIGHTS)
     source = read_source(tmp_path, decode_png, Exposing("exif", False))
-    assert [s.amounts for s in source.shots] == [pytest.approx((0.1 / (k + 1),)) for k in range(5)]
+    assert [s.amounts for s in source.groups] == [pytest.approx((0.1 / (k + 1),)) for k in range(5)]
 
 
 def test_parts_of_an_exr_are_no_brackets(tmp_path):

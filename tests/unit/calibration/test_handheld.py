@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.handheld.ambiguous_positions import ambiguous_positions
 from irpso_addon.calibration.handheld.bundle import Bundle, Views, adjusted, rotation_errors, seen
 from irpso_addon.calibration.handheld.cameras import placed_cameras
 from irpso_addon.calibration.handheld.flash import Samples, flash_of, irradiance
-from irpso_addon.calibration.handheld.job import _flash, handheld_steps
-from irpso_addon.calibration.handheld.likeness import doubtful
+from irpso_addon.calibration.handheld.handheld_calibration import _flash, handheld_steps
 from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plane_of, pose_of
 from irpso_addon.calibration.handheld.tracks import Tracks, _Match, _merged
 from irpso_addon.capture.frame.board import board_of
@@ -328,19 +328,19 @@ def test_a_picture_that_is_a_quarter_turn_off_is_in_doubt_and_the_others_are_not
 
     for wrong in range(1, 4):
         pictures = np.stack([on_grid(value, wrong if k == 3 else 0, random) for k in range(9)])
-        np.testing.assert_array_equal(np.flatnonzero(doubtful(pictures)), [3])
+        np.testing.assert_array_equal(np.flatnonzero(ambiguous_positions(pictures)), [3])
     pictures = np.stack([on_grid(other, 0, random) for _ in range(9)])
-    assert not doubtful(pictures).any(), "a card without symmetry"
+    assert not ambiguous_positions(pictures).any(), "a card without symmetry"
 
 
 def test_a_card_that_is_the_same_after_a_quarter_turn_or_a_shift_leaves_every_position_in_doubt():
     random = np.random.default_rng(13)
-    assert doubtful(np.stack([on_grid(four_times(texture(14, 6.0)), 0, random) for _ in range(9)])).all()
+    assert ambiguous_positions(np.stack([on_grid(four_times(texture(14, 6.0)), 0, random) for _ in range(9)])).all()
 
     def waves(places):
         return np.sin(places[..., 0] * 2 * np.pi / 13) * np.sin(places[..., 1] * 2 * np.pi / 13)
 
-    assert doubtful(np.stack([on_grid(waves, 0, random) for _ in range(9)])).all()
+    assert ambiguous_positions(np.stack([on_grid(waves, 0, random) for _ in range(9)])).all()
 
 
 def test_photographs_of_a_card_that_is_the_same_after_a_quarter_turn_are_refused():

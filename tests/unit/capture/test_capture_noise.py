@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.linearise import Picture, samples_of_picture
 from irpso_addon.capture.inspect.report import inspect_capture
-from irpso_addon.capture.noise import LEAST, MOST, USUAL, NoiseEstimate, images_read, noise_of
+from irpso_addon.capture.noise import MAX_NOISE, MIN_NOISE, USUAL, NoiseEstimate, images_read, noise_of
 from irpso_addon.capture.read import read_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.core.encode import srgb_from_linear
@@ -84,7 +84,7 @@ def test_the_noise_that_was_added_is_found_whatever_the_texture(deviation, textu
 
 
 def test_texture_without_noise_is_not_taken_for_noise():
-    assert found(clean(texture=1.0)) == 255 * LEAST
+    assert found(clean(texture=1.0)) == 255 * MIN_NOISE
 
 
 @pytest.mark.parametrize("deviation", [1.5, 3.0])
@@ -132,7 +132,7 @@ def test_few_images_get_the_usual_noise_and_finer_files_none():
 
 
 def test_the_noise_stays_within_its_limits():
-    assert found(noisy(clean(), 20.0)) == 255 * MOST
+    assert found(noisy(clean(), 20.0)) == 255 * MAX_NOISE
 
 
 def test_the_announced_number_of_images_is_read():

@@ -71,7 +71,7 @@ def test_a_rank_whose_texels_do_not_fit_its_share_of_the_device_says_so():
 
 def test_a_rank_whose_samples_exceed_one_texture_says_so():
     found = split(np.ones((256, 256), bool), NEED, 2)
-    window = 256 * (128 + NEED.reach)
+    window = 256 * (128 + NEED.stencil_radius)
     memory = Memory(1 << 40, 1 << 40)
     check_fits(found, FakeRanks([]), memory, Limits(), sharing=1)
     with pytest.raises(InputError, match="exceeds this GPU's limits .* start more ranks"):
@@ -86,7 +86,7 @@ def test_a_rank_counts_its_window_of_all_photographs_and_the_whole_geometry():
         lit = schedule.replaced(interreflection_rounds=rounds)
         found = split(np.ones((256, 256), bool), recovery_cost(load_model("lambert"), lit, (), 15, held_out=3), 2)
         sizes[rounds] = found.host(found.tiles[1])
-    window = 256 * (128 + NEED.reach)
+    window = 256 * (128 + NEED.stencil_radius)
     assert sizes[1] - sizes[0] == 16 * 15 * window  # a second stack, held-out photographs included
     plain = split(np.ones((256, 256), bool), recovery_cost(load_model("lambert"), schedule, (), 15, held_out=3), 2)
     assert sizes[0] - plain.tiles[1].host == 65 * 256 * 256 + (28 + 16 * 15) * window
@@ -111,19 +111,19 @@ def test_a_checkpoint_too_large_for_rank_0_is_refused_before_gathering():
         check_gathered(found, Memory(1, state - 1))
 
 
-@pytest.mark.parametrize("reach", [1, 3, 4])
-def test_a_published_halo_has_the_width_that_is_read(reach):
+@pytest.mark.parametrize("halo", [1, 3, 4])
+def test_a_published_halo_has_the_width_that_is_read(halo):
     domain = make_domain(13, 17, holes=False)
     boxes = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 8)]
     places = [place_of(box, tile(domain, *box, halo=4)) for box in boxes]
     numbers = np.arange(13 * 17).reshape(13, 17)
     for reader, (x0, y0, width, height) in enumerate(boxes):
         wanted = np.zeros((13, 17), bool)
-        wanted[max(0, y0 - reach) : y0 + height + reach, max(0, x0 - reach) : x0 + width + reach] = True
+        wanted[max(0, y0 - halo) : y0 + height + halo, max(0, x0 - halo) : x0 + width + halo] = True
         wanted[y0 : y0 + height, x0 : x0 + width] = False
         heard = set()
         for other, box in enumerate(boxes):
-            found = None if other == reader else overlap_of(places[other], places[reader], reader, reach)
+            found = None if other == reader else overlap_of(places[other], places[reader], reader, halo)
             if found is None:
                 continue
             theirs = numbers[window(domain, box)][found.here]
@@ -259,7 +259,7 @@ def test_ranks_with_another_capture_or_options_are_named(monkeypatch):
 
 
 def test_sent_messages_are_counted(monkeypatch):
-    monkeypatch.setattr("irpso_addon.cluster.transport._LARGEST", 40)
+    monkeypatch.setattr("irpso_addon.cluster.transport._MAX_BYTES", 40)
     here = SimpleNamespace(Get_rank=lambda: 0, Get_size=lambda: 3)
     sent = []
     world = SimpleNamespace(

@@ -85,7 +85,7 @@ CORNER = (4, 5)  # the foot's first texel
 
 
 def two_arms(sewn):
-    """Return the seams of an island like a U, reach 4; sewn: whether the arms' inner edges are one on the surface."""
+    """Return the seams of an island like a U, radius 4; sewn: whether the arms' inner edges are one on the surface."""
     x, y = np.meshgrid(np.arange(2 * ARM + GAP + 1.0), np.arange(-FOOT, LONG + 1.0))
     bent = np.where((x >= ARM + GAP) & sewn, GAP * np.clip(y, 0, 1), 0)
     points = np.stack([x - bent, y, 0 * x], axis=-1)
@@ -100,7 +100,7 @@ def two_arms(sewn):
     frames = np.zeros((*x.shape, 3)) + (0, 0, 1), np.zeros((*x.shape, 4)) + (1, 0, 0, 1)
     mesh = mesh_from_corners(*(triangles(v) for v in (points, *frames, uv)))
     bake = bake_uv(mesh, 40, 64)[0]
-    return seams_of(mesh, bake.triangle, reach=4), bake
+    return seams_of(mesh, bake.triangle, radius=4), bake
 
 
 def arms_domain():
@@ -116,7 +116,7 @@ def test_sides_of_a_gap_are_neighbours_only_where_connected(sewn):
     assert (seams.island >= 0).sum() == 2 * ARM * LONG + FOOT * (2 * ARM + GAP) and seams.island.max() == 0
     left, right = CORNER[0] + ARM - 1, CORNER[0] + ARM + GAP  # the columns along the gap
     bottom = CORNER[1] + FOOT
-    for y in range(bottom + 16, bottom + LONG - 5):  # farther from the foot than three blocks and a reach
+    for y in range(bottom + 16, bottom + LONG - 5):  # farther from the foot than three blocks and a radius
         for by in [(x, dy) for x in range(-4, 5) for dy in (-3, 0, 2)]:
             for column, step in ((left, 1), (left - 2, 1), (right, -1), (right + 1, -1)):
                 across = (left - column if step > 0 else column - right) < step * by[0]
@@ -158,7 +158,7 @@ def test_upsampling_does_not_mix_adjacent_islands():
 
 @pytest.mark.parametrize("turn", ["mirrored and turned", "past the square's edge", "two arms"])
 def test_a_tile_reads_across_seams_like_the_whole(turn):
-    whole = arms_domain() if turn == "two arms" else sheet(turn).domain(reach=6)
+    whole = arms_domain() if turn == "two arms" else sheet(turn).domain(radius=6)
     reached, met = 3, 0
     rows, columns = whole.shape
     for x0, y0, x1, y1 in ((0, 0, 20, 20), (20, 0, columns, 20), (0, 20, 14, rows), (14, 20, columns, rows)):
@@ -190,19 +190,19 @@ def test_a_tile_reads_across_seams_like_the_whole(turn):
 
 
 @pytest.mark.parametrize(
-    "preset, model, reach, most", [("swarm", "lambert", 1, 1.2), ("standard", "principled", 16, 2)]
+    "preset, model, stencil_radius, most", [("swarm", "lambert", 1, 1.2), ("standard", "principled", 16, 2)]
 )
-def test_a_plan_includes_the_bytes_of_seams(preset, model, reach, most):
+def test_a_plan_includes_the_bytes_of_seams(preset, model, stencil_radius, most):
     domain = sheet("mirrored and turned").domain()
     edges = domain.seams.edges.some(domain.seams.edges.other >= 0)
     borders = Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
     need = recovery_cost(load_model(model), load_schedule(preset).without_rounds(), (), 8)
-    assert need.reach == reach
+    assert need.stencil_radius == stencil_radius
     boxes = [(0, 0, 20, 50), (20, 0, 42, 50)]
     for chosen in (boxes, [(0, 0, 62, 50)]):
         for box in chosen:
             planned = tile_of(domain.solvable, box, need, borders)
-            part = tile(domain, *box, halo=need.reach) if len(chosen) > 1 else domain
+            part = tile(domain, *box, halo=need.stencil_radius) if len(chosen) > 1 else domain
             packing = Packing(part.solvable, part.seams)
             held = sum(array.nbytes for array in packing.arrays())
             places = packing.width * packing.height

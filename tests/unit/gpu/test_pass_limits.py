@@ -11,7 +11,6 @@ from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model, shipped_models
 from irpso_addon.solver.engine.confidence import Confidence
-from irpso_addon.solver.kernels import kernels
 from irpso_addon.solver.kernels import refinement as refinement_kernels
 from irpso_addon.solver.kernels import sequential_swarm as sequential_kernels
 from irpso_addon.solver.kernels import spatial_prior as prior_kernels
@@ -19,16 +18,22 @@ from irpso_addon.solver.kernels import surface as surface_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
+from irpso_addon.solver.kernels.single_passes import (
+    light_transport_pass,
+    render_pass,
+    residual_pass,
+    sampled_residual_pass,
+)
 from irpso_addon.solver.phases import indirect, prefit, separation, sheen
 from irpso_addon.solver.phases.neighbour_test import decision_pass
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedIndirect,
     ResolvedPrefit,
-    ResolvedPrior,
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
+    ResolvedSpatialPrior,
     ResolvedSurface,
     resolve,
 )
@@ -66,8 +71,8 @@ def make_passes(resolved, model, schedule):
     """Make the passes of one phase."""
     if isinstance(resolved, ResolvedRefinement):
         refinement_kernels.build_refinement_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
-    elif isinstance(resolved, ResolvedPrior):
-        prior_kernels.build_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
+    elif isinstance(resolved, ResolvedSpatialPrior):
+        prior_kernels.build_spatial_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedSurface):
         surface_kernels.build_surface_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedIndirect):
@@ -76,7 +81,7 @@ def make_passes(resolved, model, schedule):
         decision_pass("prefit/sheen.glsl", "chosen", sheen.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedSeparation):
         prefit.adopt_pass(model, DOMAIN)
-        separation.shadow_light_pass(model, 0.05, separation.LEAST_TURN, DOMAIN, "fragment")
+        separation.shadow_light_pass(model, 0.05, separation.MIN_TURN, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
             make_passes(part, resolved.model, schedule)
@@ -120,8 +125,7 @@ def test_every_pass_of_every_model_and_preset_fits_the_common_limits(made, name,
             make_passes(resolved, model, schedule)
         Confidence(model, (), schedule.fitness, DOMAIN)
         Alternatives(model, (), schedule.fitness, DOMAIN)
-    of_models = kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass, kernels.light_transport_pass
-    for make in of_models:
+    for make in (residual_pass, sampled_residual_pass, render_pass, light_transport_pass):
         make(model, DOMAIN)
     for kind in ("parameter", "error", "render", "reference", "confidence"):
         display._picture_pass(model, kind, DOMAIN)

@@ -23,7 +23,7 @@ ALLOWED = {
     for number, rooms in enumerate((*FLOORS, *ROOMS_ABOVE))
     for room in rooms
 }
-MOST = 16  # files of a room
+MAX_FILES = 16  # files of a room
 BLENDER = {
     "bpy",
     "bmesh",
@@ -173,7 +173,7 @@ def test_rooms_stay_small():
     full = {}
     for folder in folders:
         room, files = folder.relative_to(PACKAGE).as_posix(), len(list(folder.glob("*.py"))) - 1
-        if files > MOST:
+        if files > MAX_FILES:
             full[room] = files
     assert full == {}
 

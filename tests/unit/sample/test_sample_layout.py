@@ -5,7 +5,7 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.sample import layout
-from irpso_addon.sample.job import Request
+from irpso_addon.sample.render_sample import Request
 
 SIZES = ((720, 540), (160, 120), (1000, 400), (300, 800))
 

@@ -22,7 +22,7 @@ def encoding_of(search, model=TWO_LOBES, normal="hemisphere"):
 
 
 def functions_of(encoding):
-    """Return decode(x, reach, s) and encode(s, reach) as Python functions: assignments are alike in both languages."""
+    """Return decode(x, albedo_bound, s) and encode(s, albedo_bound) as Python functions: assignments are alike."""
 
     def body(name):
         lines = re.search(rf"void {name}\(.*?\) {{\n(.*?)\n}}", encoding.source, re.S).group(1).splitlines()
@@ -39,12 +39,12 @@ def functions_of(encoding):
         "cartesian_from_normal": lambda n: n[1][1],
     }
 
-    def decode(x, reach, s):
-        exec(body("decode"), names | {"x": x, "reach": reach, "s": s})
+    def decode(x, albedo_bound, s):
+        exec(body("decode"), names | {"x": x, "albedo_bound": albedo_bound, "s": s})
 
-    def encode(s, reach):
+    def encode(s, albedo_bound):
         x = [0.0] * 8
-        exec(body("encode"), names | {"x": x, "reach": reach, "s": s})
+        exec(body("encode"), names | {"x": x, "albedo_bound": albedo_bound, "s": s})
         return x
 
     return decode, encode
@@ -74,12 +74,12 @@ def test_a_position_has_one_number_per_searched_dimension(search, normal, n):
 
 
 @pytest.mark.parametrize(("search", "normal", "n"), SEARCHES)
-@pytest.mark.parametrize("reach", [1.0, 0.25])
-def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, reach):
+@pytest.mark.parametrize("albedo_bound", [1.0, 0.25])
+def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, albedo_bound):
     decode, encode = functions_of(encoding_of(search, normal=normal))
     x = [float(v) for v in np.random.default_rng(n).uniform(0, 1, 8)]
     s = material()
-    decode(x, reach, s)
+    decode(x, albedo_bound, s)
     at = 0
     for p in TWO_LOBES.parameters:
         if not {"all", p.name, p.stage} & set(search):
@@ -90,12 +90,12 @@ def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, 
             at += size
         else:
             low, high = p.range
-            high = low + (high - low) * (reach if p.kind == "linear" and p.components == 3 else 1)
+            high = low + (high - low) * (albedo_bound if p.kind == "linear" and p.components == 3 else 1)
             wanted = low + (high - low) * np.array(x[at : at + p.components])
             np.testing.assert_allclose(np.ravel(getattr(s, p.name)), wanted, rtol=1e-12)
             at += p.components
     assert at == n
-    np.testing.assert_allclose(encode(s, reach), x[:n] + [0.0] * (8 - n), rtol=1e-12)
+    np.testing.assert_allclose(encode(s, albedo_bound), x[:n] + [0.0] * (8 - n), rtol=1e-12)
 
 
 def test_values_out_of_range_are_encoded_at_the_limit():

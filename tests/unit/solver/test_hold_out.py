@@ -6,7 +6,7 @@ import pytest
 from irpso_addon.capture.types import Capture, LeftOut, Light, Observation
 from irpso_addon.commands.options.hold_out import held_out_list
 from irpso_addon.core.errors import InputError
-from irpso_addon.solver.views.held_out import FEWEST_SPARING, order_of, relit_line, spared
+from irpso_addon.solver.views.held_out import MIN_OBSERVATIONS, order_of, relit_line, spared
 
 NAMES = [f"IMG_000{k}.jpg" for k in range(1, 6)]
 
@@ -64,7 +64,7 @@ def test_names_of_left_out_photographs_keep_their_place():
 
 
 def test_the_least_number_for_holding_out_is_right():
-    assert spared([0] * FEWEST_SPARING) and not spared([0] * (FEWEST_SPARING - 1))
+    assert spared([0] * MIN_OBSERVATIONS) and not spared([0] * (MIN_OBSERVATIONS - 1))
 
 
 @pytest.mark.parametrize(("lamps", "cameras"), [(8, 4), (16, 3), (24, 2), (40, 3)])

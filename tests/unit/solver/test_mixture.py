@@ -1,10 +1,11 @@
-"""Materials that texels share: the sample of a domain, whatever its parts, and the mixture that is found in it."""
+"""Materials that texels share: the texel subset of a domain, whatever its parts, and the mixture found in it."""
 
 import numpy as np
 import pytest
 
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.phases.mixture import SAMPLE, features_of, material_table, merged, mixture, sampled
+from irpso_addon.solver.phases.mixture import features_of, material_table, mixture
+from irpso_addon.solver.state.texel_subset import MAX_TEXELS, chosen_texels, merged_subset
 
 SIZES, MIDDLES, SPREADS = (1500, 900, 600), ((1.0, 2.0, 8.0), (6.0, 7.0, 1.0), (3.0, 9.0, 5.0)), (0.6, 0.8, 1.1)
 
@@ -31,7 +32,7 @@ def test_groups_that_lie_apart_are_found_with_their_shares_means_and_variances(g
 
 
 @pytest.mark.parametrize("count", [3, 8])
-def test_the_share_of_a_material_is_how_many_of_the_sample_are_like_it(groups, count):
+def test_the_share_of_a_material_is_how_many_of_the_texels_are_like_it(groups, count):
     x = np.concatenate(groups)
     table = material_table(x, np.ones(len(x)), count)
     for point in [*np.array(MIDDLES), (1.5, 2.5, 7.0), (3.5, 4.5, 4.5)]:
@@ -64,30 +65,32 @@ def test_texels_of_nan_are_no_material(groups):
     assert np.isfinite(material_table(np.full((3, 3), np.nan), np.ones(3), 4)).all()
 
 
-def test_the_sample_is_that_of_the_whole_whatever_the_parts_and_their_order():
+def test_the_texel_subset_is_that_of_the_whole_whatever_the_parts_and_their_order():
     rng = np.random.default_rng(5)
     rows, columns = (a.ravel() for a in np.mgrid[100:250, 7:97])
     values = rng.uniform(size=(len(rows), 4)).astype(np.float32)
-    whole = sampled(rows, columns, values)
-    assert len(whole) == SAMPLE < len(rows)
+    whole = chosen_texels(rows, columns, values)
+    assert len(whole) == MAX_TEXELS < len(rows)
     part = rng.integers(0, 5, len(rows))
-    parts = [sampled(rows[part == i], columns[part == i], values[part == i]) for i in rng.permutation(5)]
-    assert merged(parts).tobytes() == whole.tobytes()
+    parts = [chosen_texels(rows[part == i], columns[part == i], values[part == i]) for i in rng.permutation(5)]
+    merged = merged_subset(parts)
+    for name in ("ranks", "rows", "columns", "values"):
+        assert getattr(merged, name).tobytes() == getattr(whole, name).tobytes()
     # From all over the domain: no eighth of its rows has a share much unlike another's.
-    counts, _ = np.histogram(whole[:, 1], 8)
-    assert counts.min() > 0.85 * SAMPLE / 8
-    at = (whole[:, 1] - 100) * 90 + whole[:, 2] - 7
-    np.testing.assert_array_equal(whole[:, 3:], values[at.astype(int)])
+    counts, _ = np.histogram(whole.rows, 8)
+    assert counts.min() > 0.85 * MAX_TEXELS / 8
+    at = (whole.rows - 100) * 90 + whole.columns - 7
+    np.testing.assert_array_equal(whole.values, values[at])
 
 
 def test_features_scale_each_parameter_by_its_unit():
     model = load_model("metallic_roughness")
     parameters = [p for p in model.parameters if p.name != "specular"]
-    sample = np.zeros((1, 3 + model.components))
+    values = np.zeros((1, model.components))
     for name, value in {"base_color": (0.25, 0.04, 1.0), "normal": (0.1, 0.2, 0.97), "roughness": 0.51,
                         "metallic": 0.7}.items():  # fmt: skip
-        at = 3 + model.offset(name)
-        sample[0, at : at + np.size(value)] = value
+        at = model.offset(name)
+        values[0, at : at + np.size(value)] = value
     # base_color by roots in units of 0.15, normal, roughness on its range from 0.02 to 1 and metallic in units of 0.1
     expected = [0.5 / 0.15, 0.2 / 0.15, 1 / 0.15, 0, 0, 5.0, 7.0]
-    np.testing.assert_allclose(features_of(model, parameters, sample)[0], expected)
+    np.testing.assert_allclose(features_of(model, parameters, values)[0], expected)

@@ -13,7 +13,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning import memory
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory, amount, free_memory, machine_memory, parse_memory
-from irpso_addon.solver.planning.plan import Limits, device_bytes, largest_texture, plan_recovery
+from irpso_addon.solver.planning.plan import Limits, device_bytes, max_texture_bytes, plan_recovery
 from irpso_addon.solver.settings.schedule import load_schedule
 
 G, M = 1 << 30, 1 << 20
@@ -51,11 +51,11 @@ def test_the_bytes_of_a_texel_match_a_count_by_hand():
 def test_evaluations_and_exchanges_are_counted_over_all_iterations():
     cost = cost_of()
     # The neighbour term of 60 iterations lasts 15 of them (0 … 14); neighbours are tried at 9, 19, 29, 39, 49, 59.
-    assert (cost.reach, cost.exchanges, cost.evaluations) == (1, 15 + 5, 9 + 60)
+    assert (cost.stencil_radius, cost.exchanges, cost.evaluations) == (1, 15 + 5, 9 + 60)
     wide = recovery_cost(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_until=0.0), (), 100)
-    assert (wide.reach, wide.exchanges) == (3, 60)
+    assert (wide.stencil_radius, wide.exchanges) == (3, 60)
     alone = recovery_cost(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
-    assert (alone.reach, alone.exchanges) == (0, 0)
+    assert (alone.stencil_radius, alone.exchanges) == (0, 0)
     rounds = recovery_cost(load_model("lambert"), SWARM.replaced(interreflection_rounds=2), (), 100)
     assert rounds.evaluations == 3 * (9 + 60)
 
@@ -132,7 +132,7 @@ def test_a_single_tile_smaller_than_the_domain_has_a_halo():
     cost = cost_of()
     plan = plan_recovery(covered, cost, PLENTY, Limits(side=190))
     assert [tuple(box) for box in plan.boxes] == [(20, 10, 30, 30)]
-    assert plan.halo == cost.reach > 0
+    assert plan.halo == cost.stencil_radius > 0
 
 
 def test_more_observations_than_a_texture_has_layers_are_refused():
@@ -315,8 +315,8 @@ def test_unset_budgets_come_from_the_machine(monkeypatch):
 
 
 def test_a_texture_may_be_large_where_the_memory_is():
-    assert [largest_texture(free) for free in (None, G, 4 * G, 16 * G)] == [G, G, G, 2 * G]
-    assert 7 * G < largest_texture(200 * G) < 8 * G
+    assert [max_texture_bytes(free) for free in (None, G, 4 * G, 16 * G)] == [G, G, G, 2 * G]
+    assert 7 * G < max_texture_bytes(200 * G) < 8 * G
 
 
 def test_free_memory_comes_from_the_system():

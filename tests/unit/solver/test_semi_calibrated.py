@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.domain import with_lights, with_samples
-from irpso_addon.solver.lights.sample import draw
+from irpso_addon.solver.lights.light_texels import draw_texels
 from irpso_addon.solver.lights.semi_calibrated import normalised, relative_intensities
 from irpso_addon.solver.state.prepare import light_vectors
 from tests.builders.lights import apart, gains, off, photographed, subject
@@ -62,16 +62,16 @@ def test_the_sample_holds_texels_that_are_lit_with_their_own_radiance_and_every_
     stack[:, :, 35:] = 0  # nothing is seen there
     stack[7, :, :33] = 0  # and one light reaches a strip alone
     domain = with_samples(domain, stack)
-    sample = draw(domain, 1, np.arange(12), 300)
-    count = len(sample.rows)
+    texels = draw_texels(domain, 1, np.arange(12), 300)
+    count = len(texels.rows)
     assert count == 300
-    assert (sample.columns < 35).all()
-    part = sample.domain.stack.values.reshape(12, -1, 4)[:, :count]
-    np.testing.assert_array_equal(part, domain.stack.values[:, sample.rows, sample.columns])
-    np.testing.assert_array_equal(sample.domain.bake.coverage.ravel()[:count], True)
+    assert (texels.columns < 35).all()
+    part = texels.domain.stack.values.reshape(12, -1, 4)[:, :count]
+    np.testing.assert_array_equal(part, domain.stack.values[:, texels.rows, texels.columns])
+    np.testing.assert_array_equal(texels.domain.bake.coverage.ravel()[:count], True)
     assert (part[7, :, :3] > 0).any(axis=-1).sum() > 20
-    np.testing.assert_array_equal(sample.part(domain.bake.normal).reshape(-1, 3)[:count],
-                                  domain.bake.normal[sample.rows, sample.columns])  # fmt: skip
+    np.testing.assert_array_equal(texels.part(domain.bake.normal).reshape(-1, 3)[:count],
+                                  domain.bake.normal[texels.rows, texels.columns])  # fmt: skip
 
 
 def test_a_domain_under_other_lights_keeps_its_stacks_properties():
@@ -87,4 +87,4 @@ def test_sampled_texels_for_lights_have_the_noise_of_the_whole():
     rng = np.random.default_rng(4)
     domain, _ = subject("lambert", 12)
     domain = replace(photographed(domain, gains(12, rng), rng), noise=0.01)
-    assert draw(domain, 0, np.arange(12)).domain.noise == 0.01
+    assert draw_texels(domain, 0, np.arange(12)).domain.noise == 0.01

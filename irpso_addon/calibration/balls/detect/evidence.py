@@ -19,7 +19,7 @@ _ITERATIONS = 10
 _RIM = 0.35  # n·v: at smaller values the outline's error dominates
 _PIXELS = 500
 _FITTED_RADIUS = 12.0  # values along a radius
-_LEAST_SHADED = 0.12  # standard deviation over the mean of a ball's values
+_MIN_SHADED = 0.12  # standard deviation over the mean of a ball's values
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def cropped(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> BallView:
 def _lambert(normals: np.ndarray, values: np.ndarray) -> tuple[np.ndarray | None, float]:
     """Fit max(n·b, 0) + a by alternating least squares; return the light (3,) and the explained share of variance."""
     centred = values - values.mean()
-    if values.std() < _LEAST_SHADED * values.mean():
+    if values.std() < _MIN_SHADED * values.mean():
         return None, 0.0
     lit = values > values.min() + _LIT * (values.max() - values.min())
     solution = np.zeros(4)

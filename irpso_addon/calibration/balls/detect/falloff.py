@@ -12,10 +12,10 @@ from .shadow import on_table, shadowed
 
 _PIXELS = 3000  # about as many are used
 _BESIDE = 1.1  # radii from the outline's centre: nearer pixels show the ball
-_LEAST_LIT, _SHADOWED = 0.01, 0.35  # of white; of a pixel's median: a darker value is in shadow
-_FEWEST, _FEWEST_SHADOWED = 100, 30  # pixels
+_MIN_LIT, _SHADOWED = 0.01, 0.35  # of white; of a pixel's median: a darker value is in shadow
+_MIN_PIXELS, _MIN_SHADOWED = 100, 30  # pixels
 _ITERATIONS, _CENTRING = 8, 6
-_LEAST_SCALE = 0.005  # of the light
+_MIN_SCALE = 0.005  # of the light
 _NEAREST = 0.2  # radii over distance
 _LOBE = 0.35  # width of a glossy table's lobe: tangent of the half vector's angle
 _GLOSSY = 0.2  # least height of the lobe's logarithm; matte tables show up to 0.08
@@ -37,11 +37,11 @@ def inverse_distance(
     rows, columns = _sample_pixels(stack.shape[1:], ball)
     values = stack[known][:, rows, columns]
     median = np.median(values, axis=0)
-    usable = ~clipped[known][:, rows, columns] & (values > np.maximum(_SHADOWED * median, _LEAST_LIT))
+    usable = ~clipped[known][:, rows, columns] & (values > np.maximum(_SHADOWED * median, _MIN_LIT))
     point = on_table(ball, table, rows, columns)
     values = values - _ambient(point, values, median, lights[known])
     use = np.isfinite(point).all(axis=-1) & (usable.sum(axis=0) > known.sum() / 2)
-    if known.sum() < 3 or use.sum() < _FEWEST:
+    if known.sum() < 3 or use.sum() < _MIN_PIXELS:
         return 0.0, np.inf
     point, usable, value = point[use], usable[:, use], np.log(np.where(usable, np.maximum(values, 1e-6), 1))[:, use]
     ray = pixel_rays(ball.camera, np.stack([columns, rows], axis=-1)[use] + 0.5)[1]
@@ -64,7 +64,7 @@ def _fitted(
         law, slope = _fall_off(point, lights, inverse)
         gloss = np.zeros_like(slope) if lobe is None else lobe(inverse)
         residual = _centred(value - law - height * gloss, weights)
-        scale = max(1.4826 * float(np.median(np.abs(residual[usable]))), _LEAST_SCALE)
+        scale = max(1.4826 * float(np.median(np.abs(residual[usable]))), _MIN_SCALE)
         weights = usable * tukey(residual, scale)
         residual, slope, gloss = (_centred(array, weights) for array in (value - law - height * gloss, slope, gloss))
         ratio = (weights * slope * gloss).sum() / max((weights * gloss**2).sum(), 1e-12)
@@ -102,9 +102,9 @@ def _sample_pixels(shape: tuple[int, ...], ball: Ball) -> tuple[np.ndarray, np.n
 
 def _ambient(point: np.ndarray, values: np.ndarray, median: np.ndarray, lights: np.ndarray) -> np.ndarray:
     """Return the ambient part (N,) of values (K, N): the radiance in the ball's shadow."""
-    shaded = (shadowed(point, lights) > 0) & (median > _LEAST_LIT)
-    remaining = (values / np.maximum(median, _LEAST_LIT))[shaded]
-    return min(float(np.median(remaining)), _SHADOWED) * median if len(remaining) >= _FEWEST_SHADOWED else 0 * median
+    shaded = (shadowed(point, lights) > 0) & (median > _MIN_LIT)
+    remaining = (values / np.maximum(median, _MIN_LIT))[shaded]
+    return min(float(np.median(remaining)), _SHADOWED) * median if len(remaining) >= _MIN_SHADOWED else 0 * median
 
 
 def _fall_off(point: np.ndarray, lights: np.ndarray, inverse: float) -> tuple[np.ndarray, np.ndarray]:

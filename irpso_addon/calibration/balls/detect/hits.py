@@ -18,11 +18,11 @@ from .pictures import Pictures
 from .rim import on_rim
 from .shadow import agreement, table_light
 
-_LEAST_SUPPORT = 0.3
+_MIN_SUPPORT = 0.3
 _TESTED = 60  # outlines
-_LEAST_SHARE = 0.6  # of the photographs: each shows a light
-_LEAST_MOVED = 0.12
-_LEAST_FIT = 0.93
+_MIN_SHARE = 0.6  # of the photographs: each shows a light
+_MIN_MOVED = 0.12
+_MIN_FIT = 0.93
 # Least agreement with the shadow: for a circle without visible edges; reduction if the whole outline is visible.
 _SHADOW_OF_OUTLINE = {"mirror": (1.24, 0.52), "mirror on cloth": (0.82, 0.1), "matte": (0.9, 0.42)}
 _CLOTH = 0.06  # of white: a darker table is black cloth
@@ -74,7 +74,7 @@ def distinct(outlines: Sequence[Outline], most: int = _TESTED) -> list[Outline]:
     """Return distinct outlines, best support first, at most ``most``."""
     selected: list[Outline] = []
     for outline in sorted(outlines, key=lambda o: -o.support):
-        if outline.support < _LEAST_SUPPORT or len(selected) == most:
+        if outline.support < _MIN_SUPPORT or len(selected) == most:
             break
         if not any(_same_circle(outline, other) for other in selected):
             selected.append(outline)
@@ -96,7 +96,7 @@ def tested(pictures: Pictures, outline: Outline, kinds: Sequence[str], least: fl
     for kind in kinds:
         of_kind = evidence.of_mirror if kind == "mirror" else evidence.of_matte
         seen = of_kind(pictures.values, pictures.clipped, ball)
-        if seen.share < _LEAST_SHARE or seen.moved < _LEAST_MOVED or seen.fit < _LEAST_FIT:
+        if seen.share < _MIN_SHARE or seen.moved < _MIN_MOVED or seen.fit < _MIN_FIT:
             continue
         threshold = least if seen.share >= _SURE_SHARE else least + _DOUBT
         shadow_agrees = agreement(pictures.values, ball, seen.lights, noise=pictures.noise)
@@ -138,7 +138,7 @@ def improved_steps(
             yield
             near = _with_distance(hit, whole)
             hits.append((yield from _measured_by_shadow(near)) if _measurable(near) else near)
-    lit = [hit for hit in hits if hit.seen.share >= _LEAST_SHARE]
+    lit = [hit for hit in hits if hit.seen.share >= _MIN_SHARE]
     accepted = [hit for hit in lit if hit.shadow is None or hit.shadow >= _threshold(hit)]
     if kind == "mirror":
         return accepted

@@ -10,10 +10,10 @@ from .edges import Edges
 
 _ANGLES = 72
 _CLEAR = 2.5  # of a low quantile of the profile's contrast: the contrast at which clarity is 0.5
-_LEAST_CLARITY = 0.5  # of a visible edge
-_MOST_SHIFT = 0.12  # of the radius: of centre and radius
+_MIN_CLARITY = 0.5  # of a visible edge
+_MAX_SHIFT = 0.12  # of the radius: of centre and radius
 _STEPS = 4  # in each direction
-_BAND, _LEAST_BAND = 0.35, 8.0  # half the profile, of the radius and in pixels
+_BAND, _MIN_BAND = 0.35, 8.0  # half the profile, of the radius and in pixels
 _RIDGE = 2.0  # pixels: non-maximum suppression along the profile
 _FLOOR = 0.3  # quantile of the profile's contrast: that of texture and noise
 
@@ -29,12 +29,12 @@ class Outline:
     points: np.ndarray
 
 
-def fitted(edges: Edges, x: float, y: float, radius: float, rounds: int = 3, least_shift: float = 0.0) -> Outline:
+def fitted(edges: Edges, x: float, y: float, radius: float, rounds: int = 3, min_shift: float = 0.0) -> Outline:
     """Return the circle near a circle, in pixel coordinates, with the clearest edges, by grids of decreasing step.
 
-    In the first round x, y and radius each move by at most 12 % of the radius, or ``least_shift`` pixels if larger.
+    In the first round x, y and radius each move by at most 12 % of the radius, or ``min_shift`` pixels if larger.
     """
-    shift = max(_MOST_SHIFT * radius, least_shift)
+    shift = max(_MAX_SHIFT * radius, min_shift)
     for _ in range(rounds):
         x, y, radius = _most_support(edges, x, y, radius, shift)
         shift /= 3
@@ -64,7 +64,7 @@ def _running_maximum(values: np.ndarray, reach: int) -> np.ndarray:
 
 
 def _half_profile(radius: float) -> float:
-    return min(max(_BAND * radius, _LEAST_BAND), 0.9 * radius)
+    return min(max(_BAND * radius, _MIN_BAND), 0.9 * radius)
 
 
 def _most_support(edges: Edges, x: float, y: float, radius: float, shift: float) -> tuple[float, float, float]:
@@ -91,7 +91,7 @@ def measured(edges: Edges, x: float, y: float, radius: float) -> Outline:
     index = near[0] + clear[:, near].argmax(axis=1)
     angles = np.arange(_ANGLES)
     peak = clear[angles, index]
-    visible = (peak > _LEAST_CLARITY) & (index > near[0]) & (index < near[-1])
+    visible = (peak > _MIN_CLARITY) & (index > near[0]) & (index < near[-1])
     low, high = clear[angles, index - 1], clear[angles, np.minimum(index + 1, len(offsets) - 1)]
     curvature = np.maximum(2 * peak - low - high, 1e-9)
     place = radius + offsets[index] + step * np.clip(0.5 * (high - low) / curvature, -1, 1)

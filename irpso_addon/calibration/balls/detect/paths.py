@@ -7,14 +7,14 @@ import numpy as np
 from ....core.filters import blurred
 
 _SHARED = 3  # a spot is brighter than its pixel in all but a third of the photographs
-_LEAST = 0.1  # of white
+_MIN_SIGNAL = 0.1  # of white
 _PER_PHOTOGRAPH = 20  # spots
 _APART = 2  # pixels
 _COVERED = 0.8  # of the photographs: least number with a spot on the path
 _SURPLUS = 1.6  # most spots per photograph
 _WIDTHS = 1.35 ** np.arange(10)  # of the smallest path
 _RADII = (1.6, 2.2, 3.0)  # over the path's radius: lamps up to 77°, 54° and 39° from the viewer
-_MOST = 8  # paths
+_MAX_PATHS = 8  # paths
 
 
 def circles_of_paths(stack: np.ndarray, smallest: float, largest: float) -> np.ndarray:
@@ -41,7 +41,7 @@ def circles_of_paths(stack: np.ndarray, smallest: float, largest: float) -> np.n
     for path in sorted(paths, reverse=True):
         if all(np.hypot(path[1] - other[1], path[2] - other[2]) > 0.5 * other[3] for other in distinct):
             distinct.append(path)
-    circles = [(x, y, factor * reach) for _, x, y, reach in distinct[:_MOST] for factor in _RADII]
+    circles = [(x, y, factor * reach) for _, x, y, reach in distinct[:_MAX_PATHS] for factor in _RADII]
     return np.array([circle for circle in circles if smallest <= circle[2] <= largest]).reshape(-1, 3)
 
 
@@ -56,7 +56,7 @@ def _spots(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         height, width = signal.shape
         steps = range(2 * _APART + 1)
         maximum = np.max([padded[y : y + height, x : x + width] for y in steps for x in steps], axis=0)
-        rows, columns = np.nonzero((signal == maximum) & (signal > _LEAST))
+        rows, columns = np.nonzero((signal == maximum) & (signal > _MIN_SIGNAL))
         order = np.argsort(-signal[rows, columns], kind="stable")[:_PER_PHOTOGRAPH]
         places.append(np.stack([columns[order], rows[order]], axis=-1) + 0.5)
         numbers.append(np.full(len(order), number))

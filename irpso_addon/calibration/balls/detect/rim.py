@@ -14,10 +14,10 @@ _GAP, _GAP_RADII = 2.0, 0.04  # distance from the rim beyond its blur: pixels, r
 _INSIDE, _INSIDE_PIXELS = 0.3, 3.0  # radii, pixels: extent of the shading that is extrapolated to the rim
 _OUTSIDE, _OUTSIDE_PIXELS = 0.06, 2.0  # radii, pixels: extent of the background
 _STEP = 0.5  # pixels
-_LEAST_CONTRAST = 0.02  # of white
+_MIN_CONTRAST = 0.02  # of white
 _MODEL, _BEND = 0.02, 0.05  # error of the shading model: over the contrast, and over β
 _ROUNDS, _ITERATIONS = 4, 12
-_LEAST_SCALE = 0.1  # pixels
+_MIN_SCALE = 0.1  # pixels
 
 
 def on_rim(pictures: Pictures, ball: Ball) -> tuple[Ball, np.ndarray] | None:
@@ -86,7 +86,7 @@ def _shifts(
         expected = ball_values * covered + background[:, None] * (1 - covered)
         contrast = alpha + beta * at_rim - background
         excess = (values - expected)[:, ~inside & ~outside].sum(axis=1) * _STEP
-        clear = (np.abs(contrast) > _LEAST_CONTRAST) & ~(sampled(clipped.astype(np.float32), places) > 0).any(axis=1)
+        clear = (np.abs(contrast) > _MIN_CONTRAST) & ~(sampled(clipped.astype(np.float32), places) > 0).any(axis=1)
         shift = excess / np.where(clear, contrast, 1.0)
         variance = pictures.noise**2 + uneven + 4 * misfit + (_MODEL * contrast) ** 2 + (_BEND * beta) ** 2
         shifts.append(shift)
@@ -106,5 +106,5 @@ def _robust_fit(design: np.ndarray, shifts: np.ndarray, weights: np.ndarray) -> 
             return None
         step = np.linalg.solve(square, weighted.T @ shift)
         residual = np.abs(shift - design @ step)
-        robust = tukey(residual, max(1.4826 * weighted_median(residual, weight), _LEAST_SCALE))
+        robust = tukey(residual, max(1.4826 * weighted_median(residual, weight), _MIN_SCALE))
     return step

@@ -19,10 +19,10 @@ from .outline import fitted, measured
 from .paths import circles_of_paths
 from .pictures import Pictures, enlarged_steps, reduced_steps
 
-FEWEST = 3  # photographs
-_MOST = 24  # photographs that the search reads
-_SMALLEST, _LARGEST = 0.012, 0.17  # radius over the images' width
-_LEAST_RADIUS = 5.0  # pixels
+MIN_PHOTOGRAPHS = 3  # photographs
+_MAX_PHOTOGRAPHS = 24  # photographs that the search reads
+_MIN_RADIUS_SHARE, _MAX_RADIUS_SHARE = 0.012, 0.17  # radius over the images' width
+_MIN_RADIUS = 5.0  # pixels
 _CANDIDATES = 150
 _SMALL, _CELLS = 15.0, 2.0  # pixels: for smaller circles, also a fit that may move by so many pixels
 _MOVED = 20  # of the latter fits that are tested
@@ -38,12 +38,13 @@ def search_steps(
     agrees with these lights. The search uses reduced photographs; small balls are measured at full size, in a second
     pass over the photographs. Raises InputError for fewer than three photographs.
     """
-    if len(readers) < FEWEST:
+    if len(readers) < MIN_PHOTOGRAPHS:
         raise InputError(
-            f"--ball auto: needs {FEWEST} photographs under different lights, there are {len(readers)}; give a mask or"
-            " X,Y,R"
+            f"--ball auto: needs {MIN_PHOTOGRAPHS} photographs under different lights, there are {len(readers)}; give"
+            " a mask or X,Y,R"
         )
-    chosen = [readers[i] for i in np.unique(np.linspace(0, len(readers) - 1, min(len(readers), _MOST)).astype(int))]
+    indices = np.linspace(0, len(readers) - 1, min(len(readers), _MAX_PHOTOGRAPHS)).astype(int)
+    chosen = [readers[i] for i in np.unique(indices)]
     whole = yield from map_steps(reduced_steps(chosen, camera), lambda part: 0.3 * part)
     hits = yield from map_steps(_hits_steps(whole, kinds), lambda part: 0.3 + 0.4 * part)
     crops = yield from map_steps(
@@ -71,8 +72,8 @@ def _improved_steps(hit: Hit, crop: Pictures | None, whole: Pictures) -> Generat
 
 def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, None, list[Hit]]:
     """Yield the finished fraction; return candidate balls that do not overlap."""
-    smallest = max(_SMALLEST * pictures.camera.width, _LEAST_RADIUS)
-    largest = _LARGEST * pictures.camera.width
+    smallest = max(_MIN_RADIUS_SHARE * pictures.camera.width, _MIN_RADIUS)
+    largest = _MAX_RADIUS_SHARE * pictures.camera.width
     circles = candidates(pictures.steady, smallest, largest, _CANDIDATES)
     outlines, moved = [], []
     for number, circle in enumerate(circles):
@@ -80,7 +81,7 @@ def _hits_steps(pictures: Pictures, kinds: Sequence[str]) -> Generator[float, No
         x, y, radius = circle.tolist()
         outlines.append(fitted(pictures.steady, x, y, radius))
         if radius < _SMALL:
-            moved.append(fitted(pictures.steady, x, y, radius, least_shift=_CELLS))
+            moved.append(fitted(pictures.steady, x, y, radius, min_shift=_CELLS))
     hits: list[Hit] = []
     selected = distinct(outlines) + distinct(moved, _MOVED)
     for number, outline in enumerate(selected):

@@ -17,7 +17,7 @@ _HEIGHTS = (1.0, 1.6)  # of the ball's centre above the table, in radii: on it, 
 _TILT_STEP = np.radians(2.5)  # angle between neighbouring tables
 _GRAZING = 0.02  # least cosine between the table's normal and a light
 _FULL = 0.8  # quantile over photographs: the lit value of a pixel
-_LEAST_LIT, _FAINTEST = 0.01, 0.001  # of white: darker pixels, and darker local means, show no shadow
+_MIN_LIT, _FAINTEST = 0.01, 0.001  # of white: darker pixels, and darker local means, show no shadow
 _CLEAR = 5.0  # deviations of the noise: least lit value
 _SHADED, _BRIGHTEST = 0.5, 1.3  # of a photograph's lit plane: darker is in shadow, brighter is clamped
 _PLANES, _FLAT = 3, 0.01  # fits of a plane to a photograph's lit values; weight of the prior slope 0
@@ -78,7 +78,7 @@ def _lit(
 
     On black cloth single values are noise, so local means over a tenth of the ball's radius replace them.
     """
-    values, threshold = stack[:, *pixels.T], max(_LEAST_LIT, _CLEAR * noise)
+    values, threshold = stack[:, *pixels.T], max(_MIN_LIT, _CLEAR * noise)
     lit = np.quantile(values, _FULL, axis=0)
     if (lit > threshold).sum() < max(30, _LIT_PART * len(pixels)):
         sigma = _SOFT * ball.radius_px

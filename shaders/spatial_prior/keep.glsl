@@ -6,7 +6,7 @@
 #include "fitness/fitness.glsl"
 #include "fitness/lobes.glsl"
 #include "refine/status.glsl"
-#include "prior/loss_unit.glsl"
+#include "spatial_prior/loss_unit.glsl"
 
 bool texel_kernel(ivec2 texel)
 {

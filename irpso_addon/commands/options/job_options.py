@@ -33,8 +33,8 @@ from ...results.derived_maps import DerivedMaps, normals_of_text
 from ...results.read import read_maps
 from ...results.write import check_output_folder, check_replaces_nothing
 from ...solver.lights import refine
+from ...solver.planning.make_plan import scratch_folder
 from ...solver.planning.memory import parse_memory
-from ...solver.planning.planning import scratch_folder
 from ...solver.settings.schedule import Schedule
 from ...solver.state.checkpoint import glance
 from ...solver.views.held_out import held_out_last
@@ -177,7 +177,7 @@ def file_capture(options: Namespace, apart: Path | None = None) -> Capture:
         raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)
     spec = read_spec(options.capture, options.colour_space)
-    if apart and apart.resolve() in {shot.image.path.parent.resolve() for shot in spec.observations}:
+    if apart and apart.resolve() in {observation.image.path.parent.resolve() for observation in spec.observations}:
         raise InputError(f"{apart}: holds the photographs, and would mix them with the maps; choose another with -o")
     framing = replace(spec.framing, **framing_from_options(options))
     if distance:

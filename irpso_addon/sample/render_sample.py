@@ -19,13 +19,13 @@ from .relief import HALF, tile
 from .truth import write_truth
 
 PHOTOGRAPHS, SIZE = 16, (640, 480)
-FEWEST, MOST = 3, 200  # photographs
-SMALLEST, LARGEST = 80, 4096  # pixels of a side
+MIN_PHOTOGRAPHS, MAX_PHOTOGRAPHS = 3, 200  # photographs
+MIN_SIDE, MAX_SIDE = 80, 4096  # pixels of a side
 _NARROW = 3  # largest ratio of the longer to the shorter side
 FOLDER = "photographs"
 _SAMPLES, _TRUTH_SAMPLES, _BOUNCES = 8, 32, 2
 _QUADS = 1.5  # of the tile's mesh per pixel along a side
-_FEWEST_QUADS, _MOST_QUADS = 600, 1600
+_MIN_QUADS, _MAX_QUADS = 600, 1600
 _TABLE = 4000.0  # side of the table in millimetres
 _SCENE = "IRPSO sample"
 
@@ -42,12 +42,14 @@ class Request:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not FEWEST <= self.photographs <= MOST:
-            raise InputError(f"--photographs {self.photographs}: give a whole number from {FEWEST} to {MOST}")
-        width, height = self.size
-        if not all(SMALLEST <= side <= LARGEST for side in self.size) or max(self.size) > _NARROW * min(self.size):
+        if not MIN_PHOTOGRAPHS <= self.photographs <= MAX_PHOTOGRAPHS:
             raise InputError(
-                f"--size {width}x{height}: give sides of {SMALLEST} to {LARGEST} pixels, the longer at most"
+                f"--photographs {self.photographs}: give a whole number from {MIN_PHOTOGRAPHS} to {MAX_PHOTOGRAPHS}"
+            )
+        width, height = self.size
+        if not all(MIN_SIDE <= side <= MAX_SIDE for side in self.size) or max(self.size) > _NARROW * min(self.size):
+            raise InputError(
+                f"--size {width}x{height}: give sides of {MIN_SIDE} to {MAX_SIDE} pixels, the longer at most"
                 f" {_NARROW} times the shorter"
             )
 
@@ -108,7 +110,7 @@ def _build(scene: object, arrangement: layout.Layout) -> None:
     table_top.add_camera(scene, arrangement.camera)
     table_top.add_room(scene, _TABLE)
     across = 2 * HALF * arrangement.camera.scale[0] / arrangement.card_distance  # pixels
-    count = int(np.clip(_QUADS * across, _FEWEST_QUADS, _MOST_QUADS)) + 1
+    count = int(np.clip(_QUADS * across, _MIN_QUADS, _MAX_QUADS)) + 1
     along = np.linspace(-HALF, HALF, count)
     corners = tile(*np.meshgrid(along, along))
     # Texels are at the centres of the grid's quads, vertices at their corners.

@@ -12,13 +12,13 @@ _TURN = 15.0  # degrees between the rotations that are tried
 _FINE = 0.02  # of the side: smaller details are noise and relief
 _COARSE = 0.08  # of the side: larger ones are the flash's light
 _NEAR = 0.06  # of the side: shifts that count as the same position
-_LEAST_OVERLAP = 0.35  # of the energy of each image's details: least part in the overlap
-_MOST = 0.3  # bound of details, in the logarithm: the rim of paper on a table would outweigh the card
+_MIN_OVERLAP = 0.35  # of the energy of each image's details: least part in the overlap
+_MAX_DETAIL = 0.3  # bound of details, in the logarithm: the rim of paper on a table would outweigh the card
 _RADIUS = 0.9  # of half the side: the compared circle; outside is the card's border, which is similar on four sides
 _DOUBTFUL = 0.97  # similarity elsewhere over that in place: above, a position is ambiguous
 
 
-def doubtful(pictures: np.ndarray) -> np.ndarray:
+def ambiguous_positions(pictures: np.ndarray) -> np.ndarray:
     """Return bool (K,): whether an image matches the others about as well in another position as in its own.
 
     pictures: (K, S, S) radiance on one square grid of the card, NaN where unknown. The similarity is the correlation,
@@ -40,7 +40,7 @@ def _details(picture: np.ndarray) -> np.ndarray:
         coverage = blurred(known.astype(float), scale * side)
         return blurred(np.where(known, value, 0.0), scale * side) / np.maximum(coverage, 1e-6)
 
-    details = np.clip(mean(_FINE) - mean(_COARSE), -_MOST, _MOST)
+    details = np.clip(mean(_FINE) - mean(_COARSE), -_MAX_DETAIL, _MAX_DETAIL)
     return np.where(known & _circle(side), details, np.nan)
 
 
@@ -74,7 +74,7 @@ def _ambiguity(details: np.ndarray, target: np.ndarray) -> float:
             np.fft.irfft2(np.fft.rfft2(one, size) * spectrum, size)
             for one, spectrum in zip((image, image**2, shown), spectra, strict=True)
         )
-        enough = (energy >= _LEAST_OVERLAP * (image**2).sum()) & (target_energy >= _LEAST_OVERLAP * (target**2).sum())
+        enough = (energy >= _MIN_OVERLAP * (image**2).sum()) & (target_energy >= _MIN_OVERLAP * (target**2).sum())
         similarity = np.where(enough, products / np.sqrt(np.maximum(energy * target_energy, 1e-12)), 0.0)
         if turn == 0:
             own = similarity[near].max()

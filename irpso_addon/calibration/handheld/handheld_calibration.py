@@ -12,24 +12,24 @@ from ...capture.frame.board import Board
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps
+from .ambiguous_positions import ambiguous_positions
 from .cameras import Placed, placed_cameras
 from .flash import Flash, Samples, flash_of, usable_samples
-from .likeness import doubtful
 from .pictures import picture_steps
 from .tracks import Tracks, feature_tracks, marker_tracks
 
 Box = tuple[float, float, float, float]
-ENOUGH, FEWEST = 30, 8  # photographs
+ENOUGH, MIN_PHOTOGRAPHS = 30, 8  # photographs
 _GRID = 28  # points along a side of the card, for the fit of the flash
 _BLURRED = 0.6  # of the median sharpness
-_LEAST_VIEW_ANGLE = 6.0  # degrees: least root mean square angle between views
+_MIN_VIEW_ANGLE = 6.0  # degrees: least root mean square angle between views
 _WHITE = 0.8  # reflectance of printer paper, and of the brightest part of a card without a board
 _UNEVEN = 0.08  # standard deviation of the strengths' logarithm: above, exposures differ
 _CONTRADICTS, _MUCH_SURER = 2.5, 0.5  # standard errors; of the other fit's standard error
-_LEAST_PAPER = 10  # points of bare paper that each photograph must show unclipped
+_MIN_PAPER = 10  # points of bare paper that each photograph must show unclipped
 _UNSURE = 0.02  # of the distance: largest usable standard error of the flash's position
 _TRIM = 0.5  # percent of the features at each side, excluded from the extent of the card
-_LEAST_IN_VIEW = 0.6  # of the photographs that must show a point of a card without a board
+_MIN_IN_VIEW = 0.6  # of the photographs that must show a point of a card without a board
 _SIDE = 96  # samples along a side of the square for the test of ambiguous positions
 _ALIKE = "the card looks the same after a turn or a shift, so its position is uncertain in"
 _BOARD = "lay a marker board (`irpso markers`) around it"
@@ -72,7 +72,7 @@ def handheld_steps(
     _check_count(len(capture.observations), "")
     _check_size(capture)
     pictures = yield from map_steps(picture_steps(capture), lambda share: 0.5 * share)
-    names = np.array([shot.name for shot in capture.observations])
+    names = np.array([observation.name for observation in capture.observations])
     sharp = np.flatnonzero(pictures.sharp >= _BLURRED * np.median(pictures.sharp))
     blurred = _listed(np.delete(names, sharp))
     _check_count(len(sharp), f"; blurred: {blurred}")
@@ -97,7 +97,7 @@ def handheld_steps(
     numbers = sharp[list(placed.tracks.used)]
     field, cameras = _in_unit(_field(tracks.board, placed), placed.cameras, tracks.board)
     angle = _view_angle(cameras)
-    if angle < _LEAST_VIEW_ANGLE:
+    if angle < _MIN_VIEW_ANGLE:
         raise InputError(
             f"the photographs are all from one place: their views differ by {angle:.1f}°; the flash moves with the"
             " lens, so go around the card, from straight above to 50° from the side"
@@ -122,18 +122,18 @@ def handheld_steps(
 def _check_size(capture: Capture) -> None:
     """Raise InputError if photographs differ in size; portrait and landscape may mix."""
     first = capture.cameras[0]
-    for shot in capture.observations:
-        camera = capture.cameras[shot.camera]
+    for observation in capture.observations:
+        camera = capture.cameras[observation.camera]
         if {camera.width, camera.height} != {first.width, first.height}:
             raise InputError(
-                f"{shot.name}: is {camera.width}×{camera.height} pixels where {capture.observations[0].name} has"
+                f"{observation.name}: is {camera.width}×{camera.height} pixels where {capture.observations[0].name} has"
                 f" {first.width}×{first.height}; give all photographs as the camera wrote them, in one size"
             )
 
 
 def _check_count(count: int, why: str) -> None:
-    if count < FEWEST:
-        raise InputError(f"{count} photographs can be used, {FEWEST} are needed and {ENOUGH} are better{why}")
+    if count < MIN_PHOTOGRAPHS:
+        raise InputError(f"{count} photographs can be used, {MIN_PHOTOGRAPHS} are needed and {ENOUGH} are better{why}")
 
 
 def _listed(names: np.ndarray) -> str:
@@ -143,7 +143,7 @@ def _listed(names: np.ndarray) -> str:
 def _tracks(codes: list[np.ndarray], needs_markers: bool) -> tuple[Tracks, list[str]]:
     """Return tracks of markers, else of features, and warnings. Raises InputError if there are neither."""
     tracks = marker_tracks(codes)
-    if tracks is not None and len(tracks.used) >= max(FEWEST, len(codes) // 2):
+    if tracks is not None and len(tracks.used) >= max(MIN_PHOTOGRAPHS, len(codes) // 2):
         return tracks, []
     if needs_markers:
         raise InputError("--flash-offset: is in millimetres and needs printed markers in the photographs; leave it out")
@@ -164,8 +164,8 @@ def _field(board: Board | None, placed: Placed) -> Box:
         width, height = board.field
         return -width / 2, -height / 2, width / 2, height / 2
     in_view = np.stack([_in_view(camera, placed.points[:, :2]) for camera in placed.cameras])
-    covered = in_view.mean(axis=0) >= _LEAST_IN_VIEW
-    if covered.sum() < FEWEST:
+    covered = in_view.mean(axis=0) >= _MIN_IN_VIEW
+    if covered.sum() < MIN_PHOTOGRAPHS:
         raise InputError("no part of the card is in most of the photographs; keep it in the middle of all of them")
     (x0, y0), (x1, y1) = np.percentile(placed.points[covered, :2], [_TRIM, 100 - _TRIM], axis=0)
     return float(x0), float(y0), float(x1), float(y1)
@@ -179,7 +179,7 @@ def _ambiguous(placed: Placed, radiance: Sequence[np.ndarray]) -> tuple[int, ...
     pictures = [
         _sampled(radiance[k], camera, square) for k, camera in zip(placed.tracks.used, placed.cameras, strict=True)
     ]
-    alike = doubtful(np.stack(pictures).reshape(-1, _SIDE, _SIDE))
+    alike = ambiguous_positions(np.stack(pictures).reshape(-1, _SIDE, _SIDE))
     return tuple(k for k, doubt in zip(placed.tracks.used, alike.tolist(), strict=True) if doubt)
 
 
@@ -239,7 +239,7 @@ def _flash(samples: Samples, offset: np.ndarray | None, board: Board | None) -> 
     if board is not None and offset is None:
         count = len(board.white)
         paper = Samples(samples.places[:count], samples.cameras, samples.radiance[:, :count])
-        if (usable_samples(paper).sum(axis=1) >= _LEAST_PAPER).all():
+        if (usable_samples(paper).sum(axis=1) >= _MIN_PAPER).all():
             by_paper = flash_of(paper)
             difference = np.abs(by_paper.offset - flash.offset)[:2]
             surer = np.linalg.norm(by_paper.error) < _MUCH_SURER * np.linalg.norm(flash.error)

@@ -1,7 +1,7 @@
 // Penalty of a Gaussian prior over the parameters of free_parameters.glsl: Σ (x − m)² / v, a deviance, converted to
 // losses (loss_unit.glsl). Reads u_noise and the prior: u_mean, and u_deviation, which is 0 without a prior.
 
-#include "prior/loss_unit.glsl"
+#include "spatial_prior/loss_unit.glsl"
 #include "free_parameters.glsl"
 
 float penalty_of(ivec2 texel, inout float c[12])

@@ -5,7 +5,7 @@
 
 #include "common/frame.glsl"
 #include "common/packing.glsl"
-#include "prior/loss_unit.glsl"
+#include "spatial_prior/loss_unit.glsl"
 #include "common/taps.glsl"
 
 float degrees_of_freedom(vec4 noise)

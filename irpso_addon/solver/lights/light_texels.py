@@ -1,4 +1,4 @@
-"""A small sample of a domain's texels, as a domain, for the estimation of lights."""
+"""A small subset of a domain's texels, as a domain, for the estimation of lights."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
 _TEXELS = 1024  # at most; 5 % noise per sample then gives 0.2 % error per light
-_SAMPLES = 1 << 16  # at most, over all observations, but at least _LEAST texels
-_LEAST = 384
-_WIDTH = 64  # of the sample's grid, in texels
+_SAMPLES = 1 << 16  # at most, over all observations, but at least _MIN_TEXELS texels
+_MIN_TEXELS = 384
+_WIDTH = 64  # of the subset's grid, in texels
 _CANDIDATES = 3  # candidates per texel; each is read from all layers of a stack, which may be on disk
 _EVERY_LIGHT = 128  # texels per light, if so many are lit by it
 _CELLS = 5  # cells along each axis of the histogram of normals
 
 
 @dataclass(frozen=True)
-class LightSample:
+class LightTexels:
     """Some texels of a domain, and the first estimate of its lights.
 
     domain: h×w independent texels; neighbours in it are not neighbours in the source. factors: (n, 3) on the given
@@ -36,17 +36,17 @@ class LightSample:
     columns: np.ndarray
 
     def part(self, value: np.ndarray) -> np.ndarray:
-        """Return (h, w, …): a map (H, W, …) of the source at the sample's texels."""
+        """Return (h, w, …): a map (H, W, …) of the source at these texels."""
         return _grid(value[self.rows, self.columns], self.domain.shape)
 
 
-def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> LightSample:
+def draw_texels(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> LightTexels:
     """Return texels under many lights, with normals as widely spread as the subject's, and a first estimate.
 
     Uses numpy only, so it may run in a thread. fitted: indices of the observations in the fit. most: number of texels.
     """
     places = np.flatnonzero(domain.solvable)
-    count = min(most, max(_LEAST, _SAMPLES // domain.observations))
+    count = min(most, max(_MIN_TEXELS, _SAMPLES // domain.observations))
     rng = np.random.default_rng(seed % 2**32)
     chosen = np.sort(rng.permutation(places)[: _CANDIDATES * count])
     rows, columns = np.divmod(chosen, domain.shape[1])
@@ -61,12 +61,12 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     world = np.einsum("tc,tcd->td", normals, domain.bake.frames((rows, columns)))
     order = np.sort(evenly_facing(world, rng)[:count])
     part = _gathered(domain, stack[:, order], rows[order], columns[order])
-    return LightSample(part, factors, rows[order], columns[order])
+    return LightTexels(part, factors, rows[order], columns[order])
 
 
-def fixed_at(fixed: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, np.ndarray]:
-    """Return fixed maps, (H, W, components) or (components,), at the sample's texels."""
-    return {name: value if np.ndim(value) == 1 else sample.part(np.asarray(value)) for name, value in fixed.items()}
+def fixed_at(fixed: Mapping[str, np.ndarray], texels: LightTexels) -> dict[str, np.ndarray]:
+    """Return fixed maps, (H, W, components) or (components,), at these texels."""
+    return {name: value if np.ndim(value) == 1 else texels.part(np.asarray(value)) for name, value in fixed.items()}
 
 
 def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:

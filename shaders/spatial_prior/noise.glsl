@@ -3,7 +3,7 @@
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"
-#include "prior/loss_unit.glsl"
+#include "spatial_prior/loss_unit.glsl"
 
 bool texel_kernel(ivec2 texel)
 {

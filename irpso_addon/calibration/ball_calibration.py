@@ -28,7 +28,7 @@ from .balls.second_opinion import contradiction
 from .photographs import calibrated_table
 
 AUTO = "auto"
-_LEAST_LIT = 0.5  # least fraction of the photographs with a light
+_MIN_LIT = 0.5  # least fraction of the photographs with a light
 _SEARCH = 0.7  # fraction of the work in the search for balls
 _NO_BALL = (
     "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
@@ -98,14 +98,14 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Calibrated lights. camera: index. shots: indices of the photographs in the spec. names: of the photographs.
+    """Calibrated lights. camera: index. indices: of the photographs in the spec. names: of the photographs.
 
     request: the options. radius: of the balls, as given. found_balls: all that the search found, used or not.
     """
 
     spec: CaptureSpec
     camera: int
-    shots: tuple[int, ...]
+    indices: tuple[int, ...]
     names: tuple[str, ...]
     result: Calibration
     warnings: tuple[str, ...]
@@ -146,10 +146,10 @@ def calibrate_steps(
     """
     number, original_request = _camera_number(spec, view), request
     capture = build_capture(spec, decoder)
-    shots = tuple(n for n, shot in enumerate(spec.observations) if shot.camera == number)
+    indices = tuple(n for n, observation in enumerate(spec.observations) if observation.camera == number)
     camera = capture.cameras[number]
     _check_distance(request, spec.views[number], camera, radius)
-    readers = [capture.observations[n].read for n in shots]
+    readers = [capture.observations[n].read for n in indices]
     found: tuple[FoundBall, ...] = ()
     if all(ball.searched for ball in requests):
         kinds = KINDS if request.kind == AUTO else (request.kind,)
@@ -166,21 +166,21 @@ def calibrate_steps(
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     start = _SEARCH if found else 0.0
     others = [ball for ball in found if ball.exact and ball.kind != request.kind][:1]
-    each = (1 - start) / (1 + len(others)) / len(shots)
+    each = (1 - start) / (1 + len(others)) / len(indices)
     result = yield from map_steps(calibration_steps(readers, balls, request), lambda n: start + each * n)
-    names = tuple(spec.observations[n].name for n in shots)
+    names = tuple(spec.observations[n].name for n in indices)
     result = replace(result, lights=tuple(map(partial(_without, dropped), names, result.lights)))
     contradictions: list[str] = []
     for other in others:
         steps = _second_opinion_steps(readers, camera, usable_balls(found)[0], result, other)
-        contradictions += yield from map_steps(steps, lambda n: 1 - each * (len(shots) - n))
+        contradictions += yield from map_steps(steps, lambda n: 1 - each * (len(indices) - n))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     lit = sum(light.light is not None for light in result.lights)
-    if lit < max(1, _LEAST_LIT * len(shots)):
+    if lit < max(1, _MIN_LIT * len(indices)):
         missing = next(i for i, light in enumerate(result.lights) if light.light is None)
         raise InputError(
-            f"{names[missing]}: {'; '.join(result.lights[missing].warnings)} ({len(shots) - lit} of {len(shots)}"
+            f"{names[missing]}: {'; '.join(result.lights[missing].warnings)} ({len(indices) - lit} of {len(indices)}"
             " photographs show no light; check --ball and --kind)"
         )
     warnings = [
@@ -191,7 +191,7 @@ def calibrate_steps(
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
-    calibrated = Calibrated(spec, number, shots, names, result, tuple(warnings), original_request, radius, found)
+    calibrated = Calibrated(spec, number, indices, names, result, tuple(warnings), original_request, radius, found)
     return replace(calibrated, warnings=(*calibrated.warnings, *_distance_warnings(calibrated)))
 
 
@@ -284,7 +284,7 @@ def _camera_number(spec: CaptureSpec, view: str | None) -> int:
 
 def written_table(calibrated: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
     """Return the text of a capture.toml in ``folder`` with the calibrated lights and ``new_distance``."""
-    lights = {n: light.light for n, light in zip(calibrated.shots, calibrated.result.lights, strict=True)}
+    lights = {n: light.light for n, light in zip(calibrated.indices, calibrated.result.lights, strict=True)}
     view, camera = calibrated.spec.views[calibrated.camera], calibrated.result.views[0].ball.camera
     if calibrated.result.near and not (camera_keys or view.lens):  # the unit of the positions is the assumed width
         camera_keys = {"world_width": camera.width / camera.scale[0]}

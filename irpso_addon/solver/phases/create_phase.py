@@ -13,10 +13,10 @@ from ..settings.resolve import (
     ResolvedIndirect,
     ResolvedMaterials,
     ResolvedPrefit,
-    ResolvedPrior,
     ResolvedRefinement,
     ResolvedSeparation,
     ResolvedSheen,
+    ResolvedSpatialPrior,
     ResolvedSurface,
 )
 from ..settings.schedule import Schedule
@@ -49,7 +49,7 @@ def check_seed(seed: int) -> None:
         raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
 
 
-def begin_phase(
+def create_phase(
     stage: Resolved,
     index: int,
     model: ReflectanceModel,
@@ -71,7 +71,7 @@ def begin_phase(
         test = acceptance() if any(p.is_normal for p in stage.parameters) else None
         kind = SharedMaterialsPhase if isinstance(stage, ResolvedMaterials) else RefinementPhase
         return kind(stage, model, schedule, domain, estimates, entry, test)
-    if isinstance(stage, ResolvedPrior):
+    if isinstance(stage, ResolvedSpatialPrior):
         return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedSurface):
         return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())

@@ -25,7 +25,7 @@ from .plan import (
     Limits,
     Plan,
     fits_textures,
-    largest_texture,
+    max_texture_bytes,
     plan_recovery,
     stack_bytes,
     tile_of,
@@ -84,7 +84,7 @@ def rays_triangles(mesh: MeshData | None, coverage: np.ndarray) -> int:
 def device_limits(free: int | None) -> Limits:
     """Return the limits of this GPU's textures. free: bytes that the driver reports, or None."""
     device = context.describe()
-    return Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), largest_texture(free))
+    return Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]), max_texture_bytes(free))
 
 
 def uv_borders(mesh: MeshData, shape: tuple[int, ...]) -> Borders:

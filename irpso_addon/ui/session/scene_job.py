@@ -14,7 +14,7 @@ from ...blender.materials import material
 from ...blender.mesh import extract_mesh
 from ...blender.occluders import WITH_SURFACE, with_occluders
 from ...blender.tiled_images import tile_images
-from ...capture.inspect.sufficiency import FEWEST, check_normal, no_normal
+from ...capture.inspect.sufficiency import MIN_LIGHTS, check_normal, no_normal
 from ...capture.read import read_spec
 from ...capture.types import Capture
 from ...core.encode import linear_from_srgb, srgb_from_linear
@@ -24,8 +24,8 @@ from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names, slots_of_text
 from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel
-from ...solver.planning.planning import scratch_folder
-from ...solver.views.held_out import FEWEST_SPARING, held_out_last, spared
+from ...solver.planning.make_plan import scratch_folder
+from ...solver.views.held_out import MIN_OBSERVATIONS, held_out_last, spared
 from ..common.polls import NO_CAPTURE
 from ..common.words import iface
 from ..properties import findings, preferences
@@ -64,7 +64,7 @@ def missing(context) -> str:
         count = sum(obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects)
         if not count:
             return iface("No light of this scene has a photograph: assign images to the lights, or import a capture")
-        if count < FEWEST and findings.wants_normal(settings):
+        if count < MIN_LIGHTS and findings.wants_normal(settings):
             lights = iface("1 light has a photograph")
             if count > 1:
                 lights = iface("{count} lights have photographs", count=count)
@@ -136,7 +136,7 @@ def _held_out(settings, capture: Capture) -> tuple[int, ...]:
     if not (chosen := spared(capture.listed_cameras)):
         photographs = "1 photograph" if count == 1 else f"{count} photographs"
         raise InputError(
-            f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {FEWEST_SPARING} or more"
+            f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {MIN_OBSERVATIONS} or more"
         )
     held_out = tuple(capture.numbers(chosen))
     fitted = [one.light for k, one in enumerate(capture.observations) if k not in held_out]
@@ -250,7 +250,7 @@ def _domain_key(settings, capture: Capture, mesh: MeshData | None, held_out: tup
     spec = read_spec(capture_path(settings), settings.colour_space)
     left_out = {one.index for one in capture.left_out}
     images = (
-        *(shot.image for k, shot in enumerate(spec.observations) if k not in left_out),
+        *(observation.image for k, observation in enumerate(spec.observations) if k not in left_out),
         *(view.mask for view in spec.views if view.mask),
     )
     files = {image.path: image.path.stat() for image in images}
