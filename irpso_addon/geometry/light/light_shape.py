@@ -13,17 +13,17 @@ from ..domain import Domain
 
 # Samples below this fraction of the intensity along the axis (3° from edge-on to a flat emitter) are unusable: with an
 # axis known to 1°, their radiance would be off by a third.
-LEAST_SHARE = 0.05
+MIN_SHARE = 0.05
 
 
 def beam_correction(light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return float32 factors of radiance (N,) and weight (N,) that turn samples into those of an isotropic light.
 
     points: (N, 3) world. Radiance is divided by the share of the intensity that reaches the texel; this scales its
-    noise too, so the weight is multiplied by the share squared. Both are 0 where the share is under LEAST_SHARE.
+    noise too, so the weight is multiplied by the share squared. Both are 0 where the share is under MIN_SHARE.
     """
     share = light.relative_intensity(points)
-    usable = share >= LEAST_SHARE
+    usable = share >= MIN_SHARE
     gain = np.where(usable, 1 / np.where(usable, share, 1), 0)
     return gain.astype(np.float32), np.where(usable, share**2, 0).astype(np.float32)
 
@@ -37,4 +37,4 @@ def beam_shares(domain: Domain, observation: int, texels: tuple[np.ndarray, ...]
         return np.ones(1, np.float32), np.ones(1, np.float32)
     place, beam = np.split(domain.beams[observation], [3])
     share = beam_share(domain.bake.position[texels] - place, beam)
-    return share, np.where(share >= LEAST_SHARE, share, np.float32(1))
+    return share, np.where(share >= MIN_SHARE, share, np.float32(1))

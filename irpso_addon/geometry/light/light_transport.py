@@ -26,7 +26,7 @@ _LIFT = 1e-4  # height of ray origins above the surface, as a fraction of the su
 _ALIKE = 0.05  # a texel less like all elements of its cell gets an element of its own
 _FOREIGN = 1e-3  # an element less like a texel gives it no light
 _FAR = 4.0  # widths of a cell between a ray's hit and an element that stands for it
-MOST_ELEMENTS = 1 << 13  # or the cells, if these are more
+MAX_ELEMENTS = 1 << 13  # or the cells, if these are more
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class _Elements:
         self._width = stride * _texel_width(bake)
         self.texels = np.zeros(0, np.int64)
         self._of_cells: list[np.ndarray] = []  # the first element of each cell, the second, …; −1 for none
-        self._choose(cell, rows * width + columns, np.lexsort((distance, cell)), max(count**2, MOST_ELEMENTS))
+        self._choose(cell, rows * width + columns, np.lexsort((distance, cell)), max(count**2, MAX_ELEMENTS))
 
     def _choose(self, cell: np.ndarray, texels: np.ndarray, left: np.ndarray, most: int) -> None:
         """Set the elements. cell, texels: (T,) of all texels; left: their order, by cell and distance to its centre."""

@@ -20,7 +20,7 @@ from ..surface.footprint import texel_steps
 from ..surface.mesh import MeshData
 
 _PIXELS_A_TEXEL = 1.5  # along a side: the weight changes from lit to dark within two texels
-_SMALLEST, _LARGEST = 256, 4096  # pixels along a side of a map
+_MIN_SIDE, _MAX_SIDE = 256, 4096  # pixels along a side of a map
 _BORDER = 2  # pixels of a map around its content
 _WIDEST = math.radians(50)  # largest half-angle of one map of a near light
 # A plane shades a texel that lies more than a pixel behind it, measured perpendicular to the plane. With half a pixel
@@ -116,7 +116,7 @@ class ShadowCaster:
 
     def _size(self, width: float) -> int:
         """Return the pixels along a side of a map that is ``width`` wide in the world."""
-        return int(np.clip(math.ceil(_PIXELS_A_TEXEL * width / max(self._texel, 1e-30)), _SMALLEST, _LARGEST))
+        return int(np.clip(math.ceil(_PIXELS_A_TEXEL * width / max(self._texel, 1e-30)), _MIN_SIDE, _MAX_SIDE))
 
     def _planes_facing(self, light: Light) -> np.ndarray:
         """Return (T, 4) the planes of the triangles, with the light on their positive side."""

@@ -22,15 +22,15 @@ from ..views.forward import render_inputs
 from .corrected_stack import IndirectSamples
 
 _CHUNK = 1 << 22  # distances between elements, computed at a time
-_LEAST_ALBEDO = 0.02  # for the detail of albedo between elements, without the noise of black ones
+_MIN_ALBEDO = 0.02  # for the detail of albedo between elements, without the noise of black ones
 _AWAY = -0.1  # cosine to a light below which a surface faces away, even if its normal is wrong by 5°
-_LEAST_SHARE = 0.01  # of the brightness of the photographs: less is no evidence
-_LEAST_SAMPLES = 100
-_MOST_STRENGTH = 30.0
+_MIN_SHARE = 0.01  # of the brightness of the photographs: less is no evidence
+_MIN_SAMPLES = 100
+_MAX_STRENGTH = 30.0
 # Few rays hit lobes that are narrower than the angle between rays, and such lobes of elements miss each other. A wider
 # lobe sends the same light. In a glazed mouth, of roughness 0.15, it lowers the normal error from 2.6 to 2.1°.
-_LEAST_ROUGHNESS = 0.3
-_MOST_NOISE = 3.0  # factor between a dark sample and the median of all; beyond it a lamp reaches the sample
+_MIN_ROUGHNESS = 0.3
+_MAX_NOISE = 3.0  # factor between a dark sample and the median of all; beyond it a lamp reaches the sample
 _BRANCHES = 4  # rays followed from the element that a ray hits, in the pass to the camera
 _COLUMNS = 1024  # of the grid of elements; software renderers share out squares of 64 texels among their threads
 
@@ -70,7 +70,7 @@ class IndirectLight:
         self._detail: np.ndarray | None = None  # (T, 3) albedo of the covered texels
         if albedo is not None:
             self._albedo = wide[albedo]
-            own = np.maximum(values[albedo][self.covered], _LEAST_ALBEDO)
+            own = np.maximum(values[albedo][self.covered], _MIN_ALBEDO)
             self._detail = np.where(known[self.covered][:, None], own, transport.at_texels(self._albedo))
         self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.map_arrays(lambda flat: self._grid(_flat(flat)[transport.texels]))
@@ -125,9 +125,9 @@ class IndirectLight:
         cosine = (toward * self._normals).sum(axis=-1)
         predicted = radiance.mean(axis=-1)
         dark = (self._lit == 0) | (cosine < _AWAY)
-        enough = predicted > _LEAST_SHARE * np.percentile(shown[self.seen], 90)
+        enough = predicted > _MIN_SHARE * np.percentile(shown[self.seen], 90)
         counted = dark & self.seen & enough & domain.solvable[self._places]
-        if np.count_nonzero(counted) < _LEAST_SAMPLES:
+        if np.count_nonzero(counted) < _MIN_SAMPLES:
             return 1.0
         # Medians, because a sample that a lamp reaches against expectation is far brighter. The second has both
         # radiances as weights: one alone would bias it to samples in which noise makes that one brighter.
@@ -136,8 +136,8 @@ class IndirectLight:
         middle = weighted_median(ratio, predicted)
         if middle <= 0:
             return 0.0
-        near = (ratio >= middle / _MOST_NOISE) & (ratio <= middle * _MOST_NOISE)
-        return min(weighted_median(ratio[near], np.sqrt(shown[near] * predicted[near])), _MOST_STRENGTH)
+        near = (ratio >= middle / _MAX_NOISE) & (ratio <= middle * _MAX_NOISE)
+        return min(weighted_median(ratio[near], np.sqrt(shown[near] * predicted[near])), _MAX_STRENGTH)
 
     def of_elements(self) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
         """Yield often; return (K, E, 3) float32: the indirect radiance of the elements in each observation.
@@ -243,6 +243,6 @@ def _flat(values: np.ndarray) -> np.ndarray:
 
 def _least_values(model: ReflectanceModel) -> dict[str, float]:
     """Return parameter name → least value with which light is computed."""
-    roughness = _LEAST_ROUGHNESS**2 if model.material.get("roughness") == "alpha" else _LEAST_ROUGHNESS
+    roughness = _MIN_ROUGHNESS**2 if model.material.get("roughness") == "alpha" else _MIN_ROUGHNESS
     least = {p.name: roughness for p in model.parameters if "Roughness" in p.socket}
-    return least | {p.name: _LEAST_ALBEDO for p in model.parameters if p.is_albedo}
+    return least | {p.name: _MIN_ALBEDO for p in model.parameters if p.is_albedo}

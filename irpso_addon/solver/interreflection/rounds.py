@@ -41,16 +41,16 @@ _RELAXATION = 0.75
 # Part of the texels that the first matte round does not fit well; with more, a full round follows. In a bowl of metal
 # paint it is 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at
 # most 0.015.
-_MOST_UNEXPLAINED = 0.02
+_MAX_UNEXPLAINED = 0.02
 # Where surfaces are not matte, a last matte round may fit worse than the first by this factor: such fits say little. In
 # a coin and a bowl of metal paint it is 1.03 and 1.05, and their light helps the full round.
 _WORSE = 1.25
-_MOST_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
-_LEAST_SHARE = 0.003  # of the light of the photographs; with less there is no further round
-_MOST_RESIDUAL = 0.5  # of a texel's light: above it the maps do not fit the photographs
+_MAX_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
+_MIN_SHARE = 0.003  # of the light of the photographs; with less there is no further round
+_MAX_RESIDUAL = 0.5  # of a texel's light: above it the maps do not fit the photographs
 # Indirect part of a texel's light. Above it, the direct rest is mostly the error of the indirect light: in a bowl of
 # metal paint the normal error is 1.6° where the part is 0.5 to 0.7, and 20° where it is more than 0.9.
-MOST_INDIRECT = 2 / 3
+MAX_INDIRECT = 2 / 3
 
 
 class InterreflectionRounds(Successive):
@@ -126,7 +126,7 @@ class InterreflectionRounds(Successive):
                 " in the last, until then they are the mesh's own; resume to find them",
             )
         lines = []
-        if self._foreign > _MOST_FOREIGN:
+        if self._foreign > _MAX_FOREIGN:
             lines.append(
                 f"interreflection: {self._foreign:.0%} of the texels lie on islands of the UV map for which there are"
                 " too few elements, and keep the light of the rest of the subject; raise interreflection_resolution,"
@@ -261,7 +261,7 @@ class InterreflectionRounds(Successive):
             return self._all_light()
         if number == self._rounds.matte - 1:
             well_fitted = self._source_maps[0][_WELL_FITTED][self.domain.solvable]
-            matte = 1 - well_fitted.mean(dtype=np.float64) <= _MOST_UNEXPLAINED
+            matte = 1 - well_fitted.mean(dtype=np.float64) <= _MAX_UNEXPLAINED
             if self._rounds.full == 0 and not matte:
                 self._set_rounds(replace(self._rounds, full=1))
             if self._errors[number] > (1.0 if matte else _WORSE) * self._errors[0]:
@@ -285,7 +285,7 @@ class InterreflectionRounds(Successive):
             light += counted * layer[..., :3].mean(axis=-1)
             count += counted
             yield
-        well_fitted = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
+        well_fitted = present(maps.residual) * np.maximum(count, 1) <= _MAX_RESIDUAL * light
         full = self._rounds.fixes_normals and not self._rounds.is_matte(self._at)
         values = self._shrunk(maps, well_fitted) if full else maps.values
         return {**values, _WELL_FITTED: (well_fitted & ~self._mostly_indirect)[..., None].astype(np.float32)}
@@ -327,7 +327,7 @@ class InterreflectionRounds(Successive):
             radiance, direct = yield from light.of_elements()
             strength = light.strength(radiance)
             self._strengths.append(strength)
-            if strength * radiance.mean() < _LEAST_SHARE * light.shown.mean():
+            if strength * radiance.mean() < _MIN_SHARE * light.shown.mean():
                 if first:
                     self._set_share(np.zeros(domain.shape))
                 return None
@@ -360,7 +360,7 @@ class InterreflectionRounds(Successive):
         own = (counted * direct).sum(axis=0, dtype=np.float64)
         others = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
         part = others / np.maximum(others + own, 1e-12)
-        self._mostly_indirect[covered] = transport.at_texels(part[:, None])[:, 0] > MOST_INDIRECT
+        self._mostly_indirect[covered] = transport.at_texels(part[:, None])[:, 0] > MAX_INDIRECT
         self._mostly_indirect &= self.domain.solvable
         for name, value in light.materials.items():
             self._substitutes[name] = np.zeros((*self.domain.shape, value.shape[-1]), np.float32)

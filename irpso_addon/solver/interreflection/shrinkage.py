@@ -6,7 +6,7 @@ import numpy as np
 
 _CELLS = 24  # along each axis of the colours
 _WIDTH = 0.06  # standard deviation of the Gaussian of similarity, in square roots of colours, 0…1
-_LEAST_DEVIATION, _LEAST_SPREAD = 1e-3, 0.01  # standard deviations: of a texel's value; within a colour
+_MIN_DEVIATION, _MIN_SPREAD = 1e-3, 0.01  # standard deviations: of a texel's value; within a colour
 
 
 def shrunk_to_similar_colours(
@@ -22,7 +22,7 @@ def shrunk_to_similar_colours(
     place = np.ravel_multi_index(tuple(cell.T), (_CELLS,) * 3)
     steps = np.arange(_CELLS) / (_CELLS - 1)
     smooth = np.exp(-((steps[:, None] - steps) ** 2) / (2 * _WIDTH**2))
-    weight = 1 / np.maximum(deviations.astype(np.float64), _LEAST_DEVIATION) ** 2
+    weight = 1 / np.maximum(deviations.astype(np.float64), _MIN_DEVIATION) ** 2
     result = values.astype(np.float64)
     for channel in range(values.shape[1]):
         own, value = weight[:, channel], result[:, channel].copy()
@@ -38,6 +38,6 @@ def shrunk_to_similar_colours(
         mean = np.divide(colour_sums(own * value), total, out=value.copy(), where=known)
         square = np.divide(colour_sums(own * value**2), total, out=value**2, where=known)
         noise = np.divide(colour_sums(np.ones_like(own)), total, out=np.zeros_like(own), where=known)
-        prior = 1 / np.maximum(square - mean**2 - noise, _LEAST_SPREAD**2)
+        prior = 1 / np.maximum(square - mean**2 - noise, _MIN_SPREAD**2)
         result[:, channel] = (own * value + prior * mean) / (own + prior)
     return result.astype(np.float32)

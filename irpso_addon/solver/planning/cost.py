@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ...geometry.light.light_transport import MOST_ELEMENTS
+from ...geometry.light.light_transport import MAX_ELEMENTS
 from ...reflectance.model import ReflectanceModel
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
@@ -159,7 +159,7 @@ def recovery_cost(
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
-    transport = (rounds, max(light.resolution**2, MOST_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
+    transport = (rounds, max(light.resolution**2, MAX_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
     counts = fitted, observations, model.components
     recoveries = 1 + light.rounds
     work = 0.0

@@ -12,7 +12,7 @@ from ...gpu.viewport import Surface
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
 from ...results.scales import PERCENT, round_up, steady_limit
-from ...solver.interreflection.rounds import MOST_INDIRECT
+from ...solver.interreflection.rounds import MAX_INDIRECT
 from ...solver.views.display import Shown
 from ..common.words import iface
 from ..session.recovery import Session
@@ -44,7 +44,7 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     if view.shown == "CONFIDENCE":
         return (Shown("confidence", parameter, limit=_deviation_limit(view, model, parameter)),)
     if view.shown == "INDIRECT":
-        return (Shown("indirect", limit=MOST_INDIRECT),)
+        return (Shown("indirect", limit=MAX_INDIRECT),)
     exposure = 2.0**view.exposure
     render = Shown("render", observation=observation, exposure=exposure)
     reference = Shown("reference", observation=observation, exposure=exposure)

@@ -112,7 +112,7 @@ def test_light_is_found_from_the_gloss_of_texels_that_show_it(bowl):
 
 
 def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch):
-    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)  # of albedos of up to 0.8 a third of the light is
+    monkeypatch.setattr(rounds, "MAX_INDIRECT", 0.2)  # of albedos of up to 0.8 a third of the light is
     with rounds_of(bowl) as recovery:
         recovery.step()
         maps, count = recovery.maps(), recovery.findings["interreflection"]["unknown_texels"]
@@ -123,7 +123,7 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
 
 
 def test_a_wrong_material_does_not_hide_that_a_texel_owes_most_of_its_light_to_others(bowl, monkeypatch):
-    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.27)
+    monkeypatch.setattr(rounds, "MAX_INDIRECT", 0.27)
     schedule = ROUNDS.replaced(interreflection_rounds=3)  # the first finds the direct light too bright
     with rounds_of(bowl, schedule) as recovery:
         recovery.step()
@@ -232,7 +232,7 @@ def test_a_run_among_other_occluders_is_another(bowl, tmp_path):
 
 
 def test_a_run_that_is_done_takes_up_an_earlier_state(bowl, monkeypatch, tmp_path):
-    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)
+    monkeypatch.setattr(rounds, "MAX_INDIRECT", 0.2)
     with rounds_of(bowl) as recovery:
         recovery.step(1)
         recovery.save(tmp_path / "first.npz")
@@ -266,7 +266,7 @@ def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
 
 
 def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch):
-    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)
+    monkeypatch.setattr(rounds, "MAX_INDIRECT", 0.2)
     painted = np.broadcast_to(np.float32(ALBEDO), (*bowl[0].shape, 3))
     with rounds_of(bowl, fixed={"base_color": painted}) as recovery:
         recovery.step()
@@ -276,7 +276,7 @@ def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch
 
 
 def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeypatch):
-    monkeypatch.setattr(rounds, "MOST_INDIRECT", 0.2)
+    monkeypatch.setattr(rounds, "MAX_INDIRECT", 0.2)
     rough = np.linspace(0.5, 0.9, bowl[0].shape[1], dtype=np.float32)[None, :, None] * np.ones((*bowl[0].shape, 1))
     fixed = {"roughness": rough.astype(np.float32)}
     with rounds_of(bowl, fixed=fixed, model=load_model("metallic_roughness")) as recovery:

@@ -59,7 +59,7 @@ def test_an_island_beside_others_has_an_element_of_its_own():
 
 
 def test_where_there_are_too_few_elements_texels_get_no_light(monkeypatch):
-    monkeypatch.setattr(module, "MOST_ELEMENTS", 1)
+    monkeypatch.setattr(module, "MAX_ELEMENTS", 1)
     transport, bake = transport_of(scattered(cavity_mesh()), resolution=3)
     assert len(transport.texels) == 9
     places, covered = bake.position.reshape(-1, 3)[transport.texels], bake.position[bake.coverage]
