@@ -38,12 +38,15 @@ _SOURCE_MAPS = "interreflection_of_{}_"  # prefix of the maps from which a round
 # dark: with 1 the rounds oscillate about the solution, with 0.75 two rounds reach it. With fixed normals the first
 # estimate is closer, and the factor is 1.
 _RELAXATION = 0.75
-# Part of the texels that the first matte round does not fit well; with more, a full round follows. In a bowl of metal
-# paint it is 0.9, and normals are off by 7.2° without that round, by 0.9° with it. In glazed and satin bodies it is at
-# most 0.015.
-_MAX_UNEXPLAINED = 0.02
-# Where surfaces are not matte, a last matte round may fit worse than the first by this factor: such fits say little. In
-# a coin and a bowl of metal paint it is 1.03 and 1.05, and their light helps the full round.
+# Least residual of several matte rounds, over the mean light of the photographs: above it a full round follows. It is
+# at most 0.034 in bodies of roughness 0.5 to 0.8, 0.07 to 0.13 in glazed and satin ones. In a glazed bowl that round
+# takes the normals from 3.2 to 1.7°.
+_MAX_MATTE_MISFIT = 0.05
+# Part of the texels that the first matte round does not fit well: above it a full round follows. It is at most 0.015 in
+# those bodies and 0.9 in metal paint, where that round takes the normals of a bowl from 7.2 to 0.9°.
+_MAX_ILL_FITTED = 0.02
+# There, the last matte round may fit worse than the first by a factor: such fits say little. It is 1.03 and 1.05 in a
+# coin and a bowl of metal paint, and their light helps the full round.
 _WORSE = 1.25
 _MAX_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
 _MIN_SHARE = 0.003  # of the light of the photographs; with less there is no further round
@@ -90,6 +93,7 @@ class InterreflectionRounds(Successive):
         self._share: np.ndarray | None = None  # (H, W), indirect part of the photographed light, from the last round
         self._mean_share = 0.0  # over the texels
         self._foreign = 0.0  # part of the texels without an element
+        self._brightness = 0.0  # mean light of the photographs
         self._errors: list[float] = []  # mean residuals at the ends of the rounds
         self._strengths: list[float] = []  # factors on each round's light
         self._source_maps: list[dict[str, np.ndarray]] = []  # from which each round's light was estimated
@@ -253,18 +257,20 @@ class InterreflectionRounds(Successive):
     def _after_round(self, number: int, domain: Domain | None) -> Domain:
         """Return the domain of the recovery after ``number``. domain: without indirect light, None if it has none.
 
-        If the last matte round fits worse than the first, which had all light, the next recovery has all light again:
-        notably worse, where the surfaces are not matte. There a full round follows, even if there are to be none.
+        Where the surfaces are not matte, a full round follows the last matte one, even if there are to be none. If the
+        last matte round fits worse than the first, which had all light, the next recovery has all light again.
         """
         if domain is None:
             self._set_rounds(replace(self._rounds, end=number + 1))
             return self._all_light()
         if number == self._rounds.matte - 1:
             well_fitted = self._source_maps[0][_WELL_FITTED][self.domain.solvable]
-            matte = 1 - well_fitted.mean(dtype=np.float64) <= _MAX_UNEXPLAINED
-            if self._rounds.full == 0 and not matte:
+            ill_fitted = 1 - well_fitted.mean(dtype=np.float64) > _MAX_ILL_FITTED
+            first, last = self._errors[0], self._errors[number]
+            glossy = number > 0 and min(first, last) > _MAX_MATTE_MISFIT * self._brightness
+            if self._rounds.full == 0 and (ill_fitted or glossy):
                 self._set_rounds(replace(self._rounds, full=1))
-            if self._errors[number] > (1.0 if matte else _WORSE) * self._errors[0]:
+            if last > (_WORSE if ill_fitted else 1.0) * first:
                 return self._all_light()
         return domain
 
@@ -334,13 +340,15 @@ class InterreflectionRounds(Successive):
             indirect = light.samples(strength * radiance)
             before = None if self._rounds.fixes_normals else self._samples
             samples = self._samples = domain.stack.kept(CorrectedStack(domain.stack, indirect, before, relaxation))
-            subtracted, shown = np.zeros((2, int(covered.sum())))
+            subtracted, shown, lit = np.zeros((3, int(covered.sum())))
             for observation, layer in enumerate(domain.stack.layers()):
                 light_of_texels = indirect.at(observation, *np.nonzero(covered))
                 seen = layer[covered, 3] > 0
                 subtracted += seen * light_of_texels.mean(axis=-1)
                 shown += seen * layer[covered, :3].mean(axis=-1)
+                lit += seen
                 yield
+            self._brightness = float(shown.sum() / max(lit.sum(), 1))
             share = np.zeros(domain.shape)
             share[covered] = np.divide(subtracted, shown, out=np.zeros_like(subtracted), where=shown > 0)
             self._set_share(share)

@@ -87,6 +87,16 @@ def test_a_full_round_follows_where_surfaces_are_not_matte(tmp_path):
             assert bits_of(recovery.maps()) == found[1][-1]
 
 
+@pytest.mark.parametrize(("gloss", "recoveries"), [(0.02, 3), (0.15, 4)])
+def test_a_full_round_follows_where_matte_surfaces_fit_badly(gloss, recoveries):
+    bowl = matt_bowl()
+    count = len(bowl[0].stack.values)
+    bowl[0].stack.values[..., :3] *= np.resize([1 + gloss, 1 - gloss], count)[:, None, None, None]
+    with rounds_of(bowl, SINGLE.replaced(interreflection_matte_rounds=2)) as recovery:
+        recovery.step()
+        assert recovery._at + 1 == recoveries
+
+
 def between_rounds(recovery, number):
     """Step until the light of recovery ``number`` is being computed."""
     while recovery._at < number or recovery._transition is None:
