@@ -190,6 +190,11 @@ class RecoveryEngine(ABC):
         raise InputError(_DIVIDED)
 
     @property
+    def has_rounds(self) -> bool:
+        """Whether rounds of interreflection find ``indirect_share``."""
+        return False
+
+    @property
     def held(self) -> frozenset[str]:
         """The parameters that are not searched now."""
         return frozenset(self.fixed)

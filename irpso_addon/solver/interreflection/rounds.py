@@ -148,6 +148,10 @@ class InterreflectionRounds(Successive):
         return tuple(lines)
 
     @property
+    def has_rounds(self) -> bool:
+        return self._rounds.count > 1
+
+    @property
     def findings(self) -> dict[str, Any]:
         rounds = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
         unknown = {"unknown_texels": int(np.count_nonzero(self._mostly_indirect))}

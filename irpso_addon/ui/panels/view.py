@@ -45,7 +45,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
     if view.shown == "SPLIT":
         column.prop(view, "split", slider=True)
     if view.shown == "INDIRECT" and running.recovery.indirect_share is None:
-        on = running.job.schedule.interreflection.estimates > 0
+        on = running.recovery.has_rounds
         pending = iface("Known when the first round begins")
         text = pending if on else iface("Indirect light was not computed: recover with Interreflection on")
         drawing.wrapped(column, context, text, "INFO")

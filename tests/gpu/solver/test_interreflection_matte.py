@@ -159,6 +159,7 @@ def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
     for subject, fixed in ((bowl, {"base_color": np.float32(ALBEDO)}), (card, {})):
         with rounds_of(subject, schedule, fixed) as recovery:
             stages = recovery.progress.stages
+            assert not recovery.has_rounds
         with Recovery(subject[0], LAMBERT, SINGLE, 1, fixed, entry="fragment") as alone:
             assert stages == alone.progress.stages
 
