@@ -35,6 +35,7 @@ _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _BEGINNING = 1 << 18  # bytes of a JPEG file: EXIF, at most 64 KiB, comes before profile, preview and size
 _WITHOUT_LENS = 4  # photographs read before all are taken to be without a lens in their EXIF
 _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
+_UNMEASURED = (1.0, 1.0, 1.0)  # intensity of lights whose calibration finds directions only
 _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
@@ -177,9 +178,10 @@ def calibrated_table(
 ) -> str:
     """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot; a light of intensity 1 keeps the
-    source's, if both are near or both distant. card: keys of the card, which replace the source's. Everything else of a
-    capture.toml is preserved, except comments. Image paths become relative to ``folder``.
+    cameras: camera index → keys. lights: shot index → light; None removes the shot. If all have intensity 1, none was
+    measured: each keeps the source's, if both are near or both distant. card: keys of the card, which replace the
+    source's. Everything else of a capture.toml is preserved, except comments. Image paths become relative to
+    ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)
@@ -193,6 +195,7 @@ def calibrated_table(
         if number < len(source["camera"]):
             row = {k: v for k, v in source["camera"][number].items() if k not in CAMERA_KEYS}
             source["camera"][number] = {**row, **keys}
+    measured = any(tuple(light.intensity) != _UNMEASURED for light in lights.values() if light)
     rows = []
     for number, row in enumerate(source["observation"]):
         space = spec.observations[number].image.colour_space
@@ -203,16 +206,15 @@ def calibrated_table(
         elif (light := lights[number]) is not None:
             kept = {k: v for k, v in row.items() if k not in _LIGHT_KEYS}
             same_unit = light.distant == ("light_position" not in row)  # a near lamp's is at distance 1
-            rows.append({**kept, **_light_keys(light, row.get("light_intensity") if same_unit else None)})
+            former = row.get("light_intensity") if same_unit else None
+            rows.append({**kept, **_light_keys(light, list(light.intensity) if measured else former)})
     source["observation"] = rows
     return "\n".join(_lines(_rebased(source, home, folder))) + "\n"
 
 
-def _light_keys(light: Light, former: Any) -> dict[str, Any]:
+def _light_keys(light: Light, intensity: Any) -> dict[str, Any]:
     keys = {"light_direction" if light.distant else "light_position": list(light.vector)}
-    if tuple(light.intensity) != (1.0, 1.0, 1.0):
-        return {**keys, "light_intensity": list(light.intensity)}
-    return keys if former is None else {**keys, "light_intensity": former}
+    return keys if intensity is None else {**keys, "light_intensity": intensity}
 
 
 def _as_table(spec: CaptureSpec) -> dict[str, Any]:
@@ -228,7 +230,7 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
         row: dict[str, Any] = {"name": shot.name, "image": str(shot.image.path)}
         if shot.image.colour_space != "auto":
             row["colour_space"] = shot.image.colour_space
-        if spec.kind != "images" and tuple(shot.intensity) != (1.0, 1.0, 1.0):
+        if spec.kind != "images" and tuple(shot.intensity) != _UNMEASURED:
             row["light_intensity"] = list(shot.intensity)
         rows.append(row)
     return {"format": table.FORMAT, "name": spec.name, "camera": [camera], "observation": rows}
