@@ -18,7 +18,7 @@ from ...core.errors import InputError
 from ...core.files import check_unused, new_folder
 from ...core.steps import map_steps
 from ..radiometry.develop import developed, registration_steps
-from ..radiometry.source import Source
+from ..radiometry.source import Source, encoded_steps
 from ..register import SMALLEST_MOVE, moved_back
 from .corrections_file import FOLDER, photograph_of, write_corrections
 from .measure import Measured, MeasureOptions, Output, Progress, finite, measure_steps
@@ -35,6 +35,8 @@ def develop_steps(
     settings: for the report. Writes nothing if it raises InputError.
     """
     check_unused(out)
+    if options.response is None and not options.greys:  # a response curve decodes the files in place of an encoding
+        source = yield from map_steps(encoded_steps(source), lambda _: Progress(0.0, "testing the encoding"))
     measured = yield from measure_steps(store, source, options)
     return (yield from write_developed_steps(store, source, measured, out, settings, options.output))
 

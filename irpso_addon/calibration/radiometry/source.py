@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -148,6 +148,27 @@ def _listed_source(
         for s, (_, b) in zip(firsts, chosen, strict=True)
     ]
     return Source(tuple(_sized(shots, capture)), capture, tuple(warnings), spec.framing)
+
+
+def encoded_steps(source: Source) -> Generator[None, None, Source]:
+    """Yield before each test image; return the source with the measured encoding of files that state none.
+
+    A recovery of the same capture reads them in this encoding.
+    """
+    encoding = source.capture.encoding if source.capture else None
+    if encoding is None or encoding.known_by != "guess":
+        return source
+    yield from encoding.test_steps()
+    warnings = (*source.warnings, message) if (message := encoding.message()) else source.warnings
+
+    def encoded(image: ImageRef) -> ImageRef:
+        guessed = image.colour_space == "auto" and encoding.store.encoding(image)[1] == "guess"
+        return replace(image, colour_space=encoding.colour_space) if guessed else image
+
+    shots = source.shots
+    if encoding.colour_space != encoding.assumed:
+        shots = tuple(replace(shot, images=tuple(map(encoded, shot.images))) for shot in shots)
+    return replace(source, shots=shots, warnings=warnings)
 
 
 def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:
