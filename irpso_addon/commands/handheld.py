@@ -19,6 +19,7 @@ from ..calibration.photographs import read_photographs
 from ..capture.formats.table import TABLE
 from ..capture.images.exif import field_of_view
 from ..capture.images.exr_header import is_exr
+from ..capture.images.image import ImageStore
 from ..capture.spec import CaptureSpec, build_capture
 from ..capture.types import Capture
 from ..core.errors import InputError
@@ -40,7 +41,9 @@ def run(options: Namespace) -> dict:
     offset = _offset(options.flash_offset)
     capture, lens = _with_lens(build_capture(spec, decode), spec, options.fov)
     bar = ProgressBar("handheld", silent(options))
-    handheld = bar.run(handheld_steps(capture, lens, offset), lambda part: (part, "photographs"))
+    store = ImageStore(decode)
+    orientations = [store.tag(shot.image) or 1 for shot in spec.observations]
+    handheld = bar.run(handheld_steps(capture, lens, offset, orientations), lambda part: (part, "photographs"))
     table = table_text(spec, handheld, out)
     with new_folder(out) as partial:
         (partial / TABLE).write_text(table, encoding="utf-8")
@@ -112,8 +115,8 @@ def _summary(setup: Handheld, out: Path) -> str:
     lines: list[Any] = [
         f"{len(setup.cameras)} cameras by {by}",
         f"points are off by {setup.error:.2f} pixels (median); views differ by {setup.views:.0f}°",
-        f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
-        f" {setup.flash.beam:.1f}",
+        f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, in pictures without EXIF rotation,"
+        f" falling with the cosine to the power of {setup.flash.beam:.1f}",
         *(f"warning: {warning}" for warning in setup.warnings),
         f"written to {out}; recover it with: irpso recover {shell_quoted(out)} --blend {shell_quoted(out / BLEND)}"
         f" --object {CARD}"
