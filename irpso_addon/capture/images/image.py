@@ -59,8 +59,8 @@ class ImageStore:
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
         """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
 
-        Files of 8 to 12 bits are sRGB unless they state to be linear; all others are linear, except integers with a
-        colour profile. Raises CaptureError, also for an unsupported profile.
+        Files of 8 to 12 bits are sRGB unless they state to be linear; all others are linear, except integers that state
+        sRGB or have a colour profile. Raises CaptureError, also for an unsupported profile.
         """
         if is_exr(image.path) or is_raw(image.path):
             return "linear", "format"
@@ -68,8 +68,10 @@ class ImageStore:
         profile = self.profile(image)
         if profile is not None and header.bits < 32:
             return "linear" if profile.linear else "srgb", "file"
+        if header.states and header.bits < 32:
+            return header.states, "file"
         if header.bits < 16:
-            return (header.states, "file") if header.states else ("srgb", "guess")
+            return "srgb", "guess"
         return "linear", "depth" if header.bits == 16 else "format"
 
     def coarse(self, image: ImageRef) -> bool:

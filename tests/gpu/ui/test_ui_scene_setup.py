@@ -13,7 +13,7 @@ from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
 from irpso_addon.ui.operators import scene_setup
 from irpso_addon.ui.session import scene_capture
-from tests.builders.captures import LIGHTS, shade, sphere, write_diligent, write_png
+from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
 from tests.builders.profiles import icc, png_icc, table
 from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, image_of, readers_of, write_views
 
@@ -148,8 +148,9 @@ def test_the_scene_of_the_icon_is_the_capture_again(scene, shared_data):
     [
         (8, "auto", b""), (8, "linear", b""), (16, "auto", b""), (16, "srgb", b""),
         (16, "auto", png_icc(icc())), (16, "auto", png_icc(icc(curve=table([])))),
+        (16, "auto", chunk(b"sRGB", b"\0")),
     ],
-    ids=["8", "8 linear", "16", "16 sRGB", "16 profile", "16 linear profile"],
+    ids=["8", "8 linear", "16", "16 sRGB", "16 profile", "16 linear profile", "16 stating sRGB"],
 )  # fmt: skip
 def test_the_colour_space_of_files_goes_along(scene, tmp_path, bits, space, extra):
     for k in range(3):
