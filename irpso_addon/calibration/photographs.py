@@ -17,8 +17,7 @@ from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, kno
 from ..capture.images.exif import JPEG_START, field_of_view, lens_of, open_jpeg, orientation_of, tags_of
 from ..capture.images.exr_header import is_exr
 from ..capture.images.headers import read_bytes
-from ..capture.images.heif import SUFFIXES as HEIF_SUFFIXES
-from ..capture.images.image import ImageRef, ImageStore, find_image
+from ..capture.images.image import SUFFIXES, ImageRef, ImageStore, find_image
 from ..capture.images.linearise import Decoder
 from ..capture.images.raw import is_raw
 from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
@@ -26,7 +25,6 @@ from ..capture.types import Light
 from ..core.files import visible
 from ..core.toml_text import toml_value
 
-_SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", *HEIF_SUFFIXES)
 _VIDEO_SUFFIXES = (
     ".avi", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".webm", ".wmv",
 )  # fmt: skip
@@ -45,7 +43,7 @@ _PATH_KEYS = ("image", "mask", "cameras")
 
 def is_photograph(path: Path) -> bool:
     """Return whether a file's suffix is that of a supported image."""
-    return path.suffix.lower() in _SUFFIXES or is_raw(path)
+    return path.suffix.lower() in SUFFIXES or is_raw(path)
 
 
 def videos_of(path: Path) -> list[Path]:
@@ -92,14 +90,14 @@ def read_photographs(
         images = [find_image(path, name) for _, name in read_lines(names, "write the image names into it")]
     else:
         images = [
-            p for p in visible(path) if is_photograph(p) and p.name not in diligent.MASKS and p.resolve() not in hidden
+            p for p in visible(path) if is_photograph(p) and not diligent.is_mask(p) and p.resolve() not in hidden
         ]
         images += frames
     if not images:
         raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")
     shots = tuple(ObservationSpec(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)
     keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
-    mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
+    mask = diligent.mask_of(path, hidden)
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
     view = ViewSpec("camera", make, str(path), None, ImageRef(mask) if mask else None, lens=lens)
     return CaptureSpec(path.resolve().name, "images", path, shots, (view,))

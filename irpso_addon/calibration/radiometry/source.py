@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...capture.formats.diligent import DIRECTIONS
+from ...capture.formats.diligent import DIRECTIONS, is_mask
 from ...capture.formats.table import TABLE
 from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
@@ -84,7 +84,7 @@ def read_source(
         return _listed_source(read_spec(path, colour_space), decoder, exposing, excluded, bursts)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
-    images = [p for p in images_in(path) if p.resolve() not in excluded and p.stem.lower() != "mask"]
+    images = [p for p in images_in(path) if p.resolve() not in excluded and not is_mask(p)]
     if not images:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
     brackets, warnings = _grouped(images, exposing, bursts, decoder)
@@ -179,7 +179,9 @@ def _unlisted(spec: CaptureSpec, exposing: Exposing | None, excluded: set[Path])
     """Return unlisted images in the folders of a capture's images; with ``exposing``, those with an exposure."""
     masks = {view.mask.path.resolve() for view in spec.views if view.mask}
     folders = dict.fromkeys(shot.image.path.parent for shot in spec.observations)
-    unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in excluded | masks]
+    unlisted = [
+        p for folder in folders for p in images_in(folder) if p.resolve() not in excluded | masks and not is_mask(p)
+    ]
     if exposing is None:
         return unlisted
     if exposing.by == "exif":

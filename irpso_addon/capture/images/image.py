@@ -16,11 +16,13 @@ from .exif import Exposure, exposure_of
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import ImageHeader, missing, read_bytes, read_header
+from .heif import SUFFIXES as HEIF_SUFFIXES
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
 from .raw import RawHeader, decode_raw, is_raw, raw_header
 
+SUFFIXES = (".png", ".exr", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", *HEIF_SUFFIXES)  # of pictures, without raw files
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
 KnownBy = Literal["file", "format", "depth", "guess"]
 

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.photographs import read_photographs
 from irpso_addon.calibration.radiometry.brackets import brackets_of, name_amount
 from irpso_addon.calibration.radiometry.source import Exposing, read_source
+from irpso_addon.capture.formats.diligent import mask_of
+from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.files import natural
 from tests.builders.captures import LIGHTS, chunk, decode_png, write_diligent, write_png
@@ -104,6 +107,22 @@ def test_a_folder_gives_all_photographs_except_left_out_ones(tmp_path):
     source = read_source(tmp_path, decode_png, left_out=[tmp_path / "dark.png"])
     assert [(s.name, s.amounts, s.size) for s in source.shots] == [("9", None, (6, 4)), ("10", None, (6, 4))]
     assert source.capture is None
+
+
+@pytest.mark.parametrize("name", ["mask.png", "Mask.png", "MASK.TIFF", "mask.jpeg", "mask.heic"])
+def test_a_mask_of_any_spelling_is_no_photograph(tmp_path, name):
+    for other in ("1.png", name):
+        photograph(tmp_path / other)
+    assert [shot.name for shot in read_source(tmp_path, decode_png).shots] == ["1"]
+    spec = read_photographs(tmp_path)
+    assert [shot.name for shot in spec.observations] == ["1.png"] and spec.views[0].mask.path == tmp_path / name
+    lists(tmp_path, ["1.png"], LIGHTS[:1])
+    assert read_spec(tmp_path).views[0].mask.path == tmp_path / name
+
+
+def test_a_name_that_only_begins_like_a_masks_is_a_photograph(tmp_path):
+    photograph(tmp_path / "mask_1.png")
+    assert mask_of(tmp_path) is None and [shot.name for shot in read_source(tmp_path, decode_png).shots] == ["mask_1"]
 
 
 def lists(folder, names, lights):
