@@ -53,19 +53,24 @@ def videos_of(path: Path) -> list[Path]:
     """
     if path.suffix.lower() in _VIDEO_SUFFIXES and path.is_file():
         return [path]
-    if not path.is_dir() or _has_lights(path) or (path / diligent.FILENAMES).exists():
+    if not path.is_dir() or has_lights(path) or (path / diligent.FILENAMES).exists():
         return []
     files = visible(path)
     photographs = {p.stem.lower() for p in files if is_photograph(p)}
     return [p for p in files if p.suffix.lower() in _VIDEO_SUFFIXES and p.stem.lower() not in photographs]
 
 
-def _has_lights(folder: Path) -> bool:
+def has_lights(folder: Path) -> bool:
     """Return whether a folder holds a capture with lights."""
-    if (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists():
-        return True
-    lists = [p for p in visible(folder) if p.suffix.lower() == ".lp"]
-    return len(lists) == 1 and not (folder / diligent.FILENAMES).exists()
+    stated = (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists()
+    return stated or len(position_lists(folder)) == 1
+
+
+def position_lists(folder: Path) -> list[Path]:
+    """Return the .lp files of a folder; [] beside a filenames.txt, which comes before them."""
+    if (folder / diligent.FILENAMES).exists():
+        return []
+    return [p for p in visible(folder) if p.suffix.lower() == ".lp"]
 
 
 def read_photographs(
@@ -83,7 +88,7 @@ def read_photographs(
     if path.is_file() and is_photograph(path):
         raise CaptureError(f"{path}: is one photograph; give the folder of all of them", "kind")
     names = path / diligent.FILENAMES
-    if not path.is_dir() or _has_lights(path):
+    if not path.is_dir() or has_lights(path):
         return read.read_spec(path, colour_space)
     hidden = {p.resolve() for p in (*leave_out, *_pictures_of_tables(path))}
     if names.exists():

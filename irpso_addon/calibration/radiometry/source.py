@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...capture.formats.diligent import DIRECTIONS, is_mask
-from ...capture.formats.table import TABLE
+from ...capture.formats.diligent import is_mask
 from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
 from ...capture.images.headers import read_bytes
@@ -20,7 +19,7 @@ from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.files import natural, visible
-from ..photographs import is_photograph
+from ..photographs import has_lights, is_photograph, position_lists
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .bursts import bursts_of
 from .develop import Shot
@@ -79,8 +78,8 @@ def read_source(
         raise InputError("--bursts averages photographs of one exposure; omit --brackets and --exposure")
     path = Path(path)
     excluded = {p.resolve() for p in left_out}
-    lists = (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
-    if lists if path.is_dir() else path.is_file():
+    # Of several .lp files read_spec says that one is to be chosen.
+    if has_lights(path) or position_lists(path) if path.is_dir() else path.is_file():
         return _listed_source(read_spec(path, colour_space), decoder, exposing, excluded, bursts)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")

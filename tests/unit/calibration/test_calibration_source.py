@@ -163,6 +163,19 @@ def test_single_frames_are_scaled_by_their_own_exposure(tmp_path):
     assert [s.amounts for s in source.shots] == [pytest.approx((0.1 / (k + 1),)) for k in range(5)]
 
 
+def test_lists_of_light_positions_are_told_as_recover_tells_them(tmp_path):
+    for k in range(3):
+        photograph(tmp_path / f"{k}.png")
+    (tmp_path / "._A.lp").write_bytes(b"\0\5\x16\7")  # of macOS
+    assert read_source(tmp_path, decode_png).capture is None
+    text = "3\n" + "".join(f"{k}.png 0 {k} 1\n" for k in range(3))
+    (tmp_path / "A.LP").write_text(text)
+    assert read_source(tmp_path, decode_png).capture is not None
+    (tmp_path / "B.lp").write_text(text)
+    with pytest.raises(InputError, match="holds 2 .lp files; give the path of the one to read"):
+        read_source(tmp_path, decode_png)
+
+
 def test_parts_of_an_exr_are_no_brackets(tmp_path):
     write_diligent(tmp_path / "a")
     text = '[[camera]]\n[[observation]]\nimage = "000.exr"\npart = 0\nlight_direction = [0, 0, 1]\n'
