@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from ..capture import read
+from ..capture.camera import Camera
 from ..capture.errors import CaptureError
 from ..capture.formats import diligent, table
 from ..capture.formats.lists import read_lines
@@ -28,6 +30,7 @@ from ..core.toml_text import toml_value
 _VIDEO_SUFFIXES = (
     ".avi", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".webm", ".wmv",
 )  # fmt: skip
+CameraMaker = Callable[[int, int], Camera]
 CAMERA = "camera.toml"
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _BEGINNING = 1 << 18  # bytes of a JPEG file: EXIF, at most 64 KiB, comes before profile, preview and size
@@ -38,6 +41,7 @@ _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
 _EITHER = ({"crop", "corners"}, {"card_width", table.CARD_DISTANCE})  # mutually exclusive keys
+_BESIDE_AN_ANGLE = {"principal_point", "distortion"}  # keys that an angle alone does not replace
 _PATH_KEYS = ("image", "mask", "cameras")
 
 
@@ -123,7 +127,8 @@ def camera_keys(path: Path) -> dict[str, Any]:
 def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> CaptureSpec:
     """Return a spec whose cameras have the intrinsics of ``keys`` and keep their poses. where: names the option.
 
-    Raises CaptureError for a camera of another program's file.
+    An angle alone leaves principal point and distortion as they are. Raises CaptureError for a camera of another
+    program's file.
     """
     views = []
     for view in spec.views:
@@ -134,8 +139,21 @@ def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> Captu
                 "camera",
             )
         matrix = view.make(*(view.size or (1, 1))).matrix
-        views.append(replace(view, make=camera_maker(dict(keys), where, matrix), lens=has_lens(keys)))
+        make = camera_maker(dict(keys), where, matrix)
+        make = make if _replaced_keys(keys) == CAMERA_KEYS else partial(_with_lens, view.make, make)
+        views.append(replace(view, make=make, lens=has_lens(keys)))
     return replace(spec, views=tuple(views))
+
+
+def _replaced_keys(keys: Mapping[str, Any]) -> set[str]:
+    """Return the keys of a camera that ``keys`` replace."""
+    return CAMERA_KEYS - _BESIDE_AN_ANGLE if keys.keys() == {"fov_degrees"} else CAMERA_KEYS
+
+
+def _with_lens(former: CameraMaker, other: CameraMaker, width: int, height: int) -> Camera:
+    """Return the camera of ``former`` with the focal length of ``other``."""
+    kept = former(width, height)
+    return replace(other(width, height), centre=kept.centre, distortion=kept.distortion)
 
 
 def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str, Any]:
@@ -181,10 +199,10 @@ def calibrated_table(
 ) -> str:
     """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
-    cameras: camera index → keys. lights: shot index → light; None removes the shot. If all have intensity 1, none was
-    measured: each keeps the source's, if both are near or both distant. card: keys of the card, which replace the
-    source's. Everything else of a capture.toml is preserved, except comments. Image paths become relative to
-    ``folder``.
+    cameras: camera index → keys, as of ``with_camera``. lights: shot index → light; None removes the shot. If all have
+    intensity 1, none was measured: each keeps the source's, if both are near or both distant. card: keys of the card,
+    which replace the source's. Everything else of a capture.toml is preserved, except comments. Image paths become
+    relative to ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)
@@ -196,7 +214,7 @@ def calibrated_table(
     source = {**source, "camera": [dict(row) for row in source.get("camera", [])]}
     for number, keys in cameras.items():
         if number < len(source["camera"]):
-            row = {k: v for k, v in source["camera"][number].items() if k not in CAMERA_KEYS}
+            row = {k: v for k, v in source["camera"][number].items() if k not in _replaced_keys(keys)}
             source["camera"][number] = {**row, **keys}
     measured = any(tuple(light.intensity) != _UNMEASURED for light in lights.values() if light)
     rows = []
