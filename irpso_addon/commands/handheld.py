@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from argparse import Namespace
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from ..blender.images import decode
 from ..blender.scenes.card_mesh import CARD, save_card
 from ..calibration.handheld.job import Handheld, handheld_steps
 from ..calibration.handheld.write import report_of, report_text, table_text
-from ..calibration.photographs import read_photographs
+from ..calibration.photographs import read_photographs, relative_path
+from ..capture.formats.diligent import FILENAMES
 from ..capture.formats.table import TABLE
 from ..capture.images.exif import field_of_view
 from ..capture.images.exr_header import is_exr
@@ -55,7 +57,7 @@ def run(options: Namespace) -> dict:
 
 
 def _photographs(options: Namespace) -> CaptureSpec:
-    """Return the photographs of a folder, each with a camera of its own."""
+    """Return the photographs of a folder, each with a camera of its own, which has its name."""
     path = Path(options.photographs)
     if not path.is_dir():
         raise InputError(f"{path}: is no folder; give the folder of the photographs")
@@ -63,8 +65,24 @@ def _photographs(options: Namespace) -> CaptureSpec:
     if spec.kind != "images":
         raise InputError(f"{path}: holds a capture with lights; give a folder of photographs alone")
     view = replace(spec.views[0], mask=None)
-    shots = tuple(replace(shot, camera=number) for number, shot in enumerate(spec.observations))
+    names = _distinct_names(path, spec)
+    shots = tuple(
+        replace(s, name=name, camera=n) for n, (s, name) in enumerate(zip(spec.observations, names, strict=True))
+    )
     return replace(spec, observations=shots, views=tuple(replace(view, name=shot.name) for shot in shots))
+
+
+def _distinct_names(folder: Path, spec: CaptureSpec) -> list[str]:
+    """Return the names of photographs: of equal ones the paths. Raises InputError where one is listed twice."""
+    paths = [shot.image.path for shot in spec.observations]
+    counts = Counter(path.resolve() for path in paths)
+    if twice := next((path for path in paths if counts[path.resolve()] > 1), None):
+        raise InputError(f"{folder / FILENAMES}: lists {twice} twice; remove one of the lines")
+    names = Counter(shot.name for shot in spec.observations)
+    return [
+        shot.name if names[shot.name] == 1 else relative_path(path, folder)
+        for shot, path in zip(spec.observations, paths, strict=True)
+    ]
 
 
 def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:

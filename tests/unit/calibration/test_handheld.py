@@ -1,5 +1,6 @@
 """Hand-held photographs with a flash: poses, lens, lamp and beam against the truth that made them, in float64."""
 
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +16,10 @@ from irpso_addon.calibration.handheld.tracks import Tracks, _Match, _merged
 from irpso_addon.capture.frame.board import board_of
 from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.capture.images.exif import upright
+from irpso_addon.commands import handheld
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
+from tests.builders.captures import write_png
 from tests.builders.flat_scene import from_upper_left, texture
 from tests.builders.handheld import BEAM, FOCAL, OFFSET, STRENGTH, hand, on_board, photographs, shining
 
@@ -382,3 +385,16 @@ def test_photographs_of_a_card_that_is_the_same_after_a_quarter_turn_are_refused
 
     with pytest.raises(InputError, match="looks the same after a turn or a shift.*IMG_0.*markers"):
         run_steps(handheld_steps(photographs(hand(9, seed=7, widest=35.0), value), "known"))
+
+
+def test_photographs_of_one_name_in_two_folders_get_cameras_of_two_names(tmp_path):
+    names = ["a/1.png", "b/1.png", "b/2.png"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_png(tmp_path / name, np.zeros((4, 4, 3), int))
+    (tmp_path / "filenames.txt").write_text("\n".join(names))
+    spec = handheld._photographs(Namespace(photographs=tmp_path, colour_space="auto"))
+    assert [shot.name for shot in spec.observations] == ["a/1.png", "b/1.png", "2.png"] == [v.name for v in spec.views]
+    (tmp_path / "filenames.txt").write_text("\n".join([*names, "b/../a/1.png"]))
+    with pytest.raises(InputError, match=r"filenames.txt: lists .*1.png twice; remove one of the lines"):
+        handheld._photographs(Namespace(photographs=tmp_path, colour_space="auto"))
