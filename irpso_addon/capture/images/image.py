@@ -160,7 +160,8 @@ class ImageStore:
             return self.samples_of(image, self.picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
-        return samples_of_exr(self._pixels(image.path, part), rgb, alpha, _matrix_of(image, part, rgb))
+        matrix, srgb = _matrix_of(image, part, rgb), image.colour_space == "srgb"
+        return samples_of_exr(self._pixels(image.path, part), rgb, alpha, matrix, srgb)
 
     def samples_of(self, image: ImageRef, picture: Picture) -> Samples:
         """Return ``samples`` of an image that is no EXR. picture: its code values."""

@@ -161,6 +161,13 @@ def test_the_colour_space_of_files_goes_along(scene, tmp_path, bits, space, extr
     assert_same(created(scene, tmp_path), read_capture(tmp_path, decode))
 
 
+def test_a_stated_colour_space_of_an_exr_goes_along(scene, tmp_path):
+    write_diligent(tmp_path / "ball")
+    rows = [f'[[observation]]\nimage = "ball/00{k}.exr"\nlight_direction = [0.0, {k / 4}, 1.0]' for k in range(3)]
+    (tmp_path / "capture.toml").write_text("\n".join(['colour_space = "srgb"', 'name = "s"', "[[camera]]", *rows]))
+    assert_same(created(scene, tmp_path), read_capture(tmp_path, decode))
+
+
 def test_setup_again_keeps_the_users_objects_and_removes_stale_ones(scene, tmp_path):
     mine = add_light(scene, "My own", kind="AREA")
     camera = add_camera(scene)
