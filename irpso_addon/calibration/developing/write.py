@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Generator
 from dataclasses import replace
 from functools import partial
@@ -114,6 +115,8 @@ class _Work:
             write_exr(folder / self.names[-1], {"": channels}, self.half)
         listed = "".join(f"{name}\n" for name in self.names)
         (folder / _FILENAMES).write_text(listed, encoding="utf-8")
+        for path in self.source.copied:
+            shutil.copyfile(path, folder / path.name)
 
     def _read(self, index: int) -> np.ndarray:
         """Return one image to write, (H, W, 4), and store its figures."""

@@ -8,18 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ...capture.formats.diligent import is_mask
+from ...capture.formats.diligent import FILENAMES, is_mask, mask_of
+from ...capture.formats.lists import read_lines
 from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
 from ...capture.images.headers import read_bytes
-from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.image import ImageRef, ImageStore, find_image
 from ...capture.images.linearise import Decoder
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.files import natural, visible
-from ..photographs import has_lights, is_photograph, position_lists
+from ..photographs import CAMERA, has_lights, is_photograph, position_lists
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .bursts import bursts_of
 from .develop import Shot
@@ -43,13 +44,14 @@ class Exposing:
 class Source:
     """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None for a folder.
 
-    framing: of the capture's files; the shots are whole.
+    framing: of the capture's files; the shots are whole. copied: a folder's camera.toml and mask.
     """
 
     shots: tuple[Shot, ...]
     capture: Capture | None
     warnings: tuple[str, ...] = ()
     framing: Framing = Framing()
+    copied: tuple[Path, ...] = ()
 
 
 def images_in(folder: Path) -> list[Path]:
@@ -84,9 +86,16 @@ def read_source(
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
     images = [p for p in images_in(path) if p.resolve() not in excluded and not is_mask(p)]
-    if not images:
+    listed = _names(path) if (path / FILENAMES).exists() else images
+    listed = [p for p in listed if p.resolve() not in excluded]
+    if not listed:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
-    brackets, warnings = _grouped(images, exposing, bursts, decoder)
+    merged = bursts or (exposing and exposing.merged)
+    brackets, warnings = _grouped(
+        list(dict.fromkeys([*listed, *images])) if merged else listed, exposing, bursts, decoder
+    )
+    # A list may name one photograph of each bracket.
+    brackets = [bracket for bracket in brackets if not set(listed).isdisjoint(bracket.paths)]
     shots = [Shot(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts) for b in brackets]
     if exposing is None:
         shots = [replace(shot, amounts=None) for shot in shots]
@@ -96,7 +105,14 @@ def read_source(
             raise InputError(f"{shot.images[0]}: another photograph has this name; remove or rename it")
         names.add(shot.name)
     size = ImageStore(decoder).size(shots[0].images[0])
-    return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings))
+    copied = tuple(p for p in (path / CAMERA, mask_of(path, excluded)) if p and p.is_file())
+    return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings), copied=copied)
+
+
+def _names(folder: Path) -> list[Path]:
+    """Return the images that the filenames.txt of a folder lists."""
+    lines = read_lines(folder / FILENAMES, "write the image names into it")
+    return [find_image(folder, name) for _, name in lines]
 
 
 def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:

@@ -420,3 +420,21 @@ def test_a_response_curve_reads_files_in_place_of_the_encodings_test(tmp_path):
     curve.write_text("0 0\n1 1\n")
     code, _, err = run_cli("develop", tmp_path / "capture", "-o", tmp_path / "out", "--response", curve)
     assert code == 0 and "linear values" not in err
+
+
+def test_the_list_camera_and_mask_of_a_plain_folder_go_along(photographs, tmp_path):
+    (photographs / "light_directions.txt").unlink()
+    (photographs / "filenames.txt").write_text("07.png\n01.png\n")
+    (photographs / "camera.toml").write_text("fov_degrees = 30\n")
+    write_png(photographs / "Mask.png", np.full((SIZE, SIZE, 1), 255))
+    out = tmp_path / "out"
+    assert run_cli("develop", photographs, "-o", out, "--quiet")[::2] == (0, "")
+    assert (out / "filenames.txt").read_text().split() == ["07.exr", "01.exr"]
+    for name in ("camera.toml", "Mask.png"):
+        assert (out / name).read_bytes() == (photographs / name).read_bytes()
+    merged = tmp_path / "merged"
+    assert run_cli("develop", photographs, "-o", merged, "--brackets", "exif", "--quiet")[::2] == (0, "")
+    report = json.loads((merged / "report.json").read_text())
+    assert [image["files"] for image in report["images"]] == [
+        [f"{k}.png" for k in row] for row in (("00", "01", "02"), ("06", "07", "08"))
+    ]
