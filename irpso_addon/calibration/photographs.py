@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from ..capture import read
+from ..capture.camera import Camera
 from ..capture.errors import CaptureError
 from ..capture.formats import diligent, table
 from ..capture.formats.lists import read_lines
@@ -17,8 +19,7 @@ from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, kno
 from ..capture.images.exif import JPEG_START, field_of_view, lens_of, open_jpeg, orientation_of, tags_of
 from ..capture.images.exr_header import is_exr
 from ..capture.images.headers import read_bytes
-from ..capture.images.heif import SUFFIXES as HEIF_SUFFIXES
-from ..capture.images.image import ImageRef, ImageStore, find_image
+from ..capture.images.image import SUFFIXES, ImageRef, ImageStore, find_image
 from ..capture.images.linearise import Decoder
 from ..capture.images.raw import is_raw
 from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
@@ -26,25 +27,27 @@ from ..capture.types import Light
 from ..core.files import visible
 from ..core.toml_text import toml_value
 
-_SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", *HEIF_SUFFIXES)
 _VIDEO_SUFFIXES = (
     ".avi", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".webm", ".wmv",
 )  # fmt: skip
+CameraMaker = Callable[[int, int], Camera]
 CAMERA = "camera.toml"
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _BEGINNING = 1 << 18  # bytes of a JPEG file: EXIF, at most 64 KiB, comes before profile, preview and size
 _WITHOUT_LENS = 4  # photographs read before all are taken to be without a lens in their EXIF
 _UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
+_UNMEASURED = (1.0, 1.0, 1.0)  # intensity of lights whose calibration finds directions only
 _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
 _EITHER = ({"crop", "corners"}, {"card_width", table.CARD_DISTANCE})  # mutually exclusive keys
+_BESIDE_AN_ANGLE = {"principal_point", "distortion"}  # keys that an angle alone does not replace
 _PATH_KEYS = ("image", "mask", "cameras")
 
 
 def is_photograph(path: Path) -> bool:
     """Return whether a file's suffix is that of a supported image."""
-    return path.suffix.lower() in _SUFFIXES or is_raw(path)
+    return path.suffix.lower() in SUFFIXES or is_raw(path)
 
 
 def videos_of(path: Path) -> list[Path]:
@@ -54,19 +57,24 @@ def videos_of(path: Path) -> list[Path]:
     """
     if path.suffix.lower() in _VIDEO_SUFFIXES and path.is_file():
         return [path]
-    if not path.is_dir() or _has_lights(path) or (path / diligent.FILENAMES).exists():
+    if not path.is_dir() or has_lights(path) or (path / diligent.FILENAMES).exists():
         return []
     files = visible(path)
     photographs = {p.stem.lower() for p in files if is_photograph(p)}
     return [p for p in files if p.suffix.lower() in _VIDEO_SUFFIXES and p.stem.lower() not in photographs]
 
 
-def _has_lights(folder: Path) -> bool:
+def has_lights(folder: Path) -> bool:
     """Return whether a folder holds a capture with lights."""
-    if (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists():
-        return True
-    lists = [p for p in visible(folder) if p.suffix.lower() == ".lp"]
-    return len(lists) == 1 and not (folder / diligent.FILENAMES).exists()
+    stated = (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists()
+    return stated or len(position_lists(folder)) == 1
+
+
+def position_lists(folder: Path) -> list[Path]:
+    """Return the .lp files of a folder; [] beside a filenames.txt, which comes before them."""
+    if (folder / diligent.FILENAMES).exists():
+        return []
+    return [p for p in visible(folder) if p.suffix.lower() == ".lp"]
 
 
 def read_photographs(
@@ -84,14 +92,14 @@ def read_photographs(
     if path.is_file() and is_photograph(path):
         raise CaptureError(f"{path}: is one photograph; give the folder of all of them", "kind")
     names = path / diligent.FILENAMES
-    if not path.is_dir() or _has_lights(path):
+    if not path.is_dir() or has_lights(path):
         return read.read_spec(path, colour_space)
     hidden = {p.resolve() for p in (*leave_out, *_pictures_of_tables(path))}
     if names.exists():
         images = [find_image(path, name) for _, name in read_lines(names, "write the image names into it")]
     else:
         images = [
-            p for p in visible(path) if is_photograph(p) and p.name not in diligent.MASKS and p.resolve() not in hidden
+            p for p in visible(path) if is_photograph(p) and not diligent.is_mask(p) and p.resolve() not in hidden
         ]
         images += frames
     if not images:
@@ -100,7 +108,7 @@ def read_photographs(
         ObservationSpec(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images
     )
     keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
-    mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
+    mask = diligent.mask_of(path, hidden)
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
     view = ViewSpec("camera", make, str(path), None, ImageRef(mask) if mask else None, lens=lens)
     return CaptureSpec(path.resolve().name, "images", path, observations, (view,))
@@ -121,7 +129,8 @@ def camera_keys(path: Path) -> dict[str, Any]:
 def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> CaptureSpec:
     """Return a spec whose cameras have the intrinsics of ``keys`` and keep their poses. where: names the option.
 
-    Raises CaptureError for a camera of another program's file.
+    An angle alone leaves principal point and distortion as they are. Raises CaptureError for a camera of another
+    program's file.
     """
     views = []
     for view in spec.views:
@@ -132,8 +141,21 @@ def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> Captu
                 "camera",
             )
         matrix = view.make(*(view.size or (1, 1))).matrix
-        views.append(replace(view, make=camera_maker(dict(keys), where, matrix), lens=has_lens(keys)))
+        make = camera_maker(dict(keys), where, matrix)
+        make = make if _replaced_keys(keys) == CAMERA_KEYS else partial(_with_lens, view.make, make)
+        views.append(replace(view, make=make, lens=has_lens(keys)))
     return replace(spec, views=tuple(views))
+
+
+def _replaced_keys(keys: Mapping[str, Any]) -> set[str]:
+    """Return the keys of a camera that ``keys`` replace."""
+    return CAMERA_KEYS - _BESIDE_AN_ANGLE if keys.keys() == {"fov_degrees"} else CAMERA_KEYS
+
+
+def _with_lens(former: CameraMaker, other: CameraMaker, width: int, height: int) -> Camera:
+    """Return the camera of ``former`` with the focal length of ``other``."""
+    kept = former(width, height)
+    return replace(other(width, height), centre=kept.centre, distortion=kept.distortion)
 
 
 def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str, Any]:
@@ -179,9 +201,10 @@ def calibrated_table(
 ) -> str:
     """Return the text of a capture.toml in ``folder``: that of the spec, with its lights replaced.
 
-    cameras: camera index → keys. lights: observation's index → light; None removes it; a light of intensity 1 keeps the
-    source's, if both are near or both distant. card: keys of the card, which replace the source's. Everything else of a
-    capture.toml is preserved, except comments. Image paths become relative to ``folder``.
+    cameras: camera index → keys, as of ``with_camera``. lights: observation's index → light; None removes it. If all
+    have intensity 1, none was measured: each keeps the source's, if both are near or both distant. card: keys of the
+    card, which replace the source's. Everything else of a capture.toml is preserved, except comments. Image paths
+    become relative to ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)
@@ -193,8 +216,9 @@ def calibrated_table(
     source = {**source, "camera": [dict(row) for row in source.get("camera", [])]}
     for number, keys in cameras.items():
         if number < len(source["camera"]):
-            row = {k: v for k, v in source["camera"][number].items() if k not in CAMERA_KEYS}
+            row = {k: v for k, v in source["camera"][number].items() if k not in _replaced_keys(keys)}
             source["camera"][number] = {**row, **keys}
+    measured = any(tuple(light.intensity) != _UNMEASURED for light in lights.values() if light)
     rows = []
     for number, row in enumerate(source["observation"]):
         space = spec.observations[number].image.colour_space
@@ -205,16 +229,15 @@ def calibrated_table(
         elif (light := lights[number]) is not None:
             kept = {k: v for k, v in row.items() if k not in _LIGHT_KEYS}
             same_unit = light.distant == ("light_position" not in row)  # a near lamp's is at distance 1
-            rows.append({**kept, **_light_keys(light, row.get("light_intensity") if same_unit else None)})
+            former = row.get("light_intensity") if same_unit else None
+            rows.append({**kept, **_light_keys(light, list(light.intensity) if measured else former)})
     source["observation"] = rows
     return "\n".join(_lines(_rebased(source, home, folder))) + "\n"
 
 
-def _light_keys(light: Light, former: Any) -> dict[str, Any]:
+def _light_keys(light: Light, intensity: Any) -> dict[str, Any]:
     keys = {"light_direction" if light.distant else "light_position": list(light.vector)}
-    if tuple(light.intensity) != (1.0, 1.0, 1.0):
-        return {**keys, "light_intensity": list(light.intensity)}
-    return keys if former is None else {**keys, "light_intensity": former}
+    return keys if intensity is None else {**keys, "light_intensity": intensity}
 
 
 def _as_table(spec: CaptureSpec) -> dict[str, Any]:
@@ -230,7 +253,7 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
         row: dict[str, Any] = {"name": observation.name, "image": str(observation.image.path)}
         if observation.image.colour_space != "auto":
             row["colour_space"] = observation.image.colour_space
-        if spec.kind != "images" and tuple(observation.intensity) != (1.0, 1.0, 1.0):
+        if spec.kind != "images" and tuple(observation.intensity) != _UNMEASURED:
             row["light_intensity"] = list(observation.intensity)
         rows.append(row)
     return {"format": table.FORMAT, "name": spec.name, "camera": [camera], "observation": rows}

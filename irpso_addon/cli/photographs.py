@@ -157,7 +157,7 @@ def add_handheld(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--fov", type=float, metavar="DEGREES",
                      help="the camera's full angle over the image's width (default: EXIF, refined)")  # fmt: skip
     add.add_argument("--flash-offset", metavar="X,Y,Z",
-                     help="place of the flash relative to the lens in millimetres: to the right, up, toward you"
-                     " (default: found from the brightness)")  # fmt: skip
+                     help="place of the flash relative to the lens in millimetres: to the right, up, toward you, in a"
+                     " picture without EXIF rotation (default: found from the brightness)")  # fmt: skip
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=COLOUR_SPACE)
     add_common(add)

@@ -26,7 +26,7 @@ from ..core.optional import present
 from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
 from ..gpu import context, probe
-from ..pipeline.flat_card import FlatCard, flat_card_steps, width_keys
+from ..pipeline.flat_card import FlatCard, flat_card_steps, part_warnings, width_keys
 from ..pipeline.known_shape import KnownShape, known_shape_steps
 from ..pipeline.uncalibrated import Uncalibrated, uncalibrated_steps
 from ..reflectance.model import load_model
@@ -37,10 +37,6 @@ from .options.videos import frames_of_videos
 NONE = "none"  # value of --ball
 _SHOWN_WARNINGS = 12
 _SAME_LENS = 0.05  # relative difference of the angles of one lens, by EXIF and as measured
-_WHOLE_IS_CARD = (
-    "all of each photograph counts as the flat card; if it shows more, name the card's part by crop or corners in"
-    " capture.toml and calibrate that"
-)
 
 Found = TypeVar("Found")
 
@@ -124,8 +120,7 @@ def _by_falloff(options: Namespace, keys: dict[str, Any]) -> dict:
     whole = _whole(spec)
     used = framed(whole, spec.framing)
     result = _without_ball(options, flat_card_steps(used))
-    if spec.framing.crop is None and not spec.framing.corners and whole.masks[0].all():
-        result = replace(result, warnings=(*result.warnings, _WHOLE_IS_CARD))
+    result = replace(result, warnings=(*result.warnings, *part_warnings(whole, spec.framing)))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     distance = present(result.capture.card_distance) / axis_cosine(whole.cameras[0], used.cameras[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from argparse import Namespace
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,12 @@ from ..blender.images import decode
 from ..blender.scenes.card_mesh import CARD, save_card
 from ..calibration.handheld.handheld_calibration import Handheld, handheld_steps
 from ..calibration.handheld.write import report_of, report_text, table_text
-from ..calibration.photographs import read_photographs
+from ..calibration.photographs import read_photographs, relative_path
+from ..capture.formats.diligent import FILENAMES
 from ..capture.formats.table import TABLE
 from ..capture.images.exif import field_of_view
 from ..capture.images.exr_header import is_exr
+from ..capture.images.image import ImageStore
 from ..capture.spec import CaptureSpec, build_capture
 from ..capture.types import Capture
 from ..core.errors import InputError
@@ -40,7 +43,9 @@ def run(options: Namespace) -> dict:
     offset = _offset(options.flash_offset)
     capture, lens = _with_lens(build_capture(spec, decode), spec, options.fov)
     bar = ProgressBar("handheld", silent(options))
-    handheld = bar.run(handheld_steps(capture, lens, offset), lambda part: (part, "photographs"))
+    store = ImageStore(decode)
+    orientations = [store.tag(observation.image) or 1 for observation in spec.observations]
+    handheld = bar.run(handheld_steps(capture, lens, offset, orientations), lambda part: (part, "photographs"))
     table = table_text(spec, handheld, out)
     with new_folder(out) as partial:
         (partial / TABLE).write_text(table, encoding="utf-8")
@@ -52,7 +57,7 @@ def run(options: Namespace) -> dict:
 
 
 def _photographs(options: Namespace) -> CaptureSpec:
-    """Return the photographs of a folder, each with a camera of its own."""
+    """Return the photographs of a folder, each with a camera of its own, which has its name."""
     path = Path(options.photographs)
     if not path.is_dir():
         raise InputError(f"{path}: is no folder; give the folder of the photographs")
@@ -60,12 +65,28 @@ def _photographs(options: Namespace) -> CaptureSpec:
     if spec.kind != "images":
         raise InputError(f"{path}: holds a capture with lights; give a folder of photographs alone")
     view = replace(spec.views[0], mask=None)
-    observations = tuple(replace(observation, camera=number) for number, observation in enumerate(spec.observations))
+    names = _distinct_names(path, spec)
+    observations = tuple(
+        replace(s, name=name, camera=n) for n, (s, name) in enumerate(zip(spec.observations, names, strict=True))
+    )
     return replace(
         spec,
         observations=observations,
         views=tuple(replace(view, name=observation.name) for observation in observations),
     )
+
+
+def _distinct_names(folder: Path, spec: CaptureSpec) -> list[str]:
+    """Return the names of photographs: of equal ones the paths. Raises InputError where one is listed twice."""
+    paths = [observation.image.path for observation in spec.observations]
+    counts = Counter(path.resolve() for path in paths)
+    if twice := next((path for path in paths if counts[path.resolve()] > 1), None):
+        raise InputError(f"{folder / FILENAMES}: lists {twice} twice; remove one of the lines")
+    names = Counter(observation.name for observation in spec.observations)
+    return [
+        observation.name if names[observation.name] == 1 else relative_path(path, folder)
+        for observation, path in zip(spec.observations, paths, strict=True)
+    ]
 
 
 def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:
@@ -116,8 +137,8 @@ def _summary(setup: Handheld, out: Path) -> str:
     lines: list[Any] = [
         f"{len(setup.cameras)} cameras by {by}",
         f"points are off by {setup.error:.2f} pixels (median); views differ by {setup.views:.0f}°",
-        f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, falling with the cosine to the power of"
-        f" {setup.flash.beam:.1f}",
+        f"flash {x:.3g}, {y:.3g}{unit} to the right of the lens and above it, in pictures without EXIF rotation,"
+        f" falling with the cosine to the power of {setup.flash.beam:.1f}",
         *(f"warning: {warning}" for warning in setup.warnings),
         f"written to {out}; recover it with: irpso recover {shell_quoted(out)} --blend {shell_quoted(out / BLEND)}"
         f" --object {CARD}"

@@ -61,6 +61,16 @@ def width_keys(whole: Camera) -> dict[str, float]:
     return {"world_width": whole.width / whole.scale[0]}
 
 
+def part_warnings(whole: Capture, framing: Framing) -> tuple[str, ...]:
+    """Return a warning if neither a mask nor the framing names the card's part of whole photographs."""
+    if framing.crop is not None or framing.corners or not whole.masks[0].all():
+        return ()
+    return (
+        "all of each photograph counts as the flat card; if it shows more, name the card's part by crop or corners in"
+        " capture.toml and calibrate that",
+    )
+
+
 def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, FlatCard]:
     """Calibrate the near lights of a flat card; yield the fraction done, return the result.
 

@@ -350,9 +350,7 @@ class _Work:
 def _common_space(source: Source, refused: bool) -> str:
     """Return the colour space that a capture states for its images; "auto" if it states several, or an error."""
     images = [image for group in source.groups for image in group.images]
-    images = [image for image in images if not (is_exr(image.path) or is_raw(image.path))]
-    if not images:
-        return "auto"
+    images = [image for image in images if not (is_exr(image.path) or is_raw(image.path))] or images
     first, *others = images
     if other := next((image for image in others if image.colour_space != first.colour_space), None):
         if not refused:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Generator
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from ...core.errors import InputError
 from ...core.files import check_unused, new_folder
 from ...core.steps import map_steps
 from ..radiometry.develop import developed, registration_steps
-from ..radiometry.source import Source
+from ..radiometry.source import Source, encoded_steps
 from ..register import MIN_MOVE, moved_back
 from .corrections_file import FOLDER, photograph_of, write_corrections
 from .measure import Measured, MeasureOptions, Output, Progress, finite, measure_steps
@@ -35,6 +36,8 @@ def develop_steps(
     settings: for the report. Writes nothing if it raises InputError.
     """
     check_unused(out)
+    if options.response is None and not options.greys:  # a response curve decodes the files in place of an encoding
+        source = yield from map_steps(encoded_steps(source), lambda _: Progress(0.0, "testing the encoding"))
     measured = yield from measure_steps(store, source, options)
     return (yield from write_developed_steps(store, source, measured, out, settings, options.output))
 
@@ -112,6 +115,8 @@ class _Work:
             write_exr(folder / self.names[-1], {"": channels}, self.half)
         listed = "".join(f"{name}\n" for name in self.names)
         (folder / _FILENAMES).write_text(listed, encoding="utf-8")
+        for path in self.source.copied:
+            shutil.copyfile(path, folder / path.name)
 
     def _read(self, index: int) -> np.ndarray:
         """Return one image to write, (H, W, 4), and store its figures."""

@@ -20,7 +20,7 @@ _MIN_MATTE = 0.1  # of the points: a photograph with fewer off the mirror direct
 
 @dataclass(frozen=True)
 class Flash:
-    """offset: (3,) from lens to flash, in camera axes. error: (2,) its standard error, x and y.
+    """offset: (3,) from lens to flash, in the sensor's axes. error: (2,) its standard error, x and y.
 
     beam: light falls off as the cosine to the camera's axis to this power, which includes the lens's vignetting.
     gains: (K,) strength in each photograph, with mean logarithm 0. albedo: (P,) radiance of each point over the
@@ -36,7 +36,7 @@ class Flash:
 
 @dataclass(frozen=True)
 class Samples:
-    """Radiance of points of the plane z = 0. places: (P, 2). cameras: (K, 4, 4) camera to world, in Blender's axes.
+    """Radiance of points of the plane z = 0. places: (P, 2). cameras: (K, 4, 4) sensor to world, in Blender's axes.
 
     radiance: (K, P) grey, NaN where a point is outside the photograph, clipped or black.
     """

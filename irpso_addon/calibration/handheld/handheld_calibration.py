@@ -9,6 +9,7 @@ import numpy as np
 
 from ...capture.camera import Camera
 from ...capture.frame.board import Board
+from ...capture.images.exif import upright_axes
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps
@@ -40,7 +41,8 @@ class Handheld:
     """cameras: of the photographs ``numbers``; the card lies in z = 0. field: (x0, y0, x1, y1), the recovered area.
 
     error: median reprojection error in pixels of the photographs. intensities: (K,) of the flash, at distance 1.
-    views: root mean square angle between the views, in degrees. board: of the markers, None for features.
+    views: root mean square angle between the views, in degrees. board: of the markers, None for features. turns:
+    (K, 3, 3) from the sensor's axes, those of the flash's offset, to the camera's: EXIF turns pictures upright.
     """
 
     numbers: tuple[int, ...]
@@ -52,25 +54,32 @@ class Handheld:
     views: float
     board: Board | None
     warnings: tuple[str, ...]
+    turns: np.ndarray
 
     @property
     def lamps(self) -> np.ndarray:
         """(K, 3) positions of the flash."""
-        return np.stack([camera.matrix[:3, :3] @ self.flash.offset + camera.position for camera in self.cameras])
+        sensors = _sensors(self.cameras, self.turns)
+        return sensors[:, :3, :3] @ self.flash.offset + sensors[:, :3, 3]
 
 
 def handheld_steps(
-    capture: Capture, lens: str = "likely", flash_offset: np.ndarray | None = None
+    capture: Capture,
+    lens: str = "likely",
+    flash_offset: np.ndarray | None = None,
+    orientations: Sequence[int] | None = None,
 ) -> Generator[float, None, Handheld]:
     """Yield the fraction done; return the cameras and the flash of photographs.
 
     capture: one camera per photograph, with its size and focal length, without pose; all have one focal length. lens:
     "known" fixes the focal length; "likely" (EXIF's, which is rounded) and "unknown" fit it. flash_offset: (3,)
-    millimetres from lens to flash, with markers only; None to fit it. Raises InputError if photographs are too few,
-    blurred, without points, from one viewpoint or of another lens.
+    millimetres from lens to flash, in the sensor's axes, with markers only; None to fit it. orientations: EXIF
+    orientations that reading applied, None for none. Raises InputError if photographs are too few, blurred, without
+    points, from one viewpoint, of another lens, or turned without an orientation.
     """
     _check_count(len(capture.observations), "")
-    _check_size(capture)
+    orientations = orientations or [1] * len(capture.observations)
+    _check_size(capture, orientations)
     pictures = yield from map_steps(picture_steps(capture), lambda share: 0.5 * share)
     names = np.array([observation.name for observation in capture.observations])
     sharp = np.flatnonzero(pictures.sharp >= _BLURRED * np.median(pictures.sharp))
@@ -105,7 +114,8 @@ def handheld_steps(
     yield 0.85
     places = _places(field, tracks.board)
     sampled = [_sampled(radiance[k], camera, places) for k, camera in zip(placed.tracks.used, cameras, strict=True)]
-    samples = Samples(places, np.stack([camera.matrix for camera in cameras]), np.stack(sampled))
+    turns = np.stack([upright_axes(orientations[number]) for number in numbers])
+    samples = Samples(places, _sensors(cameras, turns), np.stack(sampled))
     flash, intensities, flash_warnings = _flash(samples, flash_offset, tracks.board)
     notes = (
         f"left out as blurred: {blurred}" if blurred else "",
@@ -115,19 +125,31 @@ def handheld_steps(
     )
     return Handheld(
         tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.board,
-        (*filter(None, notes), *warnings, *flash_warnings),
+        (*filter(None, notes), *warnings, *flash_warnings), turns,
     )  # fmt: skip
 
 
-def _check_size(capture: Capture) -> None:
-    """Raise InputError if photographs differ in size; portrait and landscape may mix."""
-    first = capture.cameras[0]
-    for observation in capture.observations:
+def _sensors(cameras: Sequence[Camera], turns: np.ndarray) -> np.ndarray:
+    """Return the matrices (K, 4, 4) of cameras in the sensor's axes. turns: as of ``Handheld``."""
+    matrices = np.stack([camera.matrix for camera in cameras])
+    matrices[:, :3, :3] = matrices[:, :3, :3] @ turns
+    return matrices
+
+
+def _check_size(capture: Capture, orientations: Sequence[int]) -> None:
+    """Raise InputError if photographs differ in size; portrait and landscape may mix, if EXIF tells the turn."""
+    first, turned = capture.cameras[0], orientations[0] >= 5
+    for observation, orientation in zip(capture.observations, orientations, strict=True):
         camera = capture.cameras[observation.camera]
         if {camera.width, camera.height} != {first.width, first.height}:
             raise InputError(
                 f"{observation.name}: is {camera.width}×{camera.height} pixels where {capture.observations[0].name} has"
                 f" {first.width}×{first.height}; give all photographs as the camera wrote them, in one size"
+            )
+        if (camera.width == first.width) != ((orientation >= 5) == turned) and camera.width != camera.height:
+            raise InputError(
+                f"{observation.name}: is turned against {capture.observations[0].name}, but their EXIF orientation does"
+                " not say so, and the flash turns with the camera; give all photographs as the camera wrote them"
             )
 
 

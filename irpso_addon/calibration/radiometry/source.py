@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ...capture.formats.diligent import DIRECTIONS
-from ...capture.formats.table import TABLE
+from ...capture.formats.diligent import FILENAMES, is_mask, mask_of
+from ...capture.formats.lists import read_lines
 from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
 from ...capture.images.headers import read_bytes
-from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.image import ImageRef, ImageStore, find_image
 from ...capture.images.linearise import Decoder
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.files import natural, visible
-from ..photographs import is_photograph
+from ..photographs import CAMERA, has_lights, is_photograph, position_lists
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .bursts import bursts_of
 from .develop import ExposureGroup
@@ -44,13 +44,14 @@ class Exposing:
 class Source:
     """Photographs to develop. capture: lights, cameras and masks of the groups, in their order; None for a folder.
 
-    framing: of the capture's files; the groups are whole.
+    framing: of the capture's files; the groups are whole. copied: a folder's camera.toml and mask.
     """
 
     groups: tuple[ExposureGroup, ...]
     capture: Capture | None
     warnings: tuple[str, ...] = ()
     framing: Framing = Framing()
+    copied: tuple[Path, ...] = ()
 
 
 def images_in(folder: Path) -> list[Path]:
@@ -79,15 +80,22 @@ def read_source(
         raise InputError("--bursts averages photographs of one exposure; omit --brackets and --exposure")
     path = Path(path)
     excluded = {p.resolve() for p in left_out}
-    lists = (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
-    if lists if path.is_dir() else path.is_file():
+    # Of several .lp files read_spec says that one is to be chosen.
+    if has_lights(path) or position_lists(path) if path.is_dir() else path.is_file():
         return _listed_source(read_spec(path, colour_space), decoder, exposing, excluded, bursts)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
-    images = [p for p in images_in(path) if p.resolve() not in excluded and p.stem.lower() != "mask"]
-    if not images:
+    images = [p for p in images_in(path) if p.resolve() not in excluded and not is_mask(p)]
+    listed = _names(path) if (path / FILENAMES).exists() else images
+    listed = [p for p in listed if p.resolve() not in excluded]
+    if not listed:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, HEIC, EXR, HDR or raw); give their folder")
-    brackets, warnings = _grouped(images, exposing, bursts, decoder)
+    merged = bursts or (exposing and exposing.merged)
+    brackets, warnings = _grouped(
+        list(dict.fromkeys([*listed, *images])) if merged else listed, exposing, bursts, decoder
+    )
+    # A list may name one photograph of each bracket.
+    brackets = [bracket for bracket in brackets if not set(listed).isdisjoint(bracket.paths)]
     groups = [
         ExposureGroup(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts)
         for b in brackets
@@ -100,7 +108,14 @@ def read_source(
             raise InputError(f"{group.images[0]}: another photograph has this name; remove or rename it")
         names.add(group.name)
     size = ImageStore(decoder).size(groups[0].images[0])
-    return Source(tuple(replace(group, size=size) for group in groups), None, tuple(warnings))
+    copied = tuple(p for p in (path / CAMERA, mask_of(path, excluded)) if p and p.is_file())
+    return Source(tuple(replace(group, size=size) for group in groups), None, tuple(warnings), copied=copied)
+
+
+def _names(folder: Path) -> list[Path]:
+    """Return the images that the filenames.txt of a folder lists."""
+    lines = read_lines(folder / FILENAMES, "write the image names into it")
+    return [find_image(folder, name) for _, name in lines]
 
 
 def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:
@@ -155,6 +170,27 @@ def _listed_source(
     return Source(tuple(_sized(groups, capture)), capture, tuple(warnings), spec.framing)
 
 
+def encoded_steps(source: Source) -> Generator[None, None, Source]:
+    """Yield before each test image; return the source with the measured encoding of files that state none.
+
+    A recovery of the same capture reads them in this encoding.
+    """
+    encoding = source.capture.encoding if source.capture else None
+    if encoding is None or encoding.known_by != "guess":
+        return source
+    yield from encoding.test_steps()
+    warnings = (*source.warnings, message) if (message := encoding.message()) else source.warnings
+
+    def encoded(image: ImageRef) -> ImageRef:
+        guessed = image.colour_space == "auto" and encoding.store.encoding(image)[1] == "guess"
+        return replace(image, colour_space=encoding.colour_space) if guessed else image
+
+    groups = source.groups
+    if encoding.colour_space != encoding.assumed:
+        groups = tuple(replace(group, images=tuple(map(encoded, group.images))) for group in groups)
+    return replace(source, groups=groups, warnings=warnings)
+
+
 def _sized(groups: Sequence[ExposureGroup], capture: Capture) -> list[ExposureGroup]:
     return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in groups]
 
@@ -163,7 +199,9 @@ def _unlisted(spec: CaptureSpec, exposing: Exposing | None, excluded: set[Path])
     """Return unlisted images in the folders of a capture's images; with ``exposing``, those with an exposure."""
     masks = {view.mask.path.resolve() for view in spec.views if view.mask}
     folders = dict.fromkeys(observation.image.path.parent for observation in spec.observations)
-    unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in excluded | masks]
+    unlisted = [
+        p for folder in folders for p in images_in(folder) if p.resolve() not in excluded | masks and not is_mask(p)
+    ]
     if exposing is None:
         return unlisted
     if exposing.by == "exif":

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...capture.formats.diligent import MASKS
+from ...capture.formats.diligent import mask_of
 from ...capture.formats.table import TABLE
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Decoder
@@ -152,7 +152,7 @@ def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[ExposureG
     )
     views = list(rig.spec.views)
     folder = photographs if photographs.is_dir() else photographs.parent
-    mask = next((folder / name for name in MASKS if (folder / name).is_file()), None)
+    mask = mask_of(folder)
     if len(views) == 1 and mask is not None:
         views[0] = replace(views[0], mask=ImageRef(mask))
     return replace(rig.spec, name=out.name, source=photographs, observations=observations, views=tuple(views))

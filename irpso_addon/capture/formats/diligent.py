@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
+from ...core.files import visible
 from ..errors import CaptureError
-from ..images.image import ImageRef, find_image
+from ..images.image import SUFFIXES, ImageRef, find_image
 from ..spec import CaptureSpec, ObservationSpec, ViewSpec
 from .lists import read_directions, read_intensities, read_lines
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 
 FILENAMES, DIRECTIONS, INTENSITIES = "filenames.txt", "light_directions.txt", "light_intensities.txt"
-MASKS = ("mask.png", "mask.exr", "mask.tif", "mask.jpg")
+_MASK = "mask"
 
 
 def is_diligent(folder: Path) -> bool:
     """Return whether a folder holds one of the two lists of the layout."""
     return (folder / FILENAMES).is_file() or (folder / DIRECTIONS).is_file()
+
+
+def is_mask(path: Path) -> bool:
+    """Return whether a file has a mask's name, in any letter case, and the suffix of a picture."""
+    return path.stem.lower() == _MASK and path.suffix.lower() in SUFFIXES
+
+
+def mask_of(folder: Path, hidden: Collection[Path] = ()) -> Path | None:
+    """Return the mask in a folder; of several the first by suffix. hidden: resolved paths of files to ignore."""
+    masks = [p for p in visible(folder) if is_mask(p) and p.is_file() and p.resolve() not in hidden]
+    return min(masks, key=lambda path: SUFFIXES.index(path.suffix.lower()), default=None)
 
 
 def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
@@ -39,7 +52,7 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
         named_in = f"its name in {folder / FILENAMES}: line {number}"
         image = ImageRef(find_image(folder, name), colour_space=colour_space, named_in=named_in)
         observations.append(ObservationSpec(name, image, vector, where, intensity))
-    mask = next((folder / m for m in MASKS if (folder / m).exists()), None)
+    mask = mask_of(folder)
     camera = folder / "camera.toml"
     table = load_toml(camera) if camera.exists() else {}
     known_keys(table, CAMERA_KEYS, str(camera))

@@ -171,13 +171,25 @@ def _positive(value: Any) -> float | None:
     return number if 0 < number < float("inf") else None
 
 
+# The mirrorings (rows, columns) by which each orientation turns a stored picture upright, after a swap for 5 to 8.
+_MIRRORINGS = {
+    1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1), 5: (1, 1), 6: (1, -1), 7: (-1, -1), 8: (-1, 1),
+}  # fmt: skip
+
+
 def upright(image: np.ndarray, orientation: int) -> np.ndarray:
     """Apply an EXIF orientation to an image (H, W, …), row 0 at the BOTTOM; 5 to 8 swap W and H."""
     top_first = image[::-1]
     if orientation >= 5:
         top_first = top_first.swapaxes(0, 1)
-    # After the swap for 5…8, the stored picture needs these mirrorings (rows, columns).
-    rows, columns = {
-        1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1), 5: (1, 1), 6: (1, -1), 7: (-1, -1), 8: (-1, 1),
-    }[orientation]  # fmt: skip
+    rows, columns = _MIRRORINGS[orientation]
     return np.ascontiguousarray(top_first[::rows, ::columns][::-1])
+
+
+def upright_axes(orientation: int) -> np.ndarray:
+    """Return the matrix (3, 3) from a stored picture's axes (right, up, toward the viewer) to the upright one's."""
+    rows, columns = _MIRRORINGS[orientation]
+    swap = np.array([(0.0, -1.0), (-1.0, 0.0)]) if orientation >= 5 else np.eye(2)
+    turn = np.eye(3)
+    turn[:2, :2] = np.diag([columns, rows]) @ swap
+    return turn

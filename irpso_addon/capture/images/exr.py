@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.encode import linear_from_srgb
 from ...core.files import replacing_file
 from ..errors import CaptureError
 from .exr_header import ExrPart, read_exr_header
@@ -111,14 +112,18 @@ def _rgb(table: dict[str, str]) -> list[str] | None:
     return colours * 3 if len(colours) == 1 else None
 
 
-def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None, matrix: np.ndarray | None = None) -> Samples:
+def samples_of_exr(
+    image: ExrImage, rgb: list[str], alpha: str | None, matrix: np.ndarray | None = None, srgb: bool = False
+) -> Samples:
     """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
 
     Alpha becomes the weight. Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec.
-    709, or None if the file holds Rec. 709.
+    709, or None if the file holds Rec. 709. srgb: its values have the curve of sRGB.
     """
     colour = np.stack([image.channels[name] for name in rgb], axis=-1)
     clipped = colour >= _HALF_MAX if colour.dtype == np.float16 else np.zeros(colour.shape, bool)
+    if srgb:
+        colour = linear_from_srgb(colour.astype(np.float32))
     if matrix is not None:
         clipped[:] = clipped.any(axis=-1, keepdims=True)  # the matrix mixes the channels
         with np.errstate(invalid="ignore"):

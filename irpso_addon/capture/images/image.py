@@ -16,11 +16,13 @@ from .exif import Exposure, exposure_of
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import ImageHeader, missing, read_bytes, read_header
+from .heif import SUFFIXES as HEIF_SUFFIXES
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
 from .raw import RawHeader, decode_raw, is_raw, raw_header
 
+SUFFIXES = (".png", ".exr", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", *HEIF_SUFFIXES)  # of pictures, without raw files
 # Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
 KnownBy = Literal["file", "format", "depth", "guess"]
 
@@ -59,8 +61,8 @@ class ImageStore:
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
         """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
 
-        Files of 8 to 12 bits are sRGB unless they state to be linear; all others are linear, except integers with a
-        colour profile. Raises CaptureError, also for an unsupported profile.
+        Files of 8 to 12 bits are sRGB unless they state to be linear; all others are linear, except integers that state
+        sRGB or have a colour profile. Raises CaptureError, also for an unsupported profile.
         """
         if is_exr(image.path) or is_raw(image.path):
             return "linear", "format"
@@ -68,8 +70,10 @@ class ImageStore:
         profile = self.profile(image)
         if profile is not None and header.bits < 32:
             return "linear" if profile.linear else "srgb", "file"
+        if header.states and header.bits < 32:
+            return header.states, "file"
         if header.bits < 16:
-            return (header.states, "file") if header.states else ("srgb", "guess")
+            return "srgb", "guess"
         return "linear", "depth" if header.bits == 16 else "format"
 
     def coarse(self, image: ImageRef) -> bool:
@@ -156,7 +160,8 @@ class ImageStore:
             return self.samples_of(image, self.picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
-        return samples_of_exr(self._pixels(image.path, part), rgb, alpha, _matrix_of(image, part, rgb))
+        matrix, srgb = _matrix_of(image, part, rgb), image.colour_space == "srgb"
+        return samples_of_exr(self._pixels(image.path, part), rgb, alpha, matrix, srgb)
 
     def samples_of(self, image: ImageRef, picture: Picture) -> Samples:
         """Return ``samples`` of an image that is no EXR. picture: its code values."""

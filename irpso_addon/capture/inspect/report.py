@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -76,17 +76,19 @@ def inspect_steps(
     card_distance: float | None = None,
     skip_damaged: bool = False,
     card_width: float | None = None,
+    change: Callable[[CaptureSpec], CaptureSpec] | None = None,
 ) -> Generator[str, None, Report]:
     """Check a capture, frame by frame; its faults become findings instead of errors. Yields a line before each step.
 
     path, decoder, colour_space, skip_damaged: as of read_capture. goals: of sufficiency.GOALS, the purpose of the
     recovery: findings warn if the lights are too few or too narrow for it; the facts list all goals. card_distance,
-    card_width: override the capture's own. Memory: at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the
-    number and size of the frames.
+    card_width: override the capture's own. change: of the capture's framing and card, before those. Memory: at most
+    about 600 MB (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """
     path = Path(path)
     try:
         spec = read_spec(path, colour_space)
+        spec = spec if change is None else change(spec)
         if skip_damaged:
             steps = without_damaged_steps(spec, ImageStore(decoder))
             spec = yield from _numbered("Looking for damaged images", len(spec.observations), steps)

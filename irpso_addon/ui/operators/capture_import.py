@@ -8,7 +8,9 @@ import time
 from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -34,7 +36,7 @@ from ..common.polls import NO_CAPTURE, usable
 from ..common.words import n_, rpt
 from ..properties import findings
 from ..properties.scene_settings import UPDATE_CALLBACKS, model_of
-from ..session.scene_capture import capture_of, capture_path, keep_corners, store_light_facts
+from ..session.scene_capture import capture_of, capture_path, is_marked, keep_corners, store_light_facts, with_card
 from ..session.scene_job import subject_object
 
 # Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice lasts as long as
@@ -137,12 +139,19 @@ def begin_check(scene) -> None:
     steps = inspect_steps(
         capture_path(settings), decode, settings.colour_space, tuple(goals), settings.card_distance or None,
         settings.skip_damaged, settings.card_width or None,
+        partial(with_card, _card_settings(settings)) if is_marked(settings) else None,
     )  # fmt: skip
     _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, n_("Checking"))]
     if bpy.app.background:
         _slice(_running[0], math.inf)
     elif not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=_PAUSE)
+
+
+def _card_settings(settings) -> SimpleNamespace:
+    """Return a copy of the settings of the card and its part: an undo invalidates pointers while a check runs."""
+    values = {name: getattr(settings, name) for name in (*CARD_SETTINGS, "picture_scale")}
+    return SimpleNamespace(**values | {name: tuple(values[name]) for name in ("crop", "corners")})
 
 
 def _tick() -> float | None:

@@ -245,10 +245,10 @@ class _Images:
         """Return the image of a file. Raises CaptureError and loads nothing if the header is unreadable."""
         path = reference.path.resolve()
         exr = path.suffix.lower() == ".exr"
-        space = None if exr or mask or reference.colour_space == "auto" else reference.colour_space
+        space = None if mask or reference.colour_space == "auto" else reference.colour_space
         key = path, reference.part, reference.layer, space
         if key not in self._images:
-            deep = space is None and not (exr or mask) and (is_raw(path) or read_header(path).bits == 16)
+            deep = space is None and not (exr or mask) and _is_linear_by_depth(reference)
             image = bpy.data.images.load(str(path), check_existing=False)
             names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
             for name, value in zip(names, key[1:], strict=True):
@@ -260,6 +260,19 @@ class _Images:
                 use_space(image, "linear")
             self._images[key] = image
         return self._images[key]
+
+
+def _is_linear_by_depth(reference: ImageRef) -> bool:
+    """Return whether a file without a colour space is linear, as Blender, which reads its codes as sRGB, cannot tell.
+
+    Raises CaptureError if its header is unreadable.
+    """
+    if is_raw(reference.path):
+        return True
+    store = ImageStore()
+    # A profile applies only in the colour space "auto".
+    deep = read_header(reference.path).bits == 16 and store.profile(reference) is None
+    return deep and store.encoding(reference)[0] == "linear"
 
 
 class CreateScene(bpy.types.Operator):

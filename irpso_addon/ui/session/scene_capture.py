@@ -57,6 +57,11 @@ def spec_of(settings) -> CaptureSpec:
     """
     spec = read_spec(capture_path(settings), settings.colour_space)
     store_light_facts(settings, spec)
+    return with_card(settings, spec)
+
+
+def with_card(settings, spec: CaptureSpec) -> CaptureSpec:
+    """Return the spec of files with the settings' framing and card distance. Raises InputError."""
     framing = _framing_of(settings, spec.framing)
     given = settings.card_width or settings.card_distance
     spec = replace(spec, framing=framing) if given else reframed(spec, framing, ImageStore(decode))

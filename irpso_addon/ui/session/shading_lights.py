@@ -22,7 +22,7 @@ from ...core.steps import map_steps
 from ...geometry.surface.mesh import MeshData
 from ...gpu import context as gpu_context
 from ...gpu import probe
-from ...pipeline.flat_card import flat_card_steps, width_keys
+from ...pipeline.flat_card import flat_card_steps, part_warnings, width_keys
 from ...pipeline.known_shape import known_shape_steps
 from ...pipeline.uncalibrated import uncalibrated_steps
 from ...reflectance.model import load_model
@@ -105,6 +105,7 @@ def _of_card(
         start = _DETECTION
     used = framed(whole, framing)
     fitted = yield from map_steps(flat_card_steps(used), lambda part: start + (1 - start) * part)
+    fitted = replace(fitted, warnings=(*fitted.warnings, *part_warnings(whole, framing)))
     if not (keys or spec.views[0].lens):
         keys = width_keys(whole.cameras[0])
     distance = present(fitted.capture.card_distance) / axis_cosine(whole.cameras[0], used.cameras[0])

@@ -1,7 +1,9 @@
 """The button that finds lights: from balls, from a known mesh, a flat card or relief."""
 
+import json
 import math
 import tempfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -101,6 +103,9 @@ def test_near_lamps_are_found_over_the_framed_part_of_a_flat_card_of_known_width
     assert bpy.ops.irpso.find_lights(**given) == {"FINISHED"}
     found = read_capture(settings.capture_path)
     assert found.card_distance == pytest.approx(DISTANCE, rel=1e-5) and found.masks[0].shape == (40, shown)
+    table = Path(settings.capture_path)
+    warnings = json.loads(table.with_name(f"{table.stem}_report.json").read_text())["warnings"]
+    assert any("all of each photograph counts as the flat card" in warning for warning in warnings) != marked
     for light, shot in zip(found.observations, capture.observations, strict=True):
         assert np.linalg.norm(np.array(light.light.vector) - shot.light.vector) < 0.02 * 260
 

@@ -104,6 +104,20 @@ def test_a_crop_does_not_get_the_width_that_the_file_states_of_the_whole(setting
     assert scene_capture.capture_of(settings.id_data).card_distance == pytest.approx(50 / np.tan(np.radians(15)))
 
 
+def test_the_check_takes_the_width_for_the_part_that_the_window_marks(settings, tmp_path):
+    folder = write_near_card(tmp_path / "unknown", card_distance=None)
+    settings.capture_path = str(folder)
+    settings.framing, settings.crop, settings.card_width = "CROP", (4, 2, 12, 10), DISTANCE * np.tan(np.radians(15))
+    bpy.ops.irpso.check_capture()
+    assert "card: 420 from its camera, 112.5 × 93.78" in settings.summary
+    settings.crop = (0, 0, 0, 0)  # not marked yet
+    bpy.ops.irpso.check_capture()
+    assert "card: 210 from its camera" in settings.summary
+    settings.crop, settings.card_width, settings.card_distance = (4, 2, 12, 10), 0.0, 300.0
+    bpy.ops.irpso.check_capture()
+    assert "card: 300 from its camera" in settings.summary
+
+
 def test_another_capture_is_whole_again(settings, tmp_path):
     settings.framing, settings.picture_scale, settings.card_width = "CROP", 0.5, 2.0
     settings.capture_path = str(write_near_card(tmp_path / "other"))

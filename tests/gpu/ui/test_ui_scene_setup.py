@@ -13,7 +13,8 @@ from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
 from irpso_addon.ui.operators import scene_setup
 from irpso_addon.ui.session import scene_capture
-from tests.builders.captures import LIGHTS, shade, sphere, write_diligent, write_png
+from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
+from tests.builders.profiles import icc, png_icc, table
 from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, image_of, readers_of, write_views
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -142,13 +143,28 @@ def test_the_scene_of_the_icon_is_the_capture_again(scene, shared_data):
     assert_same(*(replace(c, observations=c.observations[::9]) for c in (found, expected)))  # all take six seconds
 
 
-@pytest.mark.parametrize(("bits", "space"), [(8, "auto"), (8, "linear"), (16, "auto"), (16, "srgb")])
-def test_the_colour_space_of_files_goes_along(scene, tmp_path, bits, space):
+@pytest.mark.parametrize(
+    ("bits", "space", "extra"),
+    [
+        (8, "auto", b""), (8, "linear", b""), (16, "auto", b""), (16, "srgb", b""),
+        (16, "auto", png_icc(icc())), (16, "auto", png_icc(icc(curve=table([])))),
+        (16, "auto", chunk(b"sRGB", b"\0")),
+    ],
+    ids=["8", "8 linear", "16", "16 sRGB", "16 profile", "16 linear profile", "16 stating sRGB"],
+)  # fmt: skip
+def test_the_colour_space_of_files_goes_along(scene, tmp_path, bits, space, extra):
     for k in range(3):
-        write_png(tmp_path / f"{k}.png", RNG.integers(0, 2**bits - 1, (9, 11, 3)), bits)
+        write_png(tmp_path / f"{k}.png", RNG.integers(0, 2**bits - 1, (9, 11, 3)), bits, extra)
     rows = [f'[[observation]]\nimage = "{k}.png"\nlight_direction = [0.0, {k / 4}, 1.0]' for k in range(3)]
-    table = "\n".join([f'colour_space = "{space}"', 'name = "spaces"', "[[camera]]", *rows])
-    (tmp_path / "capture.toml").write_text(table)
+    text = "\n".join([f'colour_space = "{space}"', 'name = "spaces"', "[[camera]]", *rows])
+    (tmp_path / "capture.toml").write_text(text)
+    assert_same(created(scene, tmp_path), read_capture(tmp_path, decode))
+
+
+def test_a_stated_colour_space_of_an_exr_goes_along(scene, tmp_path):
+    write_diligent(tmp_path / "ball")
+    rows = [f'[[observation]]\nimage = "ball/00{k}.exr"\nlight_direction = [0.0, {k / 4}, 1.0]' for k in range(3)]
+    (tmp_path / "capture.toml").write_text("\n".join(['colour_space = "srgb"', 'name = "s"', "[[camera]]", *rows]))
     assert_same(created(scene, tmp_path), read_capture(tmp_path, decode))
 
 

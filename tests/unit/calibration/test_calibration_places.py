@@ -1,13 +1,16 @@
 """Calibration of near lights: distance of the card under the balls, and units of length."""
 
+import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from irpso_addon.calibration.ball_calibration import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.photographs import read_photographs, with_camera
 from irpso_addon.capture.framing import Framing
+from irpso_addon.capture.images.image import ImageStore
 from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
@@ -69,3 +72,22 @@ def test_the_width_in_the_lamps_unit_is_written(balls, tmp_path):
     table = tmp_path / "capture.toml"
     table.write_text(written_table(calibrated(balls, read_photographs(balls[0])), tmp_path, {}))
     assert "world_width = 2" in table.read_text() and read_spec(table).views[0].lens
+
+
+def test_an_angle_leaves_the_principal_point_and_the_distortion(balls, tmp_path):
+    folder = tmp_path / "photographs"
+    shutil.copytree(balls[0], folder)
+    keys = "focal_length_px = 900.0\nprincipal_point = [{:.1f}, {:.1f}]\ndistortion = [0.01]\n"
+    first = read_photographs(folder).observations[0].image
+    width, height = ImageStore().size(first)
+    (folder / "camera.toml").write_text(keys.format(width / 2 + 3, height / 2 - 2))
+    spec = with_camera(read_photographs(folder), {"fov_degrees": FOV}, "--fov")
+    seen = spec.views[0].make(width, height)
+    angle = 2 * np.degrees(np.arctan(width / 2 / seen.scale[0]))
+    assert (angle, seen.distortion) == (pytest.approx(FOV), (0.01,)) and seen.centre == (width / 2 + 3, height / 2 - 2)
+    table = tmp_path / "capture.toml"
+    table.write_text(written_table(calibrated(balls, spec, radius=10.0), tmp_path, {"fov_degrees": FOV}))
+    again = read_spec(table).views[0].make(width, height)
+    assert (again.scale, again.centre, again.distortion) == (seen.scale, seen.centre, seen.distortion)
+    given = with_camera(read_photographs(folder), {"focal_length_px": 900.0}, "--camera").views[0].make(width, height)
+    assert given.distortion == () and given.centre == (width / 2, height / 2)

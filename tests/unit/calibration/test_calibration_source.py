@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.photographs import read_photographs
 from irpso_addon.calibration.radiometry.brackets import brackets_of, name_amount
 from irpso_addon.calibration.radiometry.source import Exposing, read_source
+from irpso_addon.capture.formats.diligent import mask_of
+from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.files import natural
 from tests.builders.captures import LIGHTS, chunk, decode_png, write_diligent, write_png
@@ -106,6 +109,22 @@ def test_a_folder_gives_all_photographs_except_left_out_ones(tmp_path):
     assert source.capture is None
 
 
+@pytest.mark.parametrize("name", ["mask.png", "Mask.png", "MASK.TIFF", "mask.jpeg", "mask.heic"])
+def test_a_mask_of_any_spelling_is_no_photograph(tmp_path, name):
+    for other in ("1.png", name):
+        photograph(tmp_path / other)
+    assert [shot.name for shot in read_source(tmp_path, decode_png).shots] == ["1"]
+    spec = read_photographs(tmp_path)
+    assert [shot.name for shot in spec.observations] == ["1.png"] and spec.views[0].mask.path == tmp_path / name
+    lists(tmp_path, ["1.png"], LIGHTS[:1])
+    assert read_spec(tmp_path).views[0].mask.path == tmp_path / name
+
+
+def test_a_name_that_only_begins_like_a_masks_is_a_photograph(tmp_path):
+    photograph(tmp_path / "mask_1.png")
+    assert mask_of(tmp_path) is None and [shot.name for shot in read_source(tmp_path, decode_png).shots] == ["mask_1"]
+
+
 def lists(folder, names, lights):
     (folder / "filenames.txt").write_text("".join(f"{name}\n" for name in names))
     np.savetxt(folder / "light_directions.txt", lights)
@@ -142,6 +161,19 @@ def test_single_frames_are_scaled_by_their_own_exposure(tmp_path):
     lists(tmp_path, names, LIGHTS)
     source = read_source(tmp_path, decode_png, Exposing("exif", False))
     assert [s.amounts for s in source.groups] == [pytest.approx((0.1 / (k + 1),)) for k in range(5)]
+
+
+def test_lists_of_light_positions_are_told_as_recover_tells_them(tmp_path):
+    for k in range(3):
+        photograph(tmp_path / f"{k}.png")
+    (tmp_path / "._A.lp").write_bytes(b"\0\5\x16\7")  # of macOS
+    assert read_source(tmp_path, decode_png).capture is None
+    text = "3\n" + "".join(f"{k}.png 0 {k} 1\n" for k in range(3))
+    (tmp_path / "A.LP").write_text(text)
+    assert read_source(tmp_path, decode_png).capture is not None
+    (tmp_path / "B.lp").write_text(text)
+    with pytest.raises(InputError, match="holds 2 .lp files; give the path of the one to read"):
+        read_source(tmp_path, decode_png)
 
 
 def test_parts_of_an_exr_are_no_brackets(tmp_path):

@@ -10,7 +10,7 @@ from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.read import read_spec
 from irpso_addon.commands import develop, response
 from tests.builders.captures import LIGHTS, chunk, decode_png, shade, sphere, write_png
-from tests.builders.command_line import listing, run_cli
+from tests.builders.command_line import dome_lights, listing, run_cli
 from tests.builders.exif import exif
 
 SIZE = 48
@@ -391,3 +391,50 @@ def test_the_current_folder_is_an_output(photographs, tmp_path, monkeypatch):
     assert run_cli("develop", photographs, "-o", ".", "--quiet", *everything(photographs))[::2] == (0, "")
     assert here.stat().st_ino == place and len(read_capture(here).observations) == 5
     assert not list(tmp_path.glob(".*"))
+
+
+def linear_ball(folder):
+    """Write 24 linear 8-bit photographs of a matt ball, which state no encoding, and their lights."""
+    folder.mkdir()
+    lights = dome_lights(24, 65)
+    names = [f"{k:02d}.png" for k in range(len(lights))]
+    for name, frame in zip(names, shade(NORMALS, lights), strict=True):
+        write_png(folder / name, np.rint(255 * np.repeat(frame[::-1, :, None], 3, axis=2)).astype(int))
+    (folder / "filenames.txt").write_text("\n".join(names))
+    np.savetxt(folder / "light_directions.txt", lights)
+    return folder
+
+
+def test_files_without_a_stated_encoding_come_out_as_a_recovery_reads_them(tmp_path):
+    folder, out = linear_ball(tmp_path / "capture"), tmp_path / "out"
+    code, _, err = run_cli("develop", folder, "-o", out)
+    assert code == 0 and "read as linear values" in err and "set --colour-space srgb" in err
+    for one, other in zip(read_capture(folder, decode_png).observations, read_capture(out).observations, strict=True):
+        np.testing.assert_allclose(other.read(), one.read(), atol=1e-6)
+    assert 'colour_space = "linear"' in (out / "corrections" / "corrections.toml").read_text()
+
+
+def test_a_response_curve_reads_files_in_place_of_the_encodings_test(tmp_path):
+    linear_ball(tmp_path / "capture")
+    curve = tmp_path / "curve.csv"
+    curve.write_text("0 0\n1 1\n")
+    code, _, err = run_cli("develop", tmp_path / "capture", "-o", tmp_path / "out", "--response", curve)
+    assert code == 0 and "linear values" not in err
+
+
+def test_the_list_camera_and_mask_of_a_plain_folder_go_along(photographs, tmp_path):
+    (photographs / "light_directions.txt").unlink()
+    (photographs / "filenames.txt").write_text("07.png\n01.png\n")
+    (photographs / "camera.toml").write_text("fov_degrees = 30\n")
+    write_png(photographs / "Mask.png", np.full((SIZE, SIZE, 1), 255))
+    out = tmp_path / "out"
+    assert run_cli("develop", photographs, "-o", out, "--quiet")[::2] == (0, "")
+    assert (out / "filenames.txt").read_text().split() == ["07.exr", "01.exr"]
+    for name in ("camera.toml", "Mask.png"):
+        assert (out / name).read_bytes() == (photographs / name).read_bytes()
+    merged = tmp_path / "merged"
+    assert run_cli("develop", photographs, "-o", merged, "--brackets", "exif", "--quiet")[::2] == (0, "")
+    report = json.loads((merged / "report.json").read_text())
+    assert [image["files"] for image in report["images"]] == [
+        [f"{k}.png" for k in row] for row in (("00", "01", "02"), ("06", "07", "08"))
+    ]

@@ -1,5 +1,6 @@
 """Hand-held photographs with a flash: poses, lens, lamp and beam against the truth that made them, in float64."""
 
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,11 @@ from irpso_addon.calibration.handheld.poses import camera_matrix, focal_of, plan
 from irpso_addon.calibration.handheld.tracks import Tracks, _Match, _merged
 from irpso_addon.capture.frame.board import board_of
 from irpso_addon.capture.frame.homography import homography, mapped
+from irpso_addon.capture.images.exif import upright
+from irpso_addon.commands import handheld
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
+from tests.builders.captures import write_png
 from tests.builders.flat_scene import from_upper_left, texture
 from tests.builders.handheld import BEAM, FOCAL, OFFSET, STRENGTH, hand, on_board, photographs, shining
 
@@ -189,6 +193,35 @@ def test_photographs_of_a_board_give_cameras_and_flash_in_millimetres(on_paper):
     np.testing.assert_array_equal(given.flash.offset, OFFSET)
 
 
+def turned_by_exif(capture, orientations):
+    """Return a capture as reading turns its photographs upright."""
+    shots, cameras = [], []
+    for shot, camera, orientation in zip(capture.observations, capture.cameras, orientations, strict=True):
+        picture = upright(shot.read(), orientation)
+        shots.append(replace(shot, read=lambda picture=picture: picture))
+        height, width = picture.shape[:2]
+        cameras.append(replace(camera, width=width, height=height, centre=(width / 2, height / 2)))
+    return replace(capture, observations=tuple(shots), cameras=tuple(cameras))
+
+
+def test_the_flash_stays_on_its_side_of_the_lens_where_exif_turns_photographs(on_paper):
+    """With one place in the upright pictures the flash of these photographs is found at 1.1, 0.3 ± 0.2 mm."""
+    cameras, capture = on_paper
+    orientations = [1, 6, 1, 6, 1, 3, 6, 1, 8]
+    found = run_steps(handheld_steps(turned_by_exif(capture, orientations), "known", None, orientations))
+    np.testing.assert_allclose(found.flash.offset, OFFSET, atol=3.0)
+    lamps = [cameras[n].matrix[:3, :3] @ OFFSET + cameras[n].position for n in found.numbers]
+    assert np.linalg.norm(found.lamps - lamps, axis=1).max() < 7
+    given = run_steps(handheld_steps(turned_by_exif(capture, orientations), "known", OFFSET, orientations))
+    assert np.linalg.norm(given.lamps - lamps, axis=1).max() < 6
+
+
+def test_turned_photographs_whose_exif_does_not_say_so_are_refused(on_paper):
+    turned = turned_by_exif(on_paper[1], [1, 6] + [1] * 7)
+    with pytest.raises(InputError, match="IMG_1: is turned against IMG_0, but their EXIF orientation does not say so"):
+        run_steps(handheld_steps(turned, "known"))
+
+
 def test_a_card_that_shines_does_not_bend_the_flash_that_matt_paper_shows():
     """With the places of the card the flash is 7 and 3 mm off."""
     pytest.importorskip("cv2", reason="OpenCV is not installed")
@@ -352,3 +385,16 @@ def test_photographs_of_a_card_that_is_the_same_after_a_quarter_turn_are_refused
 
     with pytest.raises(InputError, match="looks the same after a turn or a shift.*IMG_0.*markers"):
         run_steps(handheld_steps(photographs(hand(9, seed=7, widest=35.0), value), "known"))
+
+
+def test_photographs_of_one_name_in_two_folders_get_cameras_of_two_names(tmp_path):
+    names = ["a/1.png", "b/1.png", "b/2.png"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_png(tmp_path / name, np.zeros((4, 4, 3), int))
+    (tmp_path / "filenames.txt").write_text("\n".join(names))
+    spec = handheld._photographs(Namespace(photographs=tmp_path, colour_space="auto"))
+    assert [shot.name for shot in spec.observations] == ["a/1.png", "b/1.png", "2.png"] == [v.name for v in spec.views]
+    (tmp_path / "filenames.txt").write_text("\n".join([*names, "b/../a/1.png"]))
+    with pytest.raises(InputError, match=r"filenames.txt: lists .*1.png twice; remove one of the lines"):
+        handheld._photographs(Namespace(photographs=tmp_path, colour_space="auto"))

@@ -101,7 +101,7 @@ def test_a_rig_needs_nothing_of_the_capture_that_it_came_from(developed_rig, cap
 
 
 def test_without_corrections_the_capture_points_at_the_photographs(plain_rig, later, tmp_path):
-    write_png(later / "mask.png", np.where(X[..., None] > 0, 255, 0).astype(int), 8)
+    write_png(later / "Mask.PNG", np.where(X[..., None] > 0, 255, 0).astype(int), 8)
     code, out, _ = run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / "out", "--json")
     assert code == 0 and json.loads(out)["developed"] is False
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"capture.toml", "report.json"}

@@ -129,9 +129,23 @@ def test_unlabelled_srgb_files_stay_srgb(tmp_path, ball, name):
         ("linear", 8, chunk(b"gAMA", struct.pack(">I", 45455)), "auto", "srgb", "--colour-space linear"),
         ("linear", 8, chunk(b"gAMA", struct.pack(">I", 100000)), "auto", "linear", ""),
         ("srgb", 16, b"", "auto", "linear", "--colour-space srgb"),
+        ("srgb", 16, chunk(b"sRGB", b"\0"), "auto", "srgb", ""),
+        ("srgb", 16, chunk(b"gAMA", struct.pack(">I", 45455)), "auto", "srgb", ""),
+        ("linear", 16, chunk(b"sRGB", b"\0"), "auto", "srgb", "--colour-space linear"),
+        ("linear", 16, chunk(b"gAMA", struct.pack(">I", 100000)), "auto", "linear", ""),
         ("linear", 8, b"", "srgb", "srgb", ""),
     ],
-    ids=["sRGB chunk", "gAMA of sRGB", "gAMA of linear", "16 bits", "asked for"],
+    ids=[
+        "sRGB chunk",
+        "gAMA of sRGB",
+        "gAMA of linear",
+        "16 bits",
+        "16 sRGB chunk",
+        "16 gAMA of sRGB",
+        "16 linear in spite of its sRGB chunk",
+        "16 gAMA of linear",
+        "asked for",
+    ],
 )
 def test_a_stated_encoding_is_used_and_a_contradiction_is_a_warning(
     tmp_path, ball, values, bits, extra, asked, read_as, said

@@ -94,6 +94,15 @@ def test_an_intensity_at_distance_1_is_not_that_of_a_distant_light(tmp_path):
     assert first.intensity == spec.observations[0].intensity != (1.0, 1.0, 1.0) and second.intensity == (1.0, 1.0, 1.0)
 
 
+def test_measured_intensities_replace_all_former_ones_also_that_of_the_first_light(tmp_path):
+    spec = read_spec(write_near_card(tmp_path / "card"))
+    measured = [(1.0, 1.0, 1.0), (0.7, 0.8, 0.9)]  # relative to the first light, as matte balls give them
+    lights = {n: Light((1.0, 2.0, 400.0), intensity, False) for n, intensity in enumerate(measured)}
+    (tmp_path / "new.toml").write_text(calibrated_table(spec, {}, lights, tmp_path))
+    assert spec.observations[0].intensity != measured[0]
+    assert [shot.intensity for shot in read_spec(tmp_path / "new.toml").observations[:2]] == measured
+
+
 def test_inspect_reports_the_size_of_a_card_and_a_missing_distance(tmp_path):
     folder = write_near_card(tmp_path / "card")
     report = inspect_capture(folder, goals=())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture import CaptureError, Picture, read_capture
-from irpso_addon.capture.images.exif import orientation_of, tiff_tags, upright
+from irpso_addon.capture.images.exif import orientation_of, tiff_tags, upright, upright_axes
 from irpso_addon.capture.images.headers import read_header
 from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture
 from irpso_addon.core.encode import linear_from_srgb
@@ -91,6 +91,16 @@ def test_turning_upright_follows_the_eight_cases_of_the_standard():
     for orientation, expected in upright_pictures.items():
         found = upright(stored[::-1], orientation)[::-1]
         np.testing.assert_array_equal(found, expected, err_msg=str(orientation))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_the_axes_turn_with_the_picture(orientation):
+    def places(height, width):  # right and up from the middle, row 0 at the bottom
+        return np.stack(np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2), axis=-1)
+
+    turned = upright(places(4, 6), orientation)
+    expected = places(*turned.shape[:2])
+    np.testing.assert_array_equal(turned @ upright_axes(orientation)[:2, :2].T, expected)
 
 
 def test_headers_give_kind_size_and_depth(tmp_path):

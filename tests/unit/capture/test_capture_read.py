@@ -177,6 +177,19 @@ def test_the_colour_space_argument_overrides_the_table(tmp_path):
     np.testing.assert_allclose(found, 0.2158605, rtol=1e-5)
 
 
+@pytest.mark.parametrize("half", [False, True])
+def test_a_stated_colour_space_overrides_that_of_an_exr(tmp_path, half):
+    codes = np.linspace(-0.1, 1.5, 48).reshape(6, 8)
+    write_diligent(tmp_path, codes[None], LIGHTS[:1], half=half)
+    stored = codes.astype(np.float16 if half else np.float32)
+    for space in ("auto", "linear"):
+        np.testing.assert_array_equal(read_capture(tmp_path, colour_space=space).observations[0].read()[..., 0], stored)
+    stored = stored.astype(np.float64)
+    expected = np.where(stored <= 0.04045, stored / 12.92, ((np.maximum(stored, 0) + 0.055) / 1.055) ** 2.4)
+    found = read_capture(tmp_path, colour_space="srgb").observations[0].read()
+    np.testing.assert_allclose(found, np.dstack([expected] * 3 + [np.ones((6, 8))]), rtol=1e-5)
+
+
 def test_a_ball_read_back_has_the_normals_it_was_shaded_with(tmp_path):
     normals, mask = sphere()
     lights = LIGHTS[:3] * [1, 1, 1] + [[0, 0, 0], [0, 0.2, 0], [0, 0.2, 0]]
