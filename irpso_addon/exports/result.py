@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from ..blender.materials.gltf import recovered_slots
 from ..capture.images.exr import read_exr
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, tile_part, tile_stem
 from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.surface.mesh import MeshData
+from ..geometry.surface.slots import slot_names, slots_of_text
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
@@ -90,6 +92,24 @@ def open_sky_of(result: Result, index: int) -> np.ndarray | float:
     """Return ``Result.open_sky`` of the tile with this index."""
     sky = result.open_sky
     return sky if isinstance(sky, float) else tile_part(sky, index, len(result.maps.tiles))
+
+
+def slots_of_result(result: Result, obj: Any) -> tuple[int, ...] | None:
+    """Return the slots of a mesh object that the maps belong to, None for all.
+
+    Their numbers are those of the report: their names are now the recovered materials'. A report of an older version
+    has the numbers only where the recovery chose by number; then they are all slots with a recovered material.
+    """
+    if result.mesh is not None:
+        return result.mesh.solved_slots
+    solved = result.report.get("solved_slots")
+    if isinstance(solved, list):
+        return tuple(slot for slot in solved if slot < max(1, len(obj.material_slots))) or None
+    settings = result.report.get("settings")
+    chosen = (settings.get("slots") if isinstance(settings, dict) else None) or ""
+    if chosen and all(part.strip().isdecimal() for part in chosen.split(",")):
+        return slots_of_text(chosen, slot_names(obj))
+    return recovered_slots(obj) or None
 
 
 def measured_maps(result: Result) -> Maps:

@@ -223,6 +223,7 @@ def test_slots_with_overlapping_uvs_are_refused_together_and_recovered_one_by_on
         expected = list(SLOTS)
         expected[index] = f"IRPSO Sheets {name}"
         assert held == expected
+        assert json.loads((folder / "by" / name / "report.json").read_text())["solved_slots"] == [index]
 
 
 def test_a_material_of_several_slots_goes_into_all_of_them_and_keeps_its_name(folder, tmp_path):
