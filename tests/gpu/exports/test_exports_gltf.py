@@ -179,7 +179,14 @@ def test_textures_of_a_card_end_at_its_borders(card, mode, tmp_path):
         assert {sampler.get(key, 10497) for key in ("wrapS", "wrapT")} == {mode}
 
 
-def test_the_maps_of_a_session_go_on_its_slots_in_its_uv_map(tmp_path):
+def drawn(path):
+    """Return material → the number of its corners."""
+    table, binary = read_glb(path)
+    parts = table["meshes"][0]["primitives"]
+    return {table["materials"][p["material"]]["name"]: accessor(table, binary, p["indices"]).size for p in parts}
+
+
+def test_the_maps_of_a_session_or_folder_go_on_its_slots_in_its_uv_map(tmp_path):
     result, obj = on_a_sheet("principled", texels=32)
     other = build_material(result.maps, "recovered before")
     obj.data.materials.append(other)
@@ -201,6 +208,11 @@ def test_the_maps_of_a_session_go_on_its_slots_in_its_uv_map(tmp_path):
     wanted = mesh.uvs[mesh.solved].reshape(-1, 2)
     assert len(uvs) == len(wanted)
     np.testing.assert_allclose(np.unique(uvs.round(4), axis=0), np.unique(wanted.round(4), axis=0), atol=2e-4)
+    obj.data.uv_layers.active = obj.data.uv_layers["UVMap"]
+    bpy.context.view_layer.update()
+    stored = replace(result, card=False, report={"solved_slots": [1]})
+    gltf.write_gltf(stored, tmp_path / "stored.glb", obj)
+    assert drawn(tmp_path / "stored.glb") == drawn(tmp_path / "leaf.glb")
     obj.data.uv_layers.remove(obj.data.uv_layers["UVMap"])
     obj.data.update_tag()
     bpy.context.view_layer.update()
