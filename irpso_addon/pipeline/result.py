@@ -79,6 +79,8 @@ def report_of(
         report["priors_decided"] = shares
     if job.capture.left_out:
         report["left_out"] = [asdict(image) for image in job.capture.left_out]
+    if job.held_out:
+        report["held_out"] = [job.listed_numbers[k] for k in job.held_out_indices]
     if job.mesh is not None:
         report["solved_slots"] = list(job.mesh.solved_slots)
     report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())

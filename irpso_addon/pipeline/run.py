@@ -33,7 +33,7 @@ from ..solver.planning.plan import Plan
 from ..solver.planning.planning import covered_texels, make_plan, planned_recovery, untiled
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
-from ..solver.views.held_out import relit_steps
+from ..solver.views.held_out import relit_steps, told_apart
 from .job import Job
 
 T = TypeVar("T")
@@ -149,7 +149,8 @@ class Run:
         held_out = self.job.held_out_indices
         if self.recovery is not None and held_out:
             self._held_out_indirect = yield from self.recovery.indirect_in(subset(domain, held_out, domain.solvable))
-        steps = relit_steps(domain, maps, held_out, self.job.capture, self._elsewhere, self.indirect)
+        names = told_apart([shot.name for shot in self.job.capture.observations], self.job.listed_numbers)
+        steps = relit_steps(domain, maps, held_out, names, self._elsewhere, self.indirect)
         self._relit = evaluations, *(yield from steps)
 
     @property

@@ -121,6 +121,7 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     assert expected.mean() > 0.01
     assert answer["ground_truth"]["normal"]["mean"] == pytest.approx(expected.mean(), rel=1e-3)
     assert answer["ground_truth"]["normal"]["p99"] == pytest.approx(np.percentile(expected, 99), rel=1e-3)
+    assert answer["held_out"] == [3, 7]
     assert set(answer["relighting_psnr_db"]) == {"light 3", "light 7"} and (tmp_path / "out" / "relit.png").is_file()
     found = {name: read_map(tmp_path / "out" / f"{name}.exr") for name in ("normal", "base_color")}
     seen, relit = (cli_maker.render_oracle("lambert", maps, LIGHTS[3:4])[0] for maps in (values, found))
