@@ -13,6 +13,7 @@ import numpy as np
 
 from ..blender.materials.gltf import recovered_slots
 from ..capture.images.exr import read_exr
+from ..core.encode import fill_margin
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, tile_part, tile_stem
 from ..geometry.relief.height import TEXELS, Height
@@ -49,12 +50,13 @@ class Result:
     def open_sky(self) -> np.ndarray | float:
         """(H, W) visible share of an even sky: of a card's relief, or ``baked_sky`` of a mesh; 1 if unknown.
 
-        The relief of a mesh gives none: it is only the mesh's fine detail."""
+        The relief of a mesh gives none: it is only the mesh's fine detail. Margins around a card are filled."""
         if self.baked_sky is not None:
             return self.baked_sky
         if not self.occluded or self.height is None or self.height.unit != TEXELS:
             return 1.0
-        return open_sky(self.height, wraps="tile" in self.report)
+        sky = open_sky(self.height, wraps="tile" in self.report)
+        return fill_margin(sky[..., None], self.height.covered)[..., 0]
 
     @property
     def blend(self) -> Path | None:
