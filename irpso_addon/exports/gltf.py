@@ -36,7 +36,7 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
             report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
     uv_map = None if result.mesh is None else result.mesh.uv_map
     slots = slots_of_result(result, obj)
-    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces, slots, uv_map):
+    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces, slots, uv_map, result.maps.wrapped):
         report["warnings"] = warnings
     return report
 

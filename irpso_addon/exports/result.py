@@ -83,10 +83,10 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     tiles = tuple(numbers) or ONE_SQUARE
     values = read_maps(folder, table, tiles)
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
-    # The file's margins are already filled, at seams with the texels from across the seam.
-    maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
     settings = settings if isinstance(settings, dict) else {}
     card = not (settings.get("blend") or settings.get("object"))
+    # The file's margins are already filled, at seams with the texels from across the seam.
+    maps = Maps(table, values, covered, tiles=tiles, margin=~covered, wrapped=not card or "tile" in report)
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
 
 

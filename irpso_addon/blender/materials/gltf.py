@@ -58,11 +58,13 @@ def write_glb(
     surfaces: Mapping[int, Surface],
     slots: Sequence[int] | None = None,
     uv_map: str | None = None,
+    wrapped: bool = False,
 ) -> list[str]:
     """Write an object of the open file as .glb, and return warnings. surfaces: by UDIM tile.
 
     slots: those that get these surfaces, None for all; others keep their materials. uv_map: of the surfaces, None for
-    the active one. Pictures have 8 bits. The open file stays unchanged. Raises InputError.
+    the active one. wrapped: whether a card's surfaces repeat. Pictures have 8 bits. The open file stays unchanged.
+    Raises InputError.
     """
     import bpy
 
@@ -70,8 +72,8 @@ def write_glb(
     if properties is None:
         raise InputError("Blender's glTF exporter is switched off; enable the add-on 'glTF 2.0 format'")
     with _kept_selection(), removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        # A card has nothing past its borders; a mesh's UV map may continue at the opposite border.
-        extension = "EXTEND" if TAG in obj else "REPEAT"
+        # A card that does not repeat has nothing past its borders; a mesh's UV map may continue at the opposite border.
+        extension = "EXTEND" if TAG in obj and not wrapped else "REPEAT"
         materials = {n: _material(made, one, Path(temporary), extension) for n, one in surfaces.items()}
         with _undivided(obj):
             copy = _triangles(made, obj, name, materials, slots, uv_map)

@@ -12,10 +12,11 @@ from irpso_addon.blender.materials.material import apply_material, build_materia
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import gltf
-from irpso_addon.exports.result import Result
+from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.relief.height import Height
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import write_maps
 from tests.builders.command_line import angle
 from tests.builders.exports import accessor, image_of, lean, on_a_sheet, read_glb, srgb
 from tests.oracles import reflectance as oracles
@@ -177,6 +178,19 @@ def test_textures_of_a_card_end_at_its_borders(card, mode, tmp_path):
     for texture in table["textures"]:
         sampler = table["samplers"][texture["sampler"]] if "sampler" in texture else {}
         assert {sampler.get(key, 10497) for key in ("wrapS", "wrapT")} == {mode}
+
+
+def test_a_seamless_tile_repeats(tmp_path):
+    maps = on_a_sheet("principled", texels=32)[0].maps
+    write_maps(maps, tmp_path / "leaf", {"model": "principled", "settings": {}, "tile": {}})
+    result = read_result(tmp_path / "leaf")
+    assert result.maps.wrapped
+    obj = card_object("leaf", 32, 32)
+    apply_material(obj, bpy.data.materials["IRPSO leaf"])
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    table, _ = read_glb(tmp_path / "leaf.glb")
+    samplers = [table["samplers"][t["sampler"]] if "sampler" in t else {} for t in table["textures"]]
+    assert samplers and {s.get(key, 10497) for s in samplers for key in ("wrapS", "wrapT")} == {10497}
 
 
 def drawn(path):
