@@ -21,6 +21,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import BAND_SECONDS
 from ..settings.levels import warm_started
+from ..settings.resolve import held_names
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
@@ -323,9 +324,10 @@ class InterreflectionRounds(Successive):
         colour = next((values[p.name][solved] for p in self.model.parameters if p.is_albedo), None)
         if colour is None:
             return values
+        held = held_names(self.schedule, self.model, self.fixed)
         for p in self.model.parameters:
             deviation = (maps.confidence or {}).get(p.name)
-            if not (p.is_normal or p.is_albedo or p.name in self.fixed or deviation is None):
+            if not (p.is_normal or p.is_albedo or p.name in held or deviation is None):
                 values[p.name] = values[p.name].copy()
                 own = values[p.name][solved], deviation[solved]
                 values[p.name][solved] = shrunk_to_similar_colours(*own, colour, explained[solved])

@@ -130,6 +130,19 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     assert answer["relighting_psnr_db"]["light 3"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.05)
 
 
+def test_a_prior_decides_nothing_about_what_is_not_searched(tmp_path):
+    lights = cli_maker.dome_lights(6, widest=30)
+    images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps((6, 8), {}), lights)
+    folder = cli_maker.write_card(tmp_path / "matt", images, lights)
+    words = "recover", folder, "--model", "metallic_roughness", "--iterations", 3, "--json"
+    shares = []
+    for number, more in enumerate(((), ("--search", "normal,base_color,roughness"))):
+        code, answer, err = run_cli(*words, *more, "-o", tmp_path / f"out{number}")
+        assert code == 0, err
+        shares.append(set(json.loads(answer.splitlines()[-1])["priors_decided"]))
+    assert shares[0] == shares[1] | {"metallic", "specular"} and shares[1] == {"roughness"}
+
+
 def test_highlights_of_held_out_images_are_measured_separately(tmp_path):
     lights = cli_maker.dome_lights(20, widest=30)
     values = cli_maker.smooth_maps((24, 30), {"roughness": (0.3, 0.4), "specular": (1.0, 1.0)})
