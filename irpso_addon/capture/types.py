@@ -138,6 +138,12 @@ class Capture:
         return names
 
     @property
+    def listed_numbers(self) -> list[int]:
+        """Index of each of ``observations`` in the files' list."""
+        excluded = [one.index for one in self.left_out]
+        return [index for index in range(self.listed) if index not in excluded]
+
+    @property
     def listed_cameras(self) -> list[int]:
         """Camera of each listed observation; −1 of an excluded one."""
         cameras = [observation.camera for observation in self.observations]

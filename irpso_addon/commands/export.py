@@ -15,10 +15,10 @@ from ..exports.formats import export
 from ..exports.names import ASSET, ONE_FILE, RELIEF, TURNTABLE, WEB
 from ..exports.place import file_place, file_stem
 from ..exports.relief import write_relief
-from ..exports.result import Result, read_result
+from ..exports.result import Result, read_result, slots_of_result
 from ..exports.turntable import write_turntable
 from ..gpu import context, probe
-from .options.occlusion import check_occlusion, slots_of_result, with_occlusion
+from .options.occlusion import check_occlusion, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
 from .options.values import check_shelf, shelf_of, silent
 

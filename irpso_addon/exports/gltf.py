@@ -18,7 +18,7 @@ from ..results.report import plain, quantiles
 from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem
-from .result import Result, open_sky_of
+from .result import Result, open_sky_of, slots_of_result
 from .surface import F0_HALF, surface_of
 
 
@@ -34,7 +34,9 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
         surfaces[number], error = _surface(maps, stem, open_sky_of(result, index))
         if error is not None:
             report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
-    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces, result.mesh):
+    uv_map = None if result.mesh is None else result.mesh.uv_map
+    slots = slots_of_result(result, obj)
+    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces, slots, uv_map, result.maps.wrapped):
         report["warnings"] = warnings
     return report
 

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from ..blender.materials.gltf import recovered_slots
 from ..capture.images.exr import read_exr
+from ..core.encode import fill_margin
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, tile_part, tile_stem
 from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.surface.mesh import MeshData
+from ..geometry.surface.slots import slot_names, slots_of_text
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
@@ -47,12 +50,13 @@ class Result:
     def open_sky(self) -> np.ndarray | float:
         """(H, W) visible share of an even sky: of a card's relief, or ``baked_sky`` of a mesh; 1 if unknown.
 
-        The relief of a mesh gives none: it is only the mesh's fine detail."""
+        The relief of a mesh gives none: it is only the mesh's fine detail. Margins around a card are filled."""
         if self.baked_sky is not None:
             return self.baked_sky
         if not self.occluded or self.height is None or self.height.unit != TEXELS:
             return 1.0
-        return open_sky(self.height, wraps="tile" in self.report)
+        sky = open_sky(self.height, wraps="tile" in self.report)
+        return fill_margin(sky[..., None], self.height.covered)[..., 0]
 
     @property
     def blend(self) -> Path | None:
@@ -79,10 +83,10 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     tiles = tuple(numbers) or ONE_SQUARE
     values = read_maps(folder, table, tiles)
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
-    # The file's margins are already filled, at seams with the texels from across the seam.
-    maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
     settings = settings if isinstance(settings, dict) else {}
     card = not (settings.get("blend") or settings.get("object"))
+    # The file's margins are already filled, at seams with the texels from across the seam.
+    maps = Maps(table, values, covered, tiles=tiles, margin=~covered, wrapped=not card or "tile" in report)
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
 
 
@@ -90,6 +94,24 @@ def open_sky_of(result: Result, index: int) -> np.ndarray | float:
     """Return ``Result.open_sky`` of the tile with this index."""
     sky = result.open_sky
     return sky if isinstance(sky, float) else tile_part(sky, index, len(result.maps.tiles))
+
+
+def slots_of_result(result: Result, obj: Any) -> tuple[int, ...] | None:
+    """Return the slots of a mesh object that the maps belong to, None for all.
+
+    Their numbers are those of the report: their names are now the recovered materials'. A report of an older version
+    has the numbers only where the recovery chose by number; then they are all slots with a recovered material.
+    """
+    if result.mesh is not None:
+        return result.mesh.solved_slots
+    solved = result.report.get("solved_slots")
+    if isinstance(solved, list):
+        return tuple(slot for slot in solved if slot < max(1, len(obj.material_slots))) or None
+    settings = result.report.get("settings")
+    chosen = (settings.get("slots") if isinstance(settings, dict) else None) or ""
+    if chosen and all(part.strip().isdecimal() for part in chosen.split(",")):
+        return slots_of_text(chosen, slot_names(obj))
+    return recovered_slots(obj) or None
 
 
 def measured_maps(result: Result) -> Maps:

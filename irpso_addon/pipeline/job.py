@@ -87,6 +87,12 @@ class Job:
         """The number, from 0, of each of the capture's observations in its files or scene."""
         return order_of(len(self.capture.observations), self.held_out)
 
+    @property
+    def listed_numbers(self) -> list[int]:
+        """The number, from 0, of each of the capture's observations among those that its files list."""
+        listed = self.capture.listed_numbers
+        return [listed[number] for number in self.numbers]
+
     def fitted_at(self, number: int) -> int:
         """Return the index of the observation with a number, or of the next fitted one."""
         numbers = self.numbers[: len(self.fitted)]

@@ -34,7 +34,7 @@ from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
-from ..solver.views.held_out import relit_steps
+from ..solver.views.held_out import distinct_names, relit_steps
 from .job import Job
 
 T = TypeVar("T")
@@ -150,7 +150,8 @@ class Run:
         held_out = self.job.held_out_indices
         if self.recovery is not None and held_out:
             self._held_out_indirect = yield from self.recovery.indirect_in(subset(domain, held_out, domain.solvable))
-        steps = relit_steps(domain, maps, held_out, self.job.capture, self._elsewhere, self.indirect)
+        names = distinct_names([shot.name for shot in self.job.capture.observations], self.job.listed_numbers)
+        steps = relit_steps(domain, maps, held_out, names, self._elsewhere, self.indirect)
         self._relit = evaluations, *(yield from steps)
 
     @property

@@ -46,7 +46,7 @@ class MapTable:
     def fits_unit(self) -> bool:
         """Whether the values, or their standard encoding, lie in 0…1, so that a PNG stores them unscaled."""
         in_unit = all(p.range[0] >= 0 and p.range[1] <= 1 for p in self.parameters)
-        return self.is_normal or self.color_space == "sRGB" or in_unit
+        return self.is_normal or in_unit
 
 
 def map_tables(model: ReflectanceModel) -> list[MapTable]:
@@ -87,7 +87,8 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
     """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or unchanged values.
 
-    Values of a range beyond 0…1 are encoded as a fraction of it. Two channels get a third, black one.
+    Linear values of a range beyond 0…1 are encoded as a fraction of it, sRGB ones are clipped. Two channels get a
+    third, black one.
     """
     if table.is_normal:
         return encode_normal(values)

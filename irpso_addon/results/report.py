@@ -63,14 +63,14 @@ def build_report(
 
 
 def limit_warnings(maps: Maps, fixed: Collection[str] = ()) -> list[str]:
-    """Return one line per linear weight, not in ``fixed``, that is at its upper limit on many texels.
+    """Return one line per albedo, not in ``fixed``, that is at its upper limit on many texels.
 
     No surface reflects more than all light. A capture with missing or wrong intensities is often brighter than a white
     surface, which biases normals (by 37° in the mean at five times the brightness).
     """
     lines = []
     for parameter in maps.model.parameters:
-        if parameter.kind != "linear" or parameter.name in fixed or not maps.covered.any():
+        if not parameter.is_albedo or parameter.name in fixed or not maps.covered.any():
             continue
         limit = parameter.range[1]
         share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= limit * (1 - _LIMIT_NEAR)).mean())

@@ -56,7 +56,7 @@ def seamless(
     square = {name: np.asarray(values[name], np.float64)[y : y + side, x : x + side] for name in names}
     stack = np.concatenate([square[name] for name in names], axis=-1)
     scale = np.concatenate([_scale(model, name, square[name]) for name in names])
-    over, above = (round(overlap * side),) * 2 if overlap else _matching_overlaps(stack / scale)
+    over, above = (min(round(overlap * side), side // 2),) * 2 if overlap else _matching_overlaps(stack / scale)
     plain = _steps_over_wrap(stack / scale)
     across, first = _joined(stack, scale, over, wraps=False)
     turned, second = _joined(across.swapaxes(0, 1), scale, above, wraps=True)

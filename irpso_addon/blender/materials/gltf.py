@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from ...core.errors import InputError
 from ...core.files import replacing_file
 from ...core.png import encode_png
 from ...core.udim import tile_place
-from ...geometry.surface.mesh import MeshData
 from ..colour_spaces import Use, use_space
 from ..mesh import mesh_of_faces
 from ..operators import quiet_operator, removed_afterwards
@@ -53,13 +52,19 @@ class Surface:
 
 
 def write_glb(
-    path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface], mesh: MeshData | None = None
+    path: Path,
+    obj: Any,
+    name: str,
+    surfaces: Mapping[int, Surface],
+    slots: Sequence[int] | None = None,
+    uv_map: str | None = None,
+    wrapped: bool = False,
 ) -> list[str]:
     """Write an object of the open file as .glb, and return warnings. surfaces: by UDIM tile.
 
-    mesh: the one that the maps were recovered on; its solved slots get these surfaces, in its UV map. None: all slots
-    with a recovered material, in the active UV map. Other slots keep their materials. Pictures have 8 bits. The open
-    file stays unchanged. Raises InputError.
+    slots: those that get these surfaces, None for all; others keep their materials. uv_map: of the surfaces, None for
+    the active one. wrapped: whether a card's surfaces repeat. Pictures have 8 bits. The open file stays unchanged.
+    Raises InputError.
     """
     import bpy
 
@@ -67,11 +72,11 @@ def write_glb(
     if properties is None:
         raise InputError("Blender's glTF exporter is switched off; enable the add-on 'glTF 2.0 format'")
     with _kept_selection(), removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        # A card has nothing past its borders; a mesh's UV map may continue at the opposite border.
-        extension = "EXTEND" if TAG in obj else "REPEAT"
+        # A card that does not repeat has nothing past its borders; a mesh's UV map may continue at the opposite border.
+        extension = "EXTEND" if TAG in obj and not wrapped else "REPEAT"
         materials = {n: _material(made, one, Path(temporary), extension) for n, one in surfaces.items()}
         with _undivided(obj):
-            copy = _triangles(made, obj, name, materials, mesh)
+            copy = _triangles(made, obj, name, materials, slots, uv_map)
         for other in bpy.context.view_layer.objects:
             other.select_set(other == copy)
         bpy.context.view_layer.objects.active = copy
@@ -223,8 +228,10 @@ def _occlusion_group(made: list[Any]) -> Any:
     return group
 
 
-def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any], recovered_on: MeshData | None) -> Any:
-    """Return a copy of an object, in triangles, with the materials of its UDIM tiles; other slots stay.
+def _triangles(
+    made: list[Any], obj: Any, name: str, materials: dict[int, Any], chosen: Sequence[int] | None, uv_map: str | None
+) -> Any:
+    """Return a copy of an object, in triangles, with the materials of its UDIM tiles in chosen slots; others stay.
 
     The maps' tangents are those of Blender's triangles; for quads the exporter would compute others.
     """
@@ -235,9 +242,9 @@ def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any], 
         obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
     )
     made.append(source)
-    layer = source.uv_layers.active if recovered_on is None else source.uv_layers.get(recovered_on.uv_map)
+    layer = source.uv_layers.active if uv_map is None else source.uv_layers.get(uv_map)
     if layer is None:
-        missing = "UV map" if recovered_on is None else f"UV map '{recovered_on.uv_map}'"
+        missing = "UV map" if uv_map is None else f"UV map '{uv_map}'"
         raise InputError(f"object '{obj.name}' has no {missing}; the maps cannot be shown on it")
     source.calc_loop_triangles()
     count = len(source.loop_triangles)
@@ -248,8 +255,7 @@ def _triangles(made: list[Any], obj: Any, name: str, materials: dict[int, Any], 
     corners = np.reshape(vertices, (-1, 3))
     mesh = mesh_of_faces(name, _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3), corners)
     made.append(mesh)
-    chosen = recovered_slots(obj) if recovered_on is None else recovered_on.solved_slots
-    is_recovered = [index in chosen for index in range(len(obj.material_slots))]
+    is_recovered = [chosen is None or index in chosen for index in range(len(obj.material_slots))]
     is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
     recovered = is_recovered[np.minimum(slots, len(is_recovered) - 1)]
     originals = [slot.material for slot in obj.material_slots]

@@ -7,14 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from ...blender.materials.gltf import recovered_slots
 from ...blender.mesh import extract_mesh
 from ...blender.occluders import named_occluders, with_occluders
 from ...blender.occlusion import RAYS, mesh_open_sky
 from ...core.errors import InputError
 from ...exports.names import OCCLUDED
-from ...exports.result import Result
-from ...geometry.surface.slots import slot_names, slots_of_text
+from ...exports.result import Result, slots_of_result
 
 _MAX_RAYS = 4096
 
@@ -51,14 +49,3 @@ def with_occlusion(result: Result, options: Namespace, subject: Callable[[], Any
     mesh = extract_mesh(obj, slots_of_result(result, obj))
     mesh = with_occluders(mesh, named_occluders(options.occluder, obj, "--occluder"))
     return replace(result, baked_sky=mesh_open_sky(mesh, result.maps, options.rays or RAYS))
-
-
-def slots_of_result(result: Result, obj: Any) -> tuple[int, ...] | None:
-    """Return the object's slots that the maps belong to, None for all.
-
-    Slots that the recovery chose by number are chosen by number again: their names are now the recovered materials'.
-    """
-    chosen = result.report["settings"].get("slots") or ""
-    if chosen and all(part.strip().isdecimal() for part in chosen.split(",")):
-        return slots_of_text(chosen, slot_names(obj))
-    return recovered_slots(obj) or None

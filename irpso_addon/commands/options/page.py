@@ -63,7 +63,10 @@ def page_photographs(result: Result, options: Namespace) -> Photographs | None:
 
 def _chosen(capture: Capture, report: Mapping[str, Any], count: int) -> Photographs:
     names = [observation.name for observation in capture.observations]
-    held_out = [k for k, name in enumerate(names) if name in report.get("relighting_psnr_db", ())]
+    if "held_out" in report:
+        held_out = capture.numbers(report["held_out"])
+    else:  # a report of an older version
+        held_out = [k for k, name in enumerate(names) if name in report.get("relighting_psnr_db", ())]
     chosen = spread(card_lights(capture), card_bake(capture), held_out, count)
     domain = domain_from_card(replace(capture, observations=tuple(capture.observations[k] for k in chosen)))
     if isinstance(lights := report.get("lights"), dict):  # estimated by the recovery

@@ -23,6 +23,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import Phase
 from ..settings.fixed import full_map
+from ..settings.resolve import held_names
 from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
@@ -197,7 +198,7 @@ class RecoveryEngine(ABC):
     @property
     def held(self) -> frozenset[str]:
         """The parameters that are not searched now."""
-        return frozenset(self.fixed)
+        return held_names(self.schedule, self.model, self.fixed)
 
     @property
     def phase(self) -> Phase | None:

@@ -176,8 +176,8 @@ class Recovery(RecoveryEngine):
         yield {**self._textures.textures, **self._show()}
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        fixed, fitness, defines = self.fixed, self.schedule.fitness, self._textures.defines
-        work = deviation_pass(self._model_with_priors(self.schedule), fixed, fitness, defines)
+        held, fitness, defines = self.held, self.schedule.fitness, self._textures.defines
+        work = deviation_pass(self._model_with_priors(self.schedule), held, fitness, defines)
         return work, loss_constants(self._textures, fitness.delta)
 
     def give_stack(self) -> None:
@@ -302,7 +302,7 @@ class Recovery(RecoveryEngine):
 
     def _make_diagnostics(self) -> Diagnostics:
         model = self._model_with_priors(self.schedule)
-        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.fixed)
+        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.held)
 
     def _model_with_priors(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""

@@ -25,6 +25,7 @@ from ..settings.resolve import (
     ResolvedSpatialPrior,
     ResolvedSurface,
     ResolvedSwarm,
+    held_names,
     resolve,
 )
 from ..settings.schedule import Schedule
@@ -156,7 +157,7 @@ def recovery_cost(
     levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
     phases = tuple(phase_cost(stage, model, schedule) for stage in levels[0][1])
     free = model.without_priors({p.name for p in model.parameters})
-    numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
+    numbers = sum(p.components for p in varied(free, held_names(schedule, model, fixed), schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
     transport = (rounds, max(light.resolution**2, MAX_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)

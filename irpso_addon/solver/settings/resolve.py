@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -280,8 +281,8 @@ def resolve(
     observations: number of fitted ones. A prefit needs at least ``schedule.prefit.observations``; starts race with at
     most ``schedule.refinement.race_observations``. Raises InputError.
     """
-    names = _searched_names(schedule, model)
-    free = [p for p in model.parameters if p.name not in fixed and any(_in_stage(p, s, names) for s in schedule.stages)]
+    names, held = _searched_names(schedule, model), held_names(schedule, model, fixed)
+    free = [p for p in model.parameters if p.name not in held]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
     resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
@@ -303,6 +304,13 @@ def resolve(
     if not resolved:
         raise InputError("search: every searched parameter is fixed; leave one of them free")
     return tuple(resolved)
+
+
+def held_names(schedule: Schedule, model: ReflectanceModel, fixed: Collection[str]) -> frozenset[str]:
+    """Return the parameters that are not estimated: fixed ones, and those of no stage. Raises InputError."""
+    names = _searched_names(schedule, model)
+    searched = {p.name for p in model.parameters if any(_in_stage(p, stage, names) for stage in schedule.stages)}
+    return frozenset(p.name for p in model.parameters if p.name in fixed or p.name not in searched)
 
 
 def _searched_names(schedule: Schedule, model: ReflectanceModel) -> set[str]:

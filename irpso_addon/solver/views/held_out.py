@@ -64,24 +64,32 @@ def preview_names(capture: Capture, held_out: Sequence[int]) -> list[str]:
     return [observation.name + " (held out)" * (k in held_out) for k, observation in enumerate(capture.observations)]
 
 
+def distinct_names(names: Sequence[str], numbers: Sequence[int]) -> list[str]:
+    """Return photographs' names, with their number where several have one name."""
+    return [
+        f"{name} (number {number})" if names.count(name) > 1 else name
+        for name, number in zip(names, numbers, strict=True)
+    ]
+
+
 def relit_steps(
     domain: Domain,
     maps: Maps,
     held_out: Sequence[int],
-    capture: Capture,
+    names: Sequence[str],
     threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
     indirect: Indirect = no_indirect,
 ) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
     """Yield often; return pictures and figures, both {} without observations.
 
-    domain: of all observations. threaded: runs a numpy function in a thread and yields until it ends. indirect: the
-    light that is added to the render of an observation. The figures are the PSNR in dB of each observation and of its
-    highlights alone, their means, and the factor over the diffuse reflection that defines a highlight; None where there
-    are no samples to compare.
+    domain: of all observations. names: of all, each different. threaded: runs a numpy function in a thread and yields
+    until it ends. indirect: the light that is added to the render of an observation. The figures are the PSNR in dB of
+    each observation and of its highlights alone, their means, and the factor over the diffuse reflection that defines a
+    highlight; None where there are no samples to compare.
     """
     if not held_out:
         return {}, {}
-    names = [capture.observations[k].name for k in held_out]
+    names = [names[k] for k in held_out]
     bright, rows = [], []
     yield
     for k, diffuse in zip(held_out, rendered(domain, *_diffuse(domain, maps), held_out), strict=True):

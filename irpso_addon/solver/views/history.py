@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ...reflectance.model import Parameter
 from ...results.maps import Maps
 from ...results.preview import Curves, convergence, display_image, spread_marks
 from ...results.report import error_unit, parameter_error
@@ -71,11 +72,16 @@ class History:
         return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
 
     def take(self, notes: Mapping[str, np.ndarray]) -> None:
-        """Restore the record from a checkpoint, up to the recovery's iteration: a stage may be repeated."""
+        """Restore the record from a checkpoint, up to the recovery's iteration: a stage may be repeated.
+
+        Errors of a truth that only one of the two runs has are dropped, or NaN until this iteration.
+        """
         self._last = self._recovery.progress.iteration_in_all
         self._iterations = [int(n) for n in notes.get(_ITERATIONS, ()) if n <= self._last]
         count = len(self._iterations)
-        self._errors = {name: list(errors[:count]) for name, errors in notes.items() if name != _ITERATIONS}
+        unknown = np.full((count, len(self._rows)), np.nan)
+        names = ["residual", *(p.name for p in self._judged())]
+        self._errors = {name: list(notes.get(name, unknown)[:count]) for name in names} if count else {}
         if self._watches:
             self._recovery.watch(self._rows, self._columns, _due)
 
@@ -95,10 +101,14 @@ class History:
         self._last = note.iteration
         self._iterations.append(note.iteration)
         self._errors.setdefault("residual", []).append(100 * note.residual)
-        for p in self._recovery.model.parameters:
-            if self._truth is not None and p.name in self._truth:
+        if self._truth is not None:
+            for p in self._judged():
                 error = parameter_error(p, note.values[p.name], self._truth[p.name][self._rows, self._columns])
                 self._errors.setdefault(p.name, []).append(error)
+
+    def _judged(self) -> list[Parameter]:
+        """Return the parameters that the truth has."""
+        return [p for p in self._recovery.model.parameters if p.name in (self._truth or ())]
 
 
 def _interval(progress: Progress) -> int:

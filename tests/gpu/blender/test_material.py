@@ -79,6 +79,17 @@ def test_a_map_of_two_numbers_has_a_black_third_channel(tmp_path):
     np.testing.assert_array_equal(pixels(image)[..., :1], maps.values["stretch"])
 
 
+def test_a_colour_beyond_one_is_kept_unclipped():
+    model = load_model("lambert")
+    bright = [replace(p, range=(0.0, 4.0)) if p.is_albedo else p for p in model.parameters]
+    maps = random_maps(replace(model, parameters=tuple(bright)))
+    assert maps.values["base_color"].max() > 3
+    build_material(maps, "icon")
+    image = bpy.data.images["IRPSO icon base_color"]
+    assert image.is_float and image.colorspace_settings.name == "Non-Color"
+    np.testing.assert_array_equal(pixels(image), maps.values["base_color"])
+
+
 def test_the_principled_material_connects_every_map():
     material = build_material(random_maps(load_model("principled")), "icon")
     assert links(material.node_tree) == {

@@ -121,12 +121,26 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     assert expected.mean() > 0.01
     assert answer["ground_truth"]["normal"]["mean"] == pytest.approx(expected.mean(), rel=1e-3)
     assert answer["ground_truth"]["normal"]["p99"] == pytest.approx(np.percentile(expected, 99), rel=1e-3)
+    assert answer["held_out"] == [3, 7]
     assert set(answer["relighting_psnr_db"]) == {"light 3", "light 7"} and (tmp_path / "out" / "relit.png").is_file()
     found = {name: read_map(tmp_path / "out" / f"{name}.exr") for name in ("normal", "base_color")}
     seen, relit = (cli_maker.render_oracle("lambert", maps, LIGHTS[3:4])[0] for maps in (values, found))
     white = np.percentile(seen, 99.5)
     difference = srgb(seen / white) - srgb(relit / white)
     assert answer["relighting_psnr_db"]["light 3"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.05)
+
+
+def test_a_prior_decides_nothing_about_what_is_not_searched(tmp_path):
+    lights = cli_maker.dome_lights(6, widest=30)
+    images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps((6, 8), {}), lights)
+    folder = cli_maker.write_card(tmp_path / "matt", images, lights)
+    words = "recover", folder, "--model", "metallic_roughness", "--iterations", 3, "--json"
+    shares = []
+    for number, more in enumerate(((), ("--search", "normal,base_color,roughness"))):
+        code, answer, err = run_cli(*words, *more, "-o", tmp_path / f"out{number}")
+        assert code == 0, err
+        shares.append(set(json.loads(answer.splitlines()[-1])["priors_decided"]))
+    assert shares[0] == shares[1] | {"metallic", "specular"} and shares[1] == {"roughness"}
 
 
 def test_highlights_of_held_out_images_are_measured_separately(tmp_path):

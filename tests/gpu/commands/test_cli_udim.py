@@ -14,6 +14,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import angle, read_map, run_cli
+from tests.builders.exports import read_glb
 
 SIDE = 16  # texels along a tile
 PIXELS = (96, 48)
@@ -223,6 +224,7 @@ def test_slots_with_overlapping_uvs_are_refused_together_and_recovered_one_by_on
         expected = list(SLOTS)
         expected[index] = f"IRPSO Sheets {name}"
         assert held == expected
+        assert json.loads((folder / "by" / name / "report.json").read_text())["solved_slots"] == [index]
 
 
 def test_a_material_of_several_slots_goes_into_all_of_them_and_keeps_its_name(folder, tmp_path):
@@ -251,6 +253,10 @@ def test_slots_in_turn_equal_single_slots_and_one_file_holds_all_materials(folde
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "material.blend"))
     held = [slot.material.name for slot in bpy.data.objects["Sheets"].material_slots]
     assert held == [f"IRPSO Sheets {name}" for name in SLOTS]
+    glb = tmp_path / "cloth.glb"
+    done("export", tmp_path / "out" / SLOTS[1], "--format", "gltf", "-o", glb)
+    names = {material["name"] for material in read_glb(glb)[0]["materials"]}
+    assert names == {SLOTS[1], f"IRPSO Sheets {SLOTS[0]}"}
 
 
 @pytest.mark.parametrize(("name", "said"), [("material.blend", "no recovery wrote it"), ("maps.exr", "whose report")])

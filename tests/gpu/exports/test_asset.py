@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender.materials.asset import recovered_slot
-from irpso_addon.blender.materials.material import apply_material, build_material, card_object
+from irpso_addon.blender.materials.material import TAG, apply_material, build_material, card_object, save_blend
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
 from irpso_addon.exports.asset import Shelf, write_to_shelf
 from irpso_addon.exports.catalog import CATALOGS, catalog_id
+from irpso_addon.exports.result import read_result, slots_of_result
 from irpso_addon.exports.turntable import write_turntable
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import write_maps
 from tests.builders.captures import read_png
 from tests.builders.command_line import run_cli, write_card
+from tests.builders.exports import on_a_sheet
 
 RED = (0.6, 0.05, 0.05)
 
@@ -160,6 +163,20 @@ def test_the_material_of_the_active_slot_is_saved_if_it_was_recovered(card):
     assert found == [first, second, first]
     card.active_material_index = 0
     assert recovered_slot(card, (1,)) == second
+
+
+def test_the_asset_of_a_slot_that_was_chosen_by_name_is_its_own(tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    result, obj = on_a_sheet("lambert", texels=16)
+    obj.data.materials.append(build_material(result.maps, "eyes"))
+    obj.data.polygons.foreach_set("material_index", (np.arange(len(obj.data.polygons)) % 2).astype(np.int32))
+    report = {"model": "lambert", "settings": {"object": "sheet", "slots": "Eyes"}, "solved_slots": [1]}
+    write_maps(result.maps, tmp_path / "Eyes", report)
+    save_blend(tmp_path / "Eyes" / "material.blend")
+    assert slots_of_result(read_result(tmp_path / "Eyes"), obj) == (1,)
+    code, _, err = run_cli("export", tmp_path / "Eyes", "--format", "asset", "-o", tmp_path / "library", "--quiet")
+    assert code == 0, err
+    assert loaded(tmp_path / "library" / "Eyes.blend")[TAG] == "eyes"
 
 
 def test_recover_and_export_write_assets(tmp_path):

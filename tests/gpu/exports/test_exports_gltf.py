@@ -12,10 +12,11 @@ from irpso_addon.blender.materials.material import apply_material, build_materia
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import gltf
-from irpso_addon.exports.result import Result
+from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.relief.height import Height
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import write_maps
 from tests.builders.command_line import angle
 from tests.builders.exports import accessor, image_of, lean, on_a_sheet, read_glb, srgb
 from tests.oracles import reflectance as oracles
@@ -179,7 +180,27 @@ def test_textures_of_a_card_end_at_its_borders(card, mode, tmp_path):
         assert {sampler.get(key, 10497) for key in ("wrapS", "wrapT")} == {mode}
 
 
-def test_the_maps_of_a_session_go_on_its_slots_in_its_uv_map(tmp_path):
+def test_a_seamless_tile_repeats(tmp_path):
+    maps = on_a_sheet("principled", texels=32)[0].maps
+    write_maps(maps, tmp_path / "leaf", {"model": "principled", "settings": {}, "tile": {}})
+    result = read_result(tmp_path / "leaf")
+    assert result.maps.wrapped
+    obj = card_object("leaf", 32, 32)
+    apply_material(obj, bpy.data.materials["IRPSO leaf"])
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    table, _ = read_glb(tmp_path / "leaf.glb")
+    samplers = [table["samplers"][t["sampler"]] if "sampler" in t else {} for t in table["textures"]]
+    assert samplers and {s.get(key, 10497) for s in samplers for key in ("wrapS", "wrapT")} == {10497}
+
+
+def drawn(path):
+    """Return material → the number of its corners."""
+    table, binary = read_glb(path)
+    parts = table["meshes"][0]["primitives"]
+    return {table["materials"][p["material"]]["name"]: accessor(table, binary, p["indices"]).size for p in parts}
+
+
+def test_the_maps_of_a_session_or_folder_go_on_its_slots_in_its_uv_map(tmp_path):
     result, obj = on_a_sheet("principled", texels=32)
     other = build_material(result.maps, "recovered before")
     obj.data.materials.append(other)
@@ -201,6 +222,11 @@ def test_the_maps_of_a_session_go_on_its_slots_in_its_uv_map(tmp_path):
     wanted = mesh.uvs[mesh.solved].reshape(-1, 2)
     assert len(uvs) == len(wanted)
     np.testing.assert_allclose(np.unique(uvs.round(4), axis=0), np.unique(wanted.round(4), axis=0), atol=2e-4)
+    obj.data.uv_layers.active = obj.data.uv_layers["UVMap"]
+    bpy.context.view_layer.update()
+    stored = replace(result, card=False, report={"solved_slots": [1]})
+    gltf.write_gltf(stored, tmp_path / "stored.glb", obj)
+    assert drawn(tmp_path / "stored.glb") == drawn(tmp_path / "leaf.glb")
     obj.data.uv_layers.remove(obj.data.uv_layers["UVMap"])
     obj.data.update_tag()
     bpy.context.view_layer.update()

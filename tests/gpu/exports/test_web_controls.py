@@ -260,6 +260,18 @@ def test_the_command_packs_the_photographs_of_the_report(recovered, browser, tmp
         assert psnr(codes(browser), srgb(gain * oracle(maps, light) / one["white"])) > 38
 
 
+def test_of_photographs_of_one_name_the_page_marks_the_held_out_one(recovered, tmp_path):
+    result, *_ = recovered
+    table = tmp_path / "capture" / "capture.toml"
+    table.write_text(table.read_text().replace("light 5", "light 4"))
+    report = json.loads((result / "report.json").read_text())
+    (result / "report.json").write_text(json.dumps(report | {"held_out": [4]}))
+    assert run_cli("export", result, "--format", "web", "-o", tmp_path / "page", "--photographs", "12")[0] == 0
+    taken = described(tmp_path / "page")["photographs"]
+    assert [one["name"] for one in taken].count("light 4") == 2
+    assert [one["name"] for one in taken if one["unseen"]] == ["light 4"]
+
+
 def test_a_second_page_in_the_folder_leaves_none_of_the_first_ones_tiles(recovered, tmp_path):
     result, *_ = recovered
     out = tmp_path / "page"

@@ -324,6 +324,21 @@ def test_refits_to_real_noise_scatter_by_the_deviations(name):
         assert each.min() > 0.35 and each.max() < 2.0, p.name
 
 
+def test_what_no_stage_searches_is_as_certain_as_if_it_were_fixed():
+    subject = make_subject("principled", (9, 11), observations=30)
+    schedule = load_schedule("standard").replaced(search=("normal", "base_color"), iterations=10)
+    found = []
+    for names in ((), ("roughness", "specular")):
+        fixed = {p.name: np.float32(p.default) for p in subject.model.parameters if p.name in names}
+        with Recovery(subject.domain, subject.model, schedule, fixed=fixed) as recovery:
+            assert recovery.held == {"roughness", "specular"}
+            recovery.step()
+            found.append(recovery.maps())
+    assert (found[0].confidence["roughness"] == 0).all() and not found[0].alternatives
+    for name, deviation in found[1].confidence.items():
+        np.testing.assert_array_equal(found[0].confidence[name], deviation, name)
+
+
 def test_a_recovery_has_deviations_and_zero_for_fixed_parameters():
     subject = make_subject("lambert", (9, 11), observations=30)
     fixed = {"base_color": subject.values["base_color"].astype(np.float32)}

@@ -1,7 +1,6 @@
 """Pictures of a result: what no light told anything of is no part of them."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -52,13 +51,13 @@ def test_the_errors_of_all_photographs_have_one_scale(module, monkeypatch):
     domain = make_domain(6, 8, holes=False)
     model = load_model("lambert")
     values = {p.name: np.full((*domain.shape, p.components), p.default, np.float32) for p in model.parameters}
-    maps, capture = Maps(model, values, domain.solvable), SimpleNamespace(observations=[SimpleNamespace(name="")] * 9)
+    maps = Maps(model, values, domain.solvable)
     shown = []
     monkeypatch.setattr(module, "preview", lambda rows, _: shown.extend(rows))
     if module is pictures:
         pictures.error_preview(domain, maps, None, [""] * 9)
     else:
-        run_steps(held_out.relit_steps(domain, maps, [0, 1], capture))
+        run_steps(held_out.relit_steps(domain, maps, [0, 1], list("abcdefghi")))
     assert len(shown) > 1 and len({row.maximum for row in shown}) == 1 and shown[0].maximum
 
 

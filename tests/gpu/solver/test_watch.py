@@ -71,6 +71,27 @@ def test_notes_continue_from_a_checkpoint(stop, tmp_path):
         np.testing.assert_array_equal(found[name], values, name)
 
 
+@pytest.mark.parametrize("before", [False, True])
+def test_a_truth_may_be_added_or_dropped_when_a_run_continues(before, tmp_path):
+    domain, truth = subject(9, 8, holes=False)
+    with Recovery(domain, LAMBERT, STAGES, 1, entry="fragment") as recovery:
+        history = History(recovery, truth if before else None)
+        for _ in range(3):
+            recovery.step(history.until_next(None))
+            history.record_due()
+        recovery.save(tmp_path / "run.npz", history.notes)
+    with Recovery(domain, LAMBERT, STAGES, 1, entry="fragment") as recovery:
+        history = History(recovery, None if before else truth)
+        history.take(recovery.load(tmp_path / "run.npz"))
+        found = driven(recovery, history)
+        assert np.isfinite(history.picture(recovery.maps())).all()
+    assert set(found) == {"iterations", "residual"} | (set() if before else {"normal", "base_color"})
+    assert {len(errors) for errors in found.values()} == {len(found["iterations"])}
+    assert np.isfinite(found["residual"]).all()
+    if not before:
+        assert np.isnan(found["normal"]).all(axis=1).tolist() == [True] * 3 + [False] * (len(found["normal"]) - 3)
+
+
 def test_steps_end_with_a_round_so_that_checkpoints_take_no_turn():
     domain, _ = subject(9, 8, holes=False)
     with turns_of(domain, STAGES) as recovery:

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from irpso_addon.geometry.relief.height import Height
+from irpso_addon.exports.result import Result
+from irpso_addon.geometry.relief.height import TEXELS, Height
 from irpso_addon.geometry.relief.occlusion import open_sky
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
 
 
 def relief(values):
@@ -54,6 +57,16 @@ def test_hollows_of_a_rough_relief_see_what_rays_see():
         seen.append(found[row, column])
     assert np.std(wanted) > 0.05
     assert np.abs(np.array(seen) - wanted).mean() < 0.01
+
+
+def test_the_margin_of_a_masked_card_is_as_open_as_its_border():
+    values, covered = np.zeros((40, 40), np.float32), np.zeros((40, 40), bool)
+    covered[:, :20] = True
+    values[:, :17] = 40
+    maps = Maps(load_model("lambert"), {}, covered, margin=~covered)  # as read from a folder
+    sky = Result("leaf", maps, Height(values, covered, TEXELS)).open_sky
+    assert sky[:, 19].max() < 0.9
+    np.testing.assert_array_equal(sky[:, 20:28], np.repeat(sky[:, 19:20], 8, axis=1))
 
 
 def test_a_hole_hides_nothing():

@@ -58,6 +58,13 @@ def test_few_texels_at_the_limit_or_a_fixed_albedo_give_no_warning():
     assert limit_warnings(albedo_maps(0.4), fixed={"albedo"}) == []
 
 
+def test_the_weight_of_a_lobe_at_its_limit_is_no_albedo():
+    model = load_model("cook_torrance_two_lobe")
+    values = {p.name: np.broadcast_to(np.float32(p.default), (2, 2, p.components)) for p in model.parameters}
+    maps = Maps(model, values | {"w": np.ones((2, 2, 1), np.float32)}, np.ones((2, 2), bool))
+    assert limit_warnings(maps) == []
+
+
 @pytest.fixture
 def report():
     covered = np.ones((4, 5), bool)

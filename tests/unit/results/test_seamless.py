@@ -119,6 +119,13 @@ def test_the_largest_square_is_that_of_brute_force():
         assert side == max(sides) and covered[y : y + side, x : x + side].all()
 
 
+@pytest.mark.parametrize("side", [64, 65, 66, 67])
+def test_half_of_any_side_can_overlap(side):
+    found = seamless(MODEL, maps((side, side)), np.ones((side, side), bool), size=0, overlap=0.5)
+    assert found.period == (side - side // 2,) * 2
+    assert found.values["specular"].shape[:2] == found.period
+
+
 def test_a_card_that_is_too_small_is_refused():
     with pytest.raises(InputError, match="largest square without holes has 20 texels"):
         seamless(MODEL, maps((20, 60)), np.ones((20, 60), bool))

@@ -6,7 +6,7 @@ import pytest
 from irpso_addon.capture.types import Capture, LeftOut, Light, Observation
 from irpso_addon.commands.options.hold_out import held_out_list
 from irpso_addon.core.errors import InputError
-from irpso_addon.solver.views.held_out import MIN_OBSERVATIONS, order_of, relit_line, spared
+from irpso_addon.solver.views.held_out import MIN_OBSERVATIONS, distinct_names, order_of, relit_line, spared
 
 NAMES = [f"IMG_000{k}.jpg" for k in range(1, 6)]
 
@@ -61,6 +61,18 @@ def test_names_of_left_out_photographs_keep_their_place():
     shots = tuple(Observation(name, np.zeros, Light((0.0, 0.0, 1.0))) for name in "ac")
     left_out = (LeftOut(1, "/photos/b.jpg", "is cut short"), LeftOut(3, "/photos/d.jpg", "is missing"))
     assert Capture("a", shots, (), (), left_out=left_out).listed_names == ["a", "b.jpg", "c", "d.jpg"]
+
+
+def test_photographs_of_one_name_are_named_by_their_number():
+    assert distinct_names(["cam1/1.jpg", "1.jpg", "2.jpg", "1.jpg"], [0, 1, 5, 7]) == [
+        "cam1/1.jpg", "1.jpg (number 1)", "2.jpg", "1.jpg (number 7)",
+    ]  # fmt: skip
+
+
+def test_numbers_of_a_capture_count_the_left_out_photographs():
+    shots = tuple(Observation(name, np.zeros, Light((0.0, 0.0, 1.0))) for name in "ac")
+    capture = Capture("a", shots, (), (), left_out=(LeftOut(1, "b.jpg", "is cut short"),))
+    assert capture.listed_numbers == [0, 2] and capture.numbers(capture.listed_numbers) == [0, 1]
 
 
 def test_the_least_number_for_holding_out_is_right():
