@@ -249,12 +249,16 @@ def _without_bare_groups(svg: str) -> str:
 
 
 _FONT = "font-family: 'DejaVu Sans'"  # of all text
+_ID = re.compile(r"\b[mp][0-9a-f]{10}\b")  # matplotlib's names of markers and clip paths
 
 
 def _minified(svg: str) -> str:
-    """Return an SVG without comments, unused names, blanks, and digits below a tenth; with one font for all text."""
+    """Return an SVG without comments, long names, blanks, and digits below a tenth; with one font for all text."""
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"<!DOCTYPE[^>]*>", "", svg)
+    ids = {name: f"i{number}" for number, name in enumerate(dict.fromkeys(re.findall(_ID, svg)))}
+    svg = re.sub(_ID, lambda match: ids[match[0]], svg)
     svg = re.sub(r"(\d+\.\d)\d+", r"\1", svg)
     svg = _without_bare_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
     svg = re.sub(rf";? *{_FONT}(, sans-serif)?", "", svg).replace("</style>", f"text{{{_FONT}, sans-serif}}</style>")

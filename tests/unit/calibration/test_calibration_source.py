@@ -113,7 +113,7 @@ def test_a_folder_gives_all_photographs_except_left_out_ones(tmp_path):
 def test_a_mask_of_any_spelling_is_no_photograph(tmp_path, name):
     for other in ("1.png", name):
         photograph(tmp_path / other)
-    assert [shot.name for shot in read_source(tmp_path, decode_png).shots] == ["1"]
+    assert [shot.name for shot in read_source(tmp_path, decode_png).groups] == ["1"]
     spec = read_photographs(tmp_path)
     assert [shot.name for shot in spec.observations] == ["1.png"] and spec.views[0].mask.path == tmp_path / name
     lists(tmp_path, ["1.png"], LIGHTS[:1])
@@ -122,7 +122,7 @@ def test_a_mask_of_any_spelling_is_no_photograph(tmp_path, name):
 
 def test_a_name_that_only_begins_like_a_masks_is_a_photograph(tmp_path):
     photograph(tmp_path / "mask_1.png")
-    assert mask_of(tmp_path) is None and [shot.name for shot in read_source(tmp_path, decode_png).shots] == ["mask_1"]
+    assert mask_of(tmp_path) is None and [shot.name for shot in read_source(tmp_path, decode_png).groups] == ["mask_1"]
 
 
 def lists(folder, names, lights):
