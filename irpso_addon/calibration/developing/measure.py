@@ -156,11 +156,15 @@ class _Work:
 
     def __init__(self, store: ImageStore, source: Source, options: MeasureOptions):
         self.store, self.source, self.options = store, source, options
-        self.colour_space = options.colour_space
-        if options.colour_space == "auto":
-            self.colour_space = _common_space(source, refused=bool(options.left_out))
+        # Of EXR files, True, and of others: a flat field of another kind than the photographs has its own.
+        self.colour_spaces = {exr: _common_space(source, options, exr) for exr in (False, True)}
         self.figures: dict = {}
         self.warnings: list[str] = []
+
+    @property
+    def colour_space(self) -> str:
+        """The colour space of the photographs."""
+        return self.colour_spaces[is_exr(self.source.groups[0].images[0].path)]
 
     def check_orientations(self) -> None:
         """Raise CaptureError for a file with another EXIF orientation than most of its camera's."""
@@ -311,7 +315,7 @@ class _Work:
         return group.images[len(group.images) // 2]
 
     def _ref(self, path: Path) -> ImageRef:
-        return ImageRef(path, colour_space=self.colour_space)
+        return ImageRef(path, colour_space=self.colour_spaces[is_exr(path)])
 
     def _amount(self, path: Path) -> float | None:
         """Return the exposure of a file that is not a group; None if it has none or exposures are not used."""
@@ -347,13 +351,18 @@ class _Work:
         return ExposureGroup("chart", (self._ref(chart),), amounts, first.camera, first.size)
 
 
-def _common_space(source: Source, refused: bool) -> str:
-    """Return the colour space that a capture states for its images; "auto" if it states several, or an error."""
+def _common_space(source: Source, options: MeasureOptions, exr: bool) -> str:
+    """Return the colour space of a capture's EXR images, or its others; "auto" if it has none.
+
+    "auto", too, if it states several; an error where other files are to be read in it.
+    """
     images = [image for group in source.groups for image in group.images]
-    images = [image for image in images if not (is_exr(image.path) or is_raw(image.path))] or images
+    images = [image for image in images if is_exr(image.path) == exr and not is_raw(image.path)]
+    if not images or options.colour_space != "auto":
+        return options.colour_space if images else "auto"
     first, *others = images
     if other := next((image for image in others if image.colour_space != first.colour_space), None):
-        if not refused:
+        if not options.left_out:
             return "auto"
         raise InputError(
             f'{other}: has colour_space "{other.colour_space}" where {first} has "{first.colour_space}"; develop'

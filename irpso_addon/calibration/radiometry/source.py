@@ -12,6 +12,7 @@ from ...capture.formats.diligent import FILENAMES, is_mask, mask_of
 from ...capture.formats.lists import read_lines
 from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
+from ...capture.images.exr_header import is_exr
 from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore, find_image
 from ...capture.images.linearise import Decoder
@@ -178,12 +179,14 @@ def encoded_steps(source: Source) -> Generator[None, None, Source]:
     encoding = source.capture.encoding if source.capture else None
     if encoding is None or encoding.known_by != "guess":
         return source
+    files = [image for group in source.groups for image in group.images if not is_exr(image.path)]
+    if any(image.colour_space != "auto" or encoding.store.encoding(image)[1] != "guess" for image in files):
+        return source  # a capture of several encodings: its flat fields could be of either
     yield from encoding.test_steps()
     warnings = (*source.warnings, message) if (message := encoding.message()) else source.warnings
 
     def encoded(image: ImageRef) -> ImageRef:
-        guessed = image.colour_space == "auto" and encoding.store.encoding(image)[1] == "guess"
-        return replace(image, colour_space=encoding.colour_space) if guessed else image
+        return image if is_exr(image.path) else replace(image, colour_space=encoding.colour_space)
 
     groups = source.groups
     if encoding.colour_space != encoding.assumed:

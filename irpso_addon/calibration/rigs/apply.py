@@ -11,6 +11,7 @@ import numpy as np
 
 from ...capture.formats.diligent import mask_of
 from ...capture.formats.table import TABLE
+from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Decoder
 from ...capture.spec import CaptureSpec, build_capture
@@ -33,6 +34,7 @@ _BRIGHT = 99.0  # percentile of a photograph that is its brightness
 _SAMPLED = 512  # pixels of the longer side: sampling for the brightness
 _CHECKED = 0.4  # fraction of the work when all lamps are checked
 _SPACE = "colour_space"
+_EXR = ".exr"
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,10 @@ def apply_steps(
     exposing = None if measured is None else measured.exposing
     space = rig.spec.observations[0].image.colour_space if measured is None else measured.colour_space
     source = read_source(photographs, decoder, exposing, space)
+    of_rig = Path(rig.photographs[0].file).suffix.lower() == _EXR
+    if is_exr(source.groups[0].images[0].path) != of_rig:  # the rig's colour space is of its own kind of file
+        space = "auto"
+        source = read_source(photographs, decoder, exposing, space)
     groups = source.groups
     store = ImageStore(decoder)
     lamps = matched(rig, [_name(group) for group in groups], way, str(photographs))

@@ -11,6 +11,7 @@ from ...capture.errors import CaptureError
 from ...capture.formats.table import spec_of_keys
 from ...capture.formats.toml_file import load_toml, rows
 from ...capture.framing import framed
+from ...capture.images.exr_header import is_exr
 from ...capture.images.linearise import Decoder
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.write import table_text
@@ -64,7 +65,8 @@ def save_rig(spec: CaptureSpec, out: Path, decoder: Decoder | None = None) -> Ri
     top: dict[str, Any] = {"rig": FORMAT}
     colour_spaces = {observation.image.colour_space for observation in spec.observations}
     if corrections is None and len(colour_spaces) == 1:  # of the photographs
-        top["colour_space"] = colour_spaces.pop()
+        space = colour_spaces.pop()
+        top["colour_space"] = "auto" if is_exr(images[0]) and space == "linear" else space
     pictures = [{"image": photograph.file, "photograph": _keys(photograph)} for photograph in photographs]
     with new_folder(out) as partial:
         (partial / TABLE).write_text(_HEAD + table_text(capture, pictures, {}, top), encoding="utf-8")

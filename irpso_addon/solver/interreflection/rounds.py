@@ -31,6 +31,7 @@ from .indirect_light import IndirectLight
 from .schedules import RoundSchedules, round_schedules
 from .shrinkage import shrunk_to_similar_colours
 
+_RULES = 2  # raised where a run that resumes would decide otherwise about its rounds than it did
 _AT = "interreflection"  # checkpoint array: the round, and the evaluations of the rounds before it
 _ERRORS = "interreflection_errors"
 _WELL_FITTED = "explained"  # among source maps: (H, W, 1), 1 where they fit the photographs; its name in checkpoints
@@ -160,7 +161,7 @@ class InterreflectionRounds(Successive):
 
     @property
     def identity(self) -> dict[str, Any]:
-        return super().identity | self._geometry.identity
+        return super().identity | self._geometry.identity | {"rules of interreflection": _RULES}
 
     def indirect(self, observation: int) -> np.ndarray | float:
         own = self._live.indirect(observation)

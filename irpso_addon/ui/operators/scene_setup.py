@@ -245,7 +245,9 @@ class _Images:
         """Return the image of a file. Raises CaptureError and loads nothing if the header is unreadable."""
         path = reference.path.resolve()
         exr = path.suffix.lower() == ".exr"
-        space = None if mask or reference.colour_space == "auto" else reference.colour_space
+        # What an EXR is read as anyway is not stored: an image that an earlier version loaded is found again.
+        usual = "linear" if exr else "auto"
+        space = None if mask or reference.colour_space in ("auto", usual) else reference.colour_space
         key = path, reference.part, reference.layer, space
         if key not in self._images:
             deep = space is None and not (exr or mask) and _is_linear_by_depth(reference)

@@ -438,3 +438,15 @@ def test_the_list_camera_and_mask_of_a_plain_folder_go_along(photographs, tmp_pa
     assert [image["files"] for image in report["images"]] == [
         [f"{k}.png" for k in row] for row in (("00", "01", "02"), ("06", "07", "08"))
     ]
+
+
+def test_a_flat_field_of_another_kind_of_file_has_its_own_encoding(photographs, tmp_path):
+    linear = tmp_path / "linear"  # a capture of EXRs, which states that they are linear
+    assert run_cli("develop", photographs, "-o", linear, "--quiet")[0] == 0
+    encoded = np.where(VIGNETTE > 0.0031308, 1.055 * VIGNETTE ** (1 / 2.4) - 0.055, 12.92 * VIGNETTE)
+    write_png(tmp_path / "flat.png", np.rint(255 * np.repeat(encoded[::-1, :, None], 3, axis=2)).astype(int))
+    assert run_cli("develop", linear, "-o", tmp_path / "out", "--flat", tmp_path / "flat.png", "--quiet")[0] == 0
+    before, after = (read_capture(folder).observations[2].read()[..., 1] for folder in (linear, tmp_path / "out"))
+    ratio = (before / after / VIGNETTE)[before > 0.1]
+    low, high = np.percentile(ratio, [5, 95])  # clipped pixels stay as they are
+    assert high < 1.02 * low

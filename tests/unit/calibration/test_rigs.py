@@ -1,6 +1,7 @@
 """A rig, saved once and applied to other photographs, against a scene that is known; PNG read without Blender."""
 
 import json
+import shutil
 import tomllib
 
 import numpy as np
@@ -247,3 +248,19 @@ def test_a_folder_that_is_no_rig_or_of_another_version_is_refused(plain_rig, lat
     assert code == 2 and "is no rig of version 1" in err
     code, _, err = run_cli("rig", "apply", plain_rig, "-o", tmp_path / "out")
     assert code == 2 and "write irpso rig apply RIG PHOTOGRAPHS -o CAPTURE" in err
+
+
+def test_a_rig_of_linear_exrs_leaves_other_photographs_their_encoding(capture, tmp_path):
+    linear, photographs, out = (tmp_path / name for name in ("linear", "photographs", "out"))
+    assert run_cli("develop", capture, "-o", linear, "--quiet")[0] == 0
+    shutil.rmtree(linear / "corrections")
+    assert run_cli("rig", "save", linear, "-o", tmp_path / "rig", "--quiet")[0] == 0
+    photographs.mkdir()
+    for k in range(5):
+        codes = np.full((SIZE, SIZE, 3), 100 + k)
+        srgb = chunk(b"sRGB", b"\0")
+        write_png(photographs / f"lamp_{k + 1}.png", codes, 8, srgb + chunk(b"eXIf", exif(TIME, focal_35mm=FOCAL)))
+    code, _, err = run_cli("rig", "apply", tmp_path / "rig", photographs, "-o", out, "--quiet")
+    assert (code, err) == (0, "")
+    found = read_capture(out, decode_png).observations[0].read()
+    np.testing.assert_allclose(found[..., :3], ((100 / 255 + 0.055) / 1.055) ** 2.4, atol=1e-5)
