@@ -201,6 +201,11 @@ class RecoveryEngine(ABC):
         return held_names(self.schedule, self.model, self.fixed)
 
     @property
+    def held_by_round(self) -> frozenset[str]:
+        """Those of them that a later round searches: nothing is known of them."""
+        return frozenset()
+
+    @property
     def phase(self) -> Phase | None:
         """The current phase, whose textures ``view`` reads, or None."""
         return None

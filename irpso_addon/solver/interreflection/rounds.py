@@ -111,9 +111,8 @@ class InterreflectionRounds(Successive):
         maps = self._live.maps(confidence)
         values, deviations = dict(maps.values), maps.confidence and dict(maps.confidence)
         if self._rounds.normals_fixed_in(self._at):
-            held = self._rounds.fixed_in(self._at, self.model).keys() - self.fixed.keys()
             for p in self.model.parameters:
-                if deviations and p.name in held:
+                if deviations and p.name in self.held_by_round:
                     deviations[p.name] = np.full_like(deviations[p.name], p.width)
             return replace(maps, confidence=deviations)
         for p in self.model.parameters if self._substitutes else ():
@@ -148,6 +147,10 @@ class InterreflectionRounds(Successive):
                     f" than before (mean error {last:.2g}, {full[0]:.2g}); set interreflection_{setting}=0"
                 )
         return tuple(lines)
+
+    @property
+    def held_by_round(self) -> frozenset[str]:
+        return frozenset(self._rounds.fixed_in(self._at, self.model).keys() - self.fixed.keys())
 
     @property
     def has_rounds(self) -> bool:

@@ -163,13 +163,21 @@ class Display:
                 constants |= {"u_at": model.offset(parameter.name), "u_components": components}
             inputs |= {"u_ramp": self._colors()}
         if shown.measured:
-            inputs |= self._measure(shown.measured).bindings()
+            inputs |= self._measured_inputs(shown)
         elif shown.kind == "indirect":
             inputs["u_measure_0"] = self._indirect(lent["u_estimate_0"])
         kind = "unknown" if shown.unknown else shown.kind
         if kind not in self._passes:
             self._passes[kind] = _picture_pass(model, kind, self._defines)
         self._passes[kind].run([picture], inputs, constants)
+
+    def _measured_inputs(self, shown: Shown) -> dict[str, Texture]:
+        """Return sampler name → measured texture; of a parameter that a round holds, the widest deviation."""
+        measured = self._measure(shown.measured).bindings()
+        if shown.measured == "confidence" and shown.parameter in self._recovery.held_by_round:
+            width = self._recovery.model.parameter(shown.parameter).width
+            return {name: textures.empty(t.width, t.height, "RGBA32F", width) for name, t in measured.items()}
+        return measured
 
     def _measure(self, kind: str) -> _Measure:
         if kind not in self._measures:
