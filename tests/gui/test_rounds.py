@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.results.false_color import false_color
+from irpso_addon.solver.interreflection.rounds import MAX_INDIRECT
 from tests.builders import command_line as cli_maker
 from tests.builders.cavity import cap_card
 
@@ -73,7 +74,7 @@ def test_the_light_is_shown_from_the_first_round_on(ready):
     ready.settle()
     ready.screenshot("interreflection: round 1")
     share = np.array(ready.run("session.current().recovery.indirect_share.tolist()"))
-    wanted = 255 * np.array([false_color(share, 0.5)[texel] for texel in TEXELS])
+    wanted = 255 * np.array([false_color(share, MAX_INDIRECT)[texel] for texel in TEXELS])
     assert np.abs(shown_at(ready, TEXELS) - wanted).max() <= NEAR
     ready.run("bpy.ops.irpso.resume()")
 
