@@ -157,7 +157,7 @@ class _Work:
     def __init__(self, store: ImageStore, source: Source, options: MeasureOptions):
         self.store, self.source, self.options = store, source, options
         # Of EXR files, True, and of others: a flat field of another kind than the photographs has its own.
-        self.colour_spaces = {exr: _common_space(source, options, exr) for exr in (False, True)}
+        self.colour_spaces = _common_spaces(source, options)
         self.figures: dict = {}
         self.warnings: list[str] = []
 
@@ -351,15 +351,22 @@ class _Work:
         return ExposureGroup("chart", (self._ref(chart),), amounts, first.camera, first.size)
 
 
-def _common_space(source: Source, options: MeasureOptions, exr: bool) -> str:
-    """Return the colour space of a capture's EXR images, or its others; "auto" if it has none.
+def _common_spaces(source: Source, options: MeasureOptions) -> dict[bool, str]:
+    """Return the colour spaces of a capture's EXR images, True, and of its others; "auto" where it has none."""
+    images = [image for group in source.groups for image in group.images if not is_raw(image.path)]
+    of_kind: dict[bool, list[ImageRef]] = {True: [], False: []}
+    for image in images:
+        of_kind[is_exr(image.path)].append(image)
+    return {exr: _common_space(own, options) if own else "auto" for exr, own in of_kind.items()}
 
-    "auto", too, if it states several; an error where other files are to be read in it.
+
+def _common_space(images: Sequence[ImageRef], options: MeasureOptions) -> str:
+    """Return the colour space of images: as set, or as stated; "auto" if they state several.
+
+    An error if they state several and other files are to be read in it.
     """
-    images = [image for group in source.groups for image in group.images]
-    images = [image for image in images if is_exr(image.path) == exr and not is_raw(image.path)]
-    if not images or options.colour_space != "auto":
-        return options.colour_space if images else "auto"
+    if options.colour_space != "auto":
+        return options.colour_space
     first, *others = images
     if other := next((image for image in others if image.colour_space != first.colour_space), None):
         if not options.left_out:
