@@ -122,39 +122,55 @@ float quantity(int kind, Texel t, int k, vec3 n, Indirect indirect, Indirect bef
     return direct_light(s, indirect) / s.cosine;
 }
 
-#define HALVINGS 20
+#define PARTS 16  // of an interval, between which a pass over the samples decides
+#define PASSES 5  // 20 halvings
 
-// Returns the percentile ``part`` (0 to 1) of a quantity over the samples; 0 without any. Bisection, without sorting.
+// Returns the percentile ``part`` (0 to 1) of a quantity over the samples; 0 without any. Without sorting: each pass
+// counts the samples up to the bounds of PARTS parts of an interval, and goes on with the part of the percentile.
 float percentile(int kind, float part, Texel t, vec3 n, Indirect indirect, Indirect before, float albedo)
 {
-    float low = -1.0;
     float high = 0.0;
     int count = 0;
+    int zeros = 0;
     for (int k = 0; k < u_observations; k++) {
         float value = quantity(kind, t, k, n, indirect, before, albedo);
         count += value >= 0.0 ? 1 : 0;
+        zeros += value == 0.0 ? 1 : 0;
         high = max(high, value);
     }
     float rank = part * float(max(count - 1, 0));
-    for (int i = 0; i < HALVINGS; i++) {
-        float middle = i == 0 ? 0.0 : 0.5 * (low + high);
-        int below = 0;
+    float bounds[PARTS + 1];
+    bounds[0] = 0.0;
+    bounds[PARTS] = float(zeros) > rank ? 0.0 : high;
+    for (int i = 0; i < PASSES && bounds[PARTS] > 0.0; i++) {
+        for (int width = PARTS; width > 1; width /= 2) {
+            for (int j = 0; j < PARTS; j += width) {
+                bounds[j + width / 2] = 0.5 * (bounds[j] + bounds[j + width]);
+            }
+        }
+        int below[PARTS];
+        for (int j = 1; j < PARTS; j++) {
+            below[j] = 0;
+        }
         for (int k = 0; k < u_observations; k++) {
             float value = quantity(kind, t, k, n, indirect, before, albedo);
-            below += value >= 0.0 && value <= middle ? 1 : 0;
+            for (int j = 1; j < PARTS; j++) {
+                below[j] += value >= 0.0 && value <= bounds[j] ? 1 : 0;
+            }
         }
-        if (float(below) > rank) {
-            high = middle;
-        } else {
-            low = middle;
+        int chosen = 1;
+        for (int j = 1; j < PARTS; j++) {
+            chosen += float(below[j]) > rank ? 0 : 1;
         }
+        bounds[0] = bounds[chosen - 1];
+        bounds[PARTS] = bounds[chosen];
     }
-    // Between low and high lies the value of the whole rank below; the percentile lies between it and the next.
+    // The values around the upper bound are those of the whole ranks around the percentile's.
     float least = 0.0;
     float next = -1.0;
     for (int k = 0; k < u_observations; k++) {
         float value = quantity(kind, t, k, n, indirect, before, albedo);
-        if (value > high) {
+        if (value > bounds[PARTS]) {
             next = next < 0.0 ? value : min(next, value);
         } else {
             least = max(least, value);
@@ -347,6 +363,10 @@ vec3 accepted_chroma_and_share(Texel t, Fit fit, float misfit)
             lit += is_lit(s, fit) ? direct : 0.0;
         }
     }
+    float share = light.x / max(light.y, MIN_LIGHT);
+    if (!(unexplained < MAX_UNEXPLAINED * dark && share >= MIN_SHARE)) {
+        return vec3(0.0);
+    }
     float matt = percentile(LIT_ALBEDO, 0.5, t, fit.n, fit.indirect, fit.before, fit.albedo);
     float gloss = 0.0;
     for (int k = 0; k < u_observations; k++) {
@@ -355,9 +375,7 @@ vec3 accepted_chroma_and_share(Texel t, Fit fit, float misfit)
             gloss += abs(direct_light(s, fit.indirect) - matt * s.cosine);
         }
     }
-    float share = light.x / max(light.y, MIN_LIGHT);
-    float max_gloss = max(MAX_GLOSS * misfit, MATT) * lit;
-    if (!(unexplained < MAX_UNEXPLAINED * dark && gloss < max_gloss && share >= MIN_SHARE)) {
+    if (!(gloss < max(MAX_GLOSS * misfit, MATT) * lit)) {
         return vec3(0.0);
     }
     vec3 turned = lambertian_normal(t, fit, fit.indirect) - lambertian_normal(t, fit, no_indirect());
