@@ -37,9 +37,9 @@ def likeness(prior, model, x, own, y, theirs):
             continue
         at, width = model.offset(p.name), p.range[1] - p.range[0]
         for c in range(at, at + p.components):
-            h = prior.likeness * width
+            h = prior.bandwidth * width
             if p.components > 1:
-                h = prior.likeness_color * np.maximum(abs(x[c]), abs(y[:, c])) + FINEST * width
+                h = prior.color_bandwidth * np.maximum(abs(x[c]), abs(y[:, c])) + FINEST * width
             squared_distance += (x[c] - y[:, c]) ** 2 / (h**2 + own[c] ** 2 + theirs[:, c] ** 2)
     return np.exp(-squared_distance / 2)
 
@@ -75,7 +75,7 @@ def pooled(prior, model, covered, estimates, own):
                     continue
                 fixed = np.maximum(theirs[determined, c], FINEST * width)
                 mean[row, column, c], spread[row, column, c] = random_effects(
-                    s[determined], y[determined, c], fixed, (prior.spread * width) ** 2
+                    s[determined], y[determined, c], fixed, (prior.min_deviation * width) ** 2
                 )
         belief, deviation = mean, spread
     return belief, deviation
