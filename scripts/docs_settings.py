@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from irpso_addon.solver.settings.renamed import FORMER  # noqa: E402
+from irpso_addon.solver.settings.renamed import FORMER, FORMER_VALUES  # noqa: E402
 from irpso_addon.solver.settings.schedule import GROUPS, SETTINGS  # noqa: E402
 from irpso_addon.solver.settings.setting import Setting  # noqa: E402
 
@@ -29,9 +29,10 @@ def tables() -> str:
         lines.append("")
     lines += ["## Former names", "", "| table | before | now |", "|---|---|---|"]
     for table, names in FORMER.items():
-        place, shape = (f"`[{table}]`", "`{}`") if table else ("", "`[{}]`")
-        lines += [f"| {place} | {shape.format(old)} | {shape.format(now)} |" for old, now in names.items()]
-    lines += ['| `[fitness]` | `loss = "robust"` | `loss = "cauchy"` |', ""]
+        place, shape = (f" `[{table}]`", "`{}`") if table else ("", "`[{}]`")
+        lines += [f"|{place} | {shape.format(old)} | {shape.format(now)} |" for old, now in names.items()]
+    lines += [f'| | `{name} = "{old}"` | `{name} = "{now}"` |' for (name, old), now in FORMER_VALUES.items()]
+    lines.append("")
     return "\n".join(lines)
 
 

@@ -29,7 +29,7 @@ def components(model):
     return [(at + i, p.range[1] - p.range[0]) for p, at in of for i in range(p.components)]
 
 
-def likeness(prior, model, x, own, y, theirs):
+def similarity(prior, model, x, own, y, theirs):
     """Return (n,) similarity to a texel with values x and deviations own (C,) of neighbours with y, theirs (n, C)."""
     squared_distance = np.zeros(len(y))
     for p in model.parameters:
@@ -68,7 +68,7 @@ def pooled(prior, model, covered, estimates, own):
             x, sigma = estimates[row, column], own[row, column]
             rows, columns = around(covered.shape, covered, row, column, prior.scales)
             y, theirs = belief[rows, columns], deviation[rows, columns]
-            s = likeness(prior, model, x, sigma, y, theirs)
+            s = similarity(prior, model, x, sigma, y, theirs)
             for c, width in components(model):
                 determined = theirs[:, c] < DETERMINED * width
                 if s[determined].sum() <= 1e-6 or (not last and sigma[c] < DETERMINED * width):

@@ -28,7 +28,7 @@ FORMER: Mapping[str, Mapping[str, str]] = MappingProxyType({  # table → settin
         "noise_freedom": "noise_samples", "share": "min_influence", "turn": "normals",
     },
 })  # fmt: skip
-_VALUES = {("loss", "robust"): "cauchy"}
+FORMER_VALUES = {("loss", "robust"): "cauchy"}  # setting, value in format 1 or 2 → now
 _WITHOUT_PREFIX = {**FORMER["swarm"], **FORMER["fitness"]}
 
 
@@ -47,7 +47,7 @@ def current_key(table: str, key: str) -> str:
 
 def current_value(name: str, value: Any) -> Any:
     """Return the present word for a value of a setting."""
-    return _VALUES.get((name, value), value) if isinstance(value, str) else value
+    return FORMER_VALUES.get((name, value), value) if isinstance(value, str) else value
 
 
 def current_settings(values: Mapping[str, Any]) -> dict[str, Any]:
