@@ -96,13 +96,14 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
     from irpso_addon.cluster.partition import split
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.solver.planning.cost import phase_cost, recovery_cost
-    from irpso_addon.solver.settings.resolve import resolve
+    from irpso_addon.solver.settings.resolve import ResolvedSwarm, resolve
     from irpso_addon.solver.settings.schedule import load_schedule
 
     schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
     plan = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
     messages, size = np.zeros(len(plan.tiles), int), np.zeros(len(plan.tiles), int)
     for stage in resolve(schedule, model, set(), _LIGHTS):
+        assert isinstance(stage, ResolvedSwarm)
         cost, numbers = phase_cost(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
         receivers, cells = _rims(np.array(plan.boxes[: len(plan.tiles)]), cost.stencil_radius)
         messages += cost.exchanges * receivers

@@ -103,7 +103,7 @@ def write_card(folder: Path, size: int, lights: int) -> Path:
     card = subjects.make_card(size, lights, subjects.NOISY, model="principled")
     observations = tuple(
         Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))
-        for k, (image, light) in enumerate(zip(card.domain.stack.values, card.domain.lights, strict=True))
+        for k, (image, light) in enumerate(zip(card.domain.stack.layers(), card.domain.lights, strict=True))
     )
     camera = Camera.orthographic(size, size, 2.0)
     write_capture(Capture("card", observations, (camera,), (np.ones((size, size), bool),)), folder)
