@@ -285,7 +285,10 @@ def headline(data: dict[str, Any]) -> str:
     )
 
 
-PROGRAM = report.Program("fig7", "Time and memory against size: the paper's Fig. 7", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "fig7", "Time and memory against size: the paper's Fig. 7", __file__, measure, write, headline,
+    ("benchmarks/timed.py",),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -212,7 +212,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"12 megapixels, 24 JPEGs: {data['seconds'] / 60:.0f} min, {data['errors']['normal']:.2f}°"
 
 
-PROGRAM = report.Program("full_size", "Twelve megapixels within 16 GiB", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "full_size", "Twelve megapixels within 16 GiB", __file__, measure, write, headline,
+    report.RECOVER,
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

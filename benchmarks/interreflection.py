@@ -236,8 +236,9 @@ def headline(data: dict[str, Any]) -> str:
 
 
 PROGRAM = report.Program(
-    "interreflection", "Light that the subject throws on itself", __file__, measure, write, headline
-)
+    "interreflection", "Light that the subject throws on itself", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/scenes", "benchmarks/peer_child.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

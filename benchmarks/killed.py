@@ -176,7 +176,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"{kills} kills: {equal} of {whole} runs ended in the same maps{refused}"
 
 
-PROGRAM = report.Program("killed", "Killed and resumed", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "killed", "Killed and resumed", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/swarm_scaling.py", "benchmarks/swarms"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

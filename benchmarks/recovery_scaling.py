@@ -219,7 +219,11 @@ def headline(data: dict[str, Any]) -> str:
     return f"two ranks on two cores: {', '.join(efficiencies)}; the same maps bit for bit"
 
 
-PROGRAM = report.Program("recovery_scaling", "A recovery over ranks", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "recovery_scaling", "A recovery over ranks", __file__, measure, write, headline,
+    (*report.RECOVER, "irpso_addon/cluster", "benchmarks/killed.py", "benchmarks/swarm_scaling.py",
+     "benchmarks/swarms"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

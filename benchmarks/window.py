@@ -210,7 +210,15 @@ def headline(data: dict[str, Any]) -> str:
     return f"first picture after {run['first_picture_s']:.2f} s, longest turn {1000 * run['longest'][0][0]:.0f} ms"
 
 
-PROGRAM = report.Program("window", "In Blender's window", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "window",
+    "In Blender's window",
+    __file__,
+    measure,
+    write,
+    headline,
+    (*report.RECOVER, "irpso_addon/ui"),  # fmt: skip
+)
 
 if __name__ == "__main__":
     report.run(PROGRAM)
