@@ -19,6 +19,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
+from ...results.maps import Cause, Maps
 from ..engine.engine import RecoveryEngine
 from ..engine.progress import Progress
 from ..kernels import declarations
@@ -105,6 +106,30 @@ class Display:
             return self._measure(shown.measured).measured != self._recovery.progress
         drawn = self._pictures.get(shown)
         return drawn is None or drawn[1] != (self._recovery.progress, 0)
+
+    def unknown_at(self, row: int, column: int) -> dict[str, Cause] | None:
+        """Return parameter → why it is unknown, of those that are unknown at a solved texel of the domain.
+
+        None before a ``picture`` has measured the current deviations, and at a coarser level.
+        """
+        measure, domain, model = self._measures.get("confidence"), self._recovery.domain, self._recovery.model
+        packing = Packing(domain.solvable, domain.seams)
+        if measure is None or measure.measured != self._recovery.progress:
+            return None
+        measured = list(measure.bindings().values())
+        if (measured[0].width, measured[0].height) != (packing.width, packing.height):
+            return None
+        place = packing.places(np.array([row]), np.array([column]))
+        numbers = np.concatenate([textures.texels(texture, place)[0] for texture in measured])
+        (x, y), (x0, y0) = domain.origin, self._whole.domain.origin
+        at, deviations, unknown = (slice(row + y - y0, row + y - y0 + 1), column + x - x0), {}, {}
+        for p in model.parameters:
+            first = model.offset(p.name)
+            deviations[p.name] = numbers[None, None, first : first + (1 if p.is_normal else p.components)]
+            unknown[p.name] = {cause: mask[at][None] for cause, mask in self._whole.unknown_texels(p.name).items()}
+        maps = Maps(model, {}, np.ones((1, 1), bool), confidence=deviations, unknown_texels=unknown)
+        causes = maps.unknown_by_cause()
+        return {name: cause for name, masks in causes.items() for cause, mask in masks.items() if mask.any()}
 
     def close(self) -> None:
         """Free shaders and textures."""
