@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import hashlib
+import itertools
 import json
 import os
 import platform
@@ -266,6 +267,21 @@ _FONT = "font-family: 'DejaVu Sans'"  # of all text
 _ID = re.compile(r"\b[mp][0-9a-f]{10}\b")  # matplotlib's names of markers and clip paths
 
 
+_LINES = re.compile(r"M ?(\S+ \S+)((?: L ?\S+ \S+)+)")
+
+
+def relative_lines(path: str) -> str:
+    """Return SVG path data with each run of absolute lines as relative ones, which are shorter; exact to a tenth."""
+
+    def shorter(match: re.Match[str]) -> str:
+        points = [[round(10 * float(n)) for n in pair.split()] for pair in f"{match[1]}{match[2]}".split(" L")]
+        steps = [end - start for a, b in itertools.pairwise(points) for start, end in zip(a, b, strict=True)]
+        text = " ".join(re.sub(r"^(-?)0\.", r"\1.", f"{step / 10:g}") for step in steps)
+        return f"M{match[1]}l{text.replace(' -', '-')}"
+
+    return _LINES.sub(shorter, path)
+
+
 def _minified(svg: str) -> str:
     """Return an SVG without comments, long names, blanks, and digits below a tenth; with one font for all text."""
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
@@ -280,6 +296,7 @@ def _minified(svg: str) -> str:
     svg = re.sub(r'(?<= )d="[^"]*"', lambda match: re.sub(r" ?([A-Zz\"]) ?", r"\1", match[0]), svg)
     svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda match: re.sub(r"(\d)\.0\b", r"\1", match[0]), svg)
     svg = re.sub(r"\s*\n\s*", " ", svg)
+    svg = re.sub(r'(?<= )d="([^"]*)"', lambda match: f'd="{relative_lines(match[1].strip())}"', svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 
 

@@ -52,6 +52,11 @@ def test_a_plot_is_a_small_picture_that_can_be_read(tmp_path):
     assert (tmp_path / "line.svg").stat().st_size < report.MAX_BYTES
 
 
+def test_lines_of_a_plot_are_relative_and_end_where_they_did():
+    path = "M40.1 189.5 L40.1 33.6 L40.6 33.5 L1008 0 z M0 2.5 L-1 3 M1 2 C1 2 3 4 5 6"
+    assert report.relative_lines(path) == "M40.1 189.5l0-155.9 .5-.1 967.4-33.5 z M0 2.5l-1 .5 M1 2 C1 2 3 4 5 6"
+
+
 @pytest.fixture
 def program(tmp_path, monkeypatch):
     """A benchmark that counts how often it measures; what it depends on is a file."""
