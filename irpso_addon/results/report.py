@@ -58,7 +58,7 @@ def build_report(
             name: {str(cause): int(mask.sum()) / covered for cause, mask in masks.items() if mask.any()}
             for name, masks in unknown.items()
         }
-        report["unknown"] = {name: round(sum(causes.values()), 4) for name, causes in shares.items()}
+        report["unknown"] = {name: round(sum(causes.values(), 0.0), 4) for name, causes in shares.items()}
         report["unknown_causes"] = {
             name: {cause: round(share, 4) for cause, share in causes.items()} for name, causes in shares.items()
         }
