@@ -217,7 +217,10 @@ def headline(data: dict[str, Any]) -> str:
     )
 
 
-PROGRAM = report.Program("balls", "Balls found by themselves", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "balls", "Balls found by themselves", __file__, measure, write, headline,
+    (*report.CAPTURE, "irpso_addon/calibration", "benchmarks/scenes"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

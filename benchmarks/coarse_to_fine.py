@@ -191,7 +191,8 @@ def headline(data: dict[str, Any]) -> str:
 
 
 PROGRAM = report.Program(
-    "coarse_to_fine", "What solving coarse to fine brings", __file__, measure, write, headline
+    "coarse_to_fine", "What solving coarse to fine brings", __file__, measure, write, headline,
+    (*report.CAPTURE, "benchmarks/peer_child.py"),
 )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from benchmarks.peers.problem import Problem, angles
 from benchmarks.subjects import spiral_lights
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.optional import present
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
@@ -131,7 +132,7 @@ def watched(command: list[str], out: Path) -> dict[str, Any]:
 
     def progress() -> None:
         text = b""
-        while piece := process.stderr.read(64):
+        while piece := present(process.stderr).read(64):
             text = (text + piece)[-400:]
             if b"recover [" in text and b"%" in (last := text.rpartition(b"recover [")[2]):
                 words = last.partition(b"]")[2].split()
@@ -211,7 +212,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"12 megapixels, 24 JPEGs: {data['seconds'] / 60:.0f} min, {data['errors']['normal']:.2f}°"
 
 
-PROGRAM = report.Program("full_size", "Twelve megapixels within 16 GiB", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "full_size", "Twelve megapixels within 16 GiB", __file__, measure, write, headline,
+    report.RECOVER,
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

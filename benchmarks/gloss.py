@@ -189,8 +189,9 @@ def forward_error(subject: Subject, shot: Photographed, shadows: bool) -> tuple[
     }
     model = load_model("principled_metallic")
     ours = np.stack([p[..., :3] for p in rendered(domain, model, truth, range(domain.observations))])
-    valid = domain.stack.values[..., 3:] > 0
-    residual, theirs = (ours - domain.stack.values[..., :3]) * valid, domain.stack.values[..., :3] * valid
+    samples = np.stack(list(domain.stack.layers()))
+    valid = samples[..., 3:] > 0
+    residual, theirs = (ours - samples[..., :3]) * valid, samples[..., :3] * valid
     whole = theirs.sum(axis=(0, 3))
     share, signed = ((a.sum(axis=(0, 3)) / whole)[whole > 0] for a in (np.abs(residual), residual))
     return float(np.median(share)), float(np.quantile(share, 0.9)), float(np.median(signed))

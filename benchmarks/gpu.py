@@ -384,7 +384,15 @@ def headline(data: dict[str, Any]) -> str:
     )
 
 
-PROGRAM = report.Program("gpu", "On a graphics processor", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "gpu",
+    "On a graphics processor",
+    __file__,
+    measure,
+    write,
+    headline,
+    (*report.RECOVER, "benchmarks"),  # fmt: skip
+)
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["job"]:

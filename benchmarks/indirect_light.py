@@ -63,7 +63,7 @@ class Body:
         self.view = render.View(side, side, samples=samples, bounces=_BOUNCES, clamp=0.0, filter_glossy=0.0)
         taken = [self._photographed(folder / f"reference-{samples}-{n}", n) for n in (_BOUNCES, 0)]
         self.reference = taken[0] - taken[1]
-        weight = self.domain.stack.values[list(_CHOSEN), ..., 3]
+        weight = np.stack([self.domain.stack.layer(number)[..., 3] for number in _CHOSEN])
         self.counted = ((weight > 0) & self.domain.solvable)[:, self.domain.bake.coverage]
 
     def gathered(self, bounces: int) -> np.ndarray:
@@ -115,7 +115,8 @@ class Body:
             replace(self.capture.observations[number], read=partial(opaque, picture))
             for number, picture in zip(_CHOSEN, pictures, strict=True)
         ]
-        return self._projected(taken).stack.values[..., :3][:, self.domain.bake.coverage]
+        layers = self._projected(taken).stack.layers()
+        return np.stack([layer[self.domain.bake.coverage, :3] for layer in layers])
 
     def _projected(self, observations: Iterable[Observation]) -> Domain:
         capture = replace(self.capture, observations=tuple(observations))

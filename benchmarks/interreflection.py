@@ -129,7 +129,7 @@ def indirect_share(with_light: Path, with_none: Path, texels: int) -> np.ndarray
         domain_from_mesh(read_capture(folder / CAPTURE, decoder=decode), mesh, texels, texels)
         for folder in (with_light, with_none)
     ]
-    light, direct = (domain.stack.values[..., :3].mean(axis=(0, -1)) for domain in domains)
+    light, direct = (np.mean([layer[..., :3] for layer in d.stack.layers()], axis=(0, -1)) for d in domains)
     return np.where(domains[0].solvable, 1 - direct / np.maximum(light, 1e-9), -1.0)
 
 
@@ -236,8 +236,9 @@ def headline(data: dict[str, Any]) -> str:
 
 
 PROGRAM = report.Program(
-    "interreflection", "Light that the subject throws on itself", __file__, measure, write, headline
-)
+    "interreflection", "Light that the subject throws on itself", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/scenes", "benchmarks/peer_child.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -150,7 +150,10 @@ def headline(data: dict[str, Any]) -> str:
     )
 
 
-PROGRAM = report.Program("joint", "Everything unknown at once", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "joint", "Everything unknown at once", __file__, measure, write, headline,
+    ("benchmarks/identifiable.py",),
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

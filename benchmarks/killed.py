@@ -25,6 +25,7 @@ import numpy as np
 
 from benchmarks import report
 from benchmarks.swarm_scaling import launcher, rank_environment
+from irpso_addon.core.optional import present
 
 _KILLS = 100  # of each chain
 _CHAINS = (1, 2)  # ranks
@@ -68,7 +69,7 @@ def _chain(
             continue
         if run.returncode:
             done["failed"] += 1
-            report.say(run.stderr.read().decode())
+            report.say(present(run.stderr).read().decode())
             break
         done["whole"] += 1
         done["equal"] += _same(_maps(out), reference)
@@ -134,7 +135,7 @@ def write_card(folder: Path, shape: tuple[int, int], lights: int, model: str = "
     height, width = domain.shape
     shots = tuple(
         Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))
-        for k, (image, light) in enumerate(zip(domain.stack.values, domain.lights, strict=True))
+        for k, (image, light) in enumerate(zip(domain.stack.layers(), domain.lights, strict=True))
     )
     camera = Camera.orthographic(width, height, 2.0)
     write_capture(Capture("card", shots, (camera,), (np.ones((height, width), bool),)), folder)
@@ -175,7 +176,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"{kills} kills: {equal} of {whole} runs ended in the same maps{refused}"
 
 
-PROGRAM = report.Program("killed", "Killed and resumed", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "killed", "Killed and resumed", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/swarm_scaling.py", "benchmarks/swarms"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -146,7 +146,11 @@ def headline(data: dict[str, Any]) -> str:
     return f"{_FULL}² in {data['full']['peak']:.1f} GiB; two tiles of {_HUGE}² in {data['huge']['peak']:.1f} GiB"
 
 
-PROGRAM = report.Program("large_mesh", "Large maps on a mesh", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "large_mesh", "Large maps on a mesh", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/scenes", "benchmarks/peer_child.py", "benchmarks/cycles_scenes.py",
+     "benchmarks/multiview.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -196,7 +196,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"under {FEW:.0%} of texels fail: {', '.join(parts)}"
 
 
-PROGRAM = report.Program("lights", "How many lights a capture needs", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "lights", "How many lights a capture needs", __file__, measure, write, headline,
+    report.CAPTURE,
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

@@ -268,7 +268,10 @@ def headline(data: dict[str, Any]) -> str:
     return "; ".join(f"{r['title']} {r['normal'][0]:.1f}°, {r['psnr_front']:.0f} dB" for r in data["results"])
 
 
-PROGRAM = report.Program("multiview", "One view against several", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "multiview", "One view against several", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/scenes", "benchmarks/peer_child.py", "benchmarks/cycles_scenes.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

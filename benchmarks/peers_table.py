@@ -231,7 +231,10 @@ def headline(data: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-PROGRAM = report.Program("peers", "The program and its peers", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "peers", "The program and its peers", __file__, measure, write, headline,
+    (*report.CAPTURE, "benchmarks/peer_child.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

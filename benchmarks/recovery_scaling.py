@@ -96,13 +96,14 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
     from irpso_addon.cluster.partition import split
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.solver.planning.cost import phase_cost, recovery_cost
-    from irpso_addon.solver.settings.resolve import resolve
+    from irpso_addon.solver.settings.resolve import ResolvedSwarm, resolve
     from irpso_addon.solver.settings.schedule import load_schedule
 
     schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
     plan = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
     messages, size = np.zeros(len(plan.tiles), int), np.zeros(len(plan.tiles), int)
     for stage in resolve(schedule, model, set(), _LIGHTS):
+        assert isinstance(stage, ResolvedSwarm)
         cost, numbers = phase_cost(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
         receivers, cells = _rims(np.array(plan.boxes[: len(plan.tiles)]), cost.stencil_radius)
         messages += cost.exchanges * receivers
@@ -218,7 +219,11 @@ def headline(data: dict[str, Any]) -> str:
     return f"two ranks on two cores: {', '.join(efficiencies)}; the same maps bit for bit"
 
 
-PROGRAM = report.Program("recovery_scaling", "A recovery over ranks", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "recovery_scaling", "A recovery over ranks", __file__, measure, write, headline,
+    (*report.RECOVER, "irpso_addon/cluster", "benchmarks/killed.py", "benchmarks/swarm_scaling.py",
+     "benchmarks/swarms"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

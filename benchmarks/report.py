@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import hashlib
+import itertools
 import json
 import os
 import platform
@@ -28,9 +29,14 @@ QUICK_PAGES = CACHE / "quick-pages"  # a smoke run must not replace measured pag
 MAX_BYTES = 60_000  # of a plot
 # Okabe & Ito 2008, distinct under colour blindness. Black is the program itself.
 COLORS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c")
-# Sources that every result depends on, besides its program's.
-_SOURCES = ("presets/*.toml", "shaders/**/*.*", "irpso_addon/solver/**/*.py", "benchmarks/subjects.py",
-            "benchmarks/product.py", "benchmarks/peers/*.py")  # fmt: skip
+# Files and folders that every result depends on, besides its program's.
+_SOURCES = ("presets", "shaders", "irpso_addon/core", "irpso_addon/geometry", "irpso_addon/gpu",
+            "irpso_addon/reflectance", "irpso_addon/solver", "benchmarks/subjects.py", "benchmarks/product.py",
+            "benchmarks/peers")  # fmt: skip
+_SUFFIXES = (".glsl", ".js", ".py", ".toml")
+# Those of a program that reads captures, and of one that runs the command recover.
+CAPTURE = ("irpso_addon/blender", "irpso_addon/capture", "irpso_addon/results")
+RECOVER = (*CAPTURE, "irpso_addon/commands", "irpso_addon/pipeline")
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,7 @@ class Program:
     """A benchmark. measure(quick) → data for JSON; write(data, folder) writes plots and returns the page's lines.
 
     name: of page and result file. source: the module's file. title: of the page. headline(data): for the index.
+    sources: files and folders, from the root, on which the result depends beside ``_SOURCES``.
     """
 
     name: str
@@ -46,6 +53,7 @@ class Program:
     measure: Callable[[bool], dict[str, Any]]
     write: Callable[[dict[str, Any], Path], list[str]]
     headline: Callable[[dict[str, Any]], str]
+    sources: tuple[str, ...] = ()
 
 
 def result_path(program: Program, quick: bool, cache: Path = CACHE) -> Path:
@@ -68,7 +76,7 @@ def run(program: Program, arguments: Sequence[str] | None = None) -> None:
     output = options.output or (QUICK_PAGES if options.quick else PAGES)
     path = result_path(program, options.quick, options.cache)
     result = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    current_digest = digest(program.source)
+    current_digest = digest(program)
     if options.draw and result is None:
         parser.error(f"{path} is not there; measure first")
     if output.exists() and not output.is_dir():
@@ -101,10 +109,17 @@ def _foot(result: dict[str, Any], program: Program) -> list[str]:
     ]
 
 
-def digest(source: str) -> str:
-    """Return a digest of the sources that a result depends on."""
+def source_files(program: Program) -> list[Path]:
+    """Return the files that a program's result depends on."""
+    paths = [ROOT / name for name in (*_SOURCES, *program.sources)]
+    files = {file for path in paths for file in (path.rglob("*.*") if path.is_dir() else [path])}
+    return [Path(program.source), *sorted(file for file in files if file.suffix in _SUFFIXES)]
+
+
+def digest(program: Program) -> str:
+    """Return a digest of the sources that a program's result depends on."""
     sha256 = hashlib.sha256()
-    for path in [Path(source), *(p for pattern in _SOURCES for p in sorted(ROOT.glob(pattern)) if p.is_file())]:
+    for path in source_files(program):
         sha256.update(path.read_bytes())
     return sha256.hexdigest()[:16]
 
@@ -264,6 +279,21 @@ _FONT = "font-family: 'DejaVu Sans'"  # of all text
 _ID = re.compile(r"\b[mp][0-9a-f]{10}\b")  # matplotlib's names of markers and clip paths
 
 
+_LINES = re.compile(r"M ?(\S+ \S+)((?: L ?\S+ \S+)+)")
+
+
+def relative_lines(path: str) -> str:
+    """Return SVG path data with each run of absolute lines as relative ones, which are shorter; exact to a tenth."""
+
+    def shorter(match: re.Match[str]) -> str:
+        points = [[round(10 * float(n)) for n in pair.split()] for pair in f"{match[1]}{match[2]}".split(" L")]
+        steps = [end - start for a, b in itertools.pairwise(points) for start, end in zip(a, b, strict=True)]
+        text = " ".join(re.sub(r"^(-?)0\.", r"\1.", f"{step / 10:g}") for step in steps)
+        return f"M{match[1]}l{text.replace(' -', '-')}"
+
+    return _LINES.sub(shorter, path)
+
+
 def _minified(svg: str) -> str:
     """Return an SVG without comments, long names, blanks, and digits below a tenth; with one font for all text."""
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
@@ -277,7 +307,9 @@ def _minified(svg: str) -> str:
     svg = re.sub(r'(?<= )style="[^"]*"', lambda match: re.sub(r"([:;]) ", r"\1", match[0]), svg)
     svg = re.sub(r'(?<= )d="[^"]*"', lambda match: re.sub(r" ?([A-Zz\"]) ?", r"\1", match[0]), svg)
     svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda match: re.sub(r"(\d)\.0\b", r"\1", match[0]), svg)
-    svg = _with_classes(re.sub(r"\s*\n\s*", " ", svg))
+    svg = re.sub(r"\s*\n\s*", " ", svg)
+    svg = re.sub(r'(?<= )d="([^"]*)"', lambda match: f'd="{relative_lines(match[1].strip())}"', svg)
+    svg = _with_classes(svg)
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 
 

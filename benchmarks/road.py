@@ -239,7 +239,10 @@ def headline(data: dict[str, Any]) -> str:
     )
 
 
-PROGRAM = report.Program("road", "From photographs to a material in the window", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "road", "From photographs to a material in the window", __file__, measure, write, headline,
+    (*report.RECOVER, "irpso_addon/calibration", "irpso_addon/sample", "irpso_addon/ui"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

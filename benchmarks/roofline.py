@@ -324,7 +324,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"{operations / 1e6:.1f} M operations a texel, {operations / fetched:.0f} a byte fetched"
 
 
-PROGRAM = report.Program("roofline", "What a pass reads, writes and computes", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "roofline", "What a pass reads, writes and computes", __file__, measure, write, headline,
+    ("irpso_addon/pipeline", "benchmarks/spirv.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

@@ -58,8 +58,9 @@ def headline(data: dict[str, Any]) -> str:
 
 
 PROGRAM = report.Program(
-    "cycles_scenes", "Materials recovered from what Cycles rendered", __file__, measure, write, headline
-)
+    "cycles_scenes", "Materials recovered from what Cycles rendered", __file__, measure, write, headline,
+    (*report.RECOVER, "benchmarks/scenes", "benchmarks/peer_child.py", "benchmarks/cycles_scenes.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -298,7 +298,10 @@ def _maps(height: np.ndarray, colour: np.ndarray, roughness: np.ndarray) -> Valu
     }  # fmt: skip
 
 
-PROGRAM = report.Program("seams", "Seams of maps that repeat", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "seams", "Seams of maps that repeat", __file__, measure, write, headline,
+    (*report.CAPTURE, "irpso_addon/exports", "benchmarks/scenes"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

@@ -113,7 +113,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"{first['subject']}: {', '.join(tilts)} (without, with, oracle)"
 
 
-PROGRAM = report.Program("separation", "Indirect light by colour and by shadows", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "separation", "Indirect light by colour and by shadows", __file__, measure, write, headline,
+    (*report.RECOVER, "irpso_addon/sample", "benchmarks/scenes"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -126,7 +126,10 @@ def headline(data: dict[str, Any]) -> str:
     return f"best of {len(best)} cases: {', '.join(f'{name} {best.count(name)}' for name in METHODS)}"
 
 
-PROGRAM = report.Program("swarm_quality", "One swarm beside other optimisers", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "swarm_quality", "One swarm beside other optimisers", __file__, measure, write, headline,
+    ("benchmarks/swarms",),
+)  # fmt: skip
 
 if __name__ == "__main__":
     report.run(PROGRAM)

@@ -275,7 +275,10 @@ def headline(data: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-PROGRAM = report.Program("swarm_scaling", "One swarm on ranks, threads and GPUs", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "swarm_scaling", "One swarm on ranks, threads and GPUs", __file__, measure, write, headline,
+    ("benchmarks/swarms",),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

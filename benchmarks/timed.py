@@ -74,9 +74,8 @@ def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
         row.domain.bake, position=place, normal=up, tangent=np.broadcast_to(np.float32([1, 0, 0, 1]), (*shape, 4)),
         coverage=coverage, uv=place[..., :2],
     )  # fmt: skip
-    domain = with_samples(
-        replace(row.domain, bake=bake), np.broadcast_to(row.domain.stack.values, (job.lights, *shape, 4))
-    )
+    samples = np.stack(list(row.domain.stack.layers()))
+    domain = with_samples(replace(row.domain, bake=bake), np.broadcast_to(samples, (job.lights, *shape, 4)))
     fixed = {n: np.broadcast_to(np.float32(row.truth[n]), (*shape, row.truth[n].shape[-1])) for n in job.fixed}
     return domain, fixed
 

@@ -174,7 +174,10 @@ def headline(data: dict[str, Any]) -> str:
     )
 
 
-PROGRAM = report.Program("uncalibrated", "Lights from the subject's own shading", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "uncalibrated", "Lights from the subject's own shading", __file__, measure, write, headline,
+    (*report.RECOVER, "irpso_addon/calibration", "irpso_addon/sample", "benchmarks/scenes", "benchmarks/peer_child.py"),
+)  # fmt: skip
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

@@ -103,7 +103,7 @@ def write_card(folder: Path, size: int, lights: int) -> Path:
     card = subjects.make_card(size, lights, subjects.NOISY, model="principled")
     observations = tuple(
         Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))
-        for k, (image, light) in enumerate(zip(card.domain.stack.values, card.domain.lights, strict=True))
+        for k, (image, light) in enumerate(zip(card.domain.stack.layers(), card.domain.lights, strict=True))
     )
     camera = Camera.orthographic(size, size, 2.0)
     write_capture(Capture("card", observations, (camera,), (np.ones((size, size), bool),)), folder)
@@ -210,7 +210,15 @@ def headline(data: dict[str, Any]) -> str:
     return f"first picture after {run['first_picture_s']:.2f} s, longest turn {1000 * run['longest'][0][0]:.0f} ms"
 
 
-PROGRAM = report.Program("window", "In Blender's window", __file__, measure, write, headline)
+PROGRAM = report.Program(
+    "window",
+    "In Blender's window",
+    __file__,
+    measure,
+    write,
+    headline,
+    (*report.RECOVER, "irpso_addon/ui"),  # fmt: skip
+)
 
 if __name__ == "__main__":
     report.run(PROGRAM)

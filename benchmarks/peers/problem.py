@@ -97,7 +97,7 @@ def problem_of(domain: Domain, model: str, truth: Mapping[str, np.ndarray] | Non
     if not domain.card or domain.lights[:, 3].any() or not one_view:
         raise ValueError("peers solve flat cards under distant lights, seen by one camera")
     rows, columns = np.nonzero(domain.solvable)
-    stack = domain.stack.values[:, rows, columns].astype(np.float64)
+    stack = domain.stack.texels(rows, columns).astype(np.float64)
     view = np.broadcast_to(domain.views[0, :3].astype(np.float64), (len(rows), 3))
     if domain.views[0, 3]:
         view = view - domain.bake.position[rows, columns]

@@ -15,6 +15,7 @@ from ..capture.camera import Camera
 from ..capture.errors import CaptureError
 from ..capture.formats import diligent, table
 from ..capture.formats.lists import read_lines
+from ..capture.formats.registry import captures_with_lights
 from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 from ..capture.images.exif import JPEG_START, field_of_view, lens_of, open_jpeg, orientation_of, tags_of
 from ..capture.images.exr_header import is_exr
@@ -22,7 +23,7 @@ from ..capture.images.headers import read_bytes
 from ..capture.images.image import SUFFIXES, ImageRef, ImageStore, find_image
 from ..capture.images.linearise import Decoder
 from ..capture.images.raw import is_raw
-from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
+from ..capture.spec import CaptureKind, CaptureSpec, ObservationSpec, ViewSpec
 from ..capture.types import Light
 from ..core.files import visible
 from ..core.toml_text import toml_value
@@ -65,16 +66,8 @@ def videos_of(path: Path) -> list[Path]:
 
 
 def has_lights(folder: Path) -> bool:
-    """Return whether a folder holds a capture with lights."""
-    stated = (folder / table.TABLE).exists() or (folder / diligent.DIRECTIONS).exists()
-    return stated or len(position_lists(folder)) == 1
-
-
-def position_lists(folder: Path) -> list[Path]:
-    """Return the .lp files of a folder; [] beside a filenames.txt, which comes before them."""
-    if (folder / diligent.FILENAMES).exists():
-        return []
-    return [p for p in visible(folder) if p.suffix.lower() == ".lp"]
+    """Return whether a folder holds exactly one capture with lights."""
+    return len(captures_with_lights(folder)) == 1
 
 
 def read_photographs(
@@ -111,7 +104,7 @@ def read_photographs(
     mask = diligent.mask_of(path, hidden)
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
     view = ViewSpec("camera", make, str(path), None, ImageRef(mask) if mask else None, lens=lens)
-    return CaptureSpec(path.resolve().name, "images", path, observations, (view,))
+    return CaptureSpec(path.resolve().name, CaptureKind.IMAGES, path, observations, (view,))
 
 
 def _pictures_of_tables(folder: Path) -> list[Path]:
@@ -206,7 +199,7 @@ def calibrated_table(
     card, which replace the source's. Everything else of a capture.toml is preserved, except comments. Image paths
     become relative to ``folder``.
     """
-    if spec.kind == "capture table":
+    if spec.kind is CaptureKind.TABLE:
         source = load_toml(spec.source)
         home = spec.source.parent
     else:
@@ -244,7 +237,7 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
     """Return the capture.toml table of a spec from another format, with its paths unchanged."""
     camera: dict[str, Any] = {"name": spec.views[0].name}
     file = (spec.source if spec.source.is_dir() else spec.source.parent) / CAMERA
-    if file.exists() and spec.source.suffix.lower() != ".lp":
+    if file.exists() and spec.kind is not CaptureKind.RTI:
         camera |= camera_keys(file)
     if spec.views[0].mask is not None:
         camera["mask"] = str(spec.views[0].mask.path)
@@ -253,7 +246,7 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
         row: dict[str, Any] = {"name": observation.name, "image": str(observation.image.path)}
         if observation.image.colour_space != "auto":
             row["colour_space"] = observation.image.colour_space
-        if spec.kind != "images" and tuple(observation.intensity) != _UNMEASURED:
+        if spec.kind is not CaptureKind.IMAGES and tuple(observation.intensity) != _UNMEASURED:
             row["light_intensity"] = list(observation.intensity)
         rows.append(row)
     return {"format": table.FORMAT, "name": spec.name, "camera": [camera], "observation": rows}

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.files import visible
 from .errors import CaptureError
-from .formats import diligent, rti, table
+from .formats.registry import FORMATS, captures_in, format_of
 from .framing import Framing, framed
 from .images.image import ImageStore
 from .images.linearise import COLOUR_SPACES, Decoder
@@ -14,7 +13,8 @@ from .inspect.damage import without_damaged
 from .spec import CaptureSpec, build_capture
 from .types import Capture
 
-_REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light_directions.txt, or with one .lp file"
+*_FIRST, _LAST = (known.folder_holds for known in FORMATS)
+_REMEDY = f"a capture is a folder with {', with '.join(_FIRST)}, or with {_LAST}"
 _NO_LIGHTS = "of photographs irpso calibrate, or Find Lights, makes one"
 
 
@@ -58,27 +58,21 @@ def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:
             raise CaptureError(f"{path}: is not there; give the path of a capture ({_REMEDY})", "capture")
     except PermissionError as error:
         raise CaptureError(f"{path}: cannot be opened; check its permissions", "missing") from error
-    if path.suffix.lower() == ".toml":
-        return table.spec_of_table(path, colour_space)
-    if path.suffix.lower() == ".lp":
-        return rti.spec_of_lp(path, colour_space)
+    if known := format_of(path):
+        return known.read(path, colour_space)
     if path.suffix.lower() == ".blend":
         raise CaptureError(
             f"{path}: a scene is checked in Blender, with Capture From: This Scene; recover reads it", "kind"
         )
-    if path.name in (diligent.FILENAMES, diligent.DIRECTIONS):
-        return diligent.spec_of_folder(path.parent, colour_space)
     raise CaptureError(f"{path}: is no capture; {_REMEDY}", "kind")
 
 
 def _spec_of_folder(folder: Path, colour_space: str) -> CaptureSpec:
-    if (folder / table.TABLE).exists():
-        return table.spec_of_table(folder / table.TABLE, colour_space)
-    if diligent.is_diligent(folder):
-        return diligent.spec_of_folder(folder, colour_space)
-    lists = [p for p in visible(folder) if p.suffix.lower() == ".lp" and p.is_file()]
-    if len(lists) == 1:
-        return rti.spec_of_lp(lists[0], colour_space)
-    if lists:
-        raise CaptureError(f"{folder}: holds {len(lists)} .lp files; give the path of the one to read", "kind")
-    raise CaptureError(f"{folder}: holds no capture; {_REMEDY}; {_NO_LIGHTS}", "kind")
+    found = captures_in(folder)
+    if found is None:
+        raise CaptureError(f"{folder}: holds no capture; {_REMEDY}; {_NO_LIGHTS}", "kind")
+    known, captures = found
+    if len(captures) > 1:
+        what = f"{len(captures)} {captures[0].suffix.lower()} files"
+        raise CaptureError(f"{folder}: holds {what}; give the path of the one to read", "kind")
+    return known.read(captures[0], colour_space)

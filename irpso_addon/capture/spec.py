@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -58,15 +59,24 @@ class ViewSpec:
     foreign: bool = False
 
 
+class CaptureKind(StrEnum):
+    """The format of a capture's files, in words (formats/registry.py); IMAGES: photographs whose lights are unknown."""
+
+    TABLE = "capture table"
+    DILIGENT = "DiLiGenT folder"
+    RTI = "RTI light positions"
+    IMAGES = "images"
+
+
 @dataclass(frozen=True)
 class CaptureSpec:
-    """The contents of a capture's files. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
+    """The contents of a capture's files.
 
     card_distance, left_out: as Capture's. framing: of its images; ``build_steps`` does not apply it.
     """
 
     name: str
-    kind: str
+    kind: CaptureKind
     source: Path
     observations: tuple[ObservationSpec, ...]
     views: tuple[ViewSpec, ...]

@@ -22,7 +22,7 @@ from ..capture.formats.table import TABLE
 from ..capture.images.exif import field_of_view
 from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageStore
-from ..capture.spec import CaptureSpec, build_capture
+from ..capture.spec import CaptureKind, CaptureSpec, build_capture
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
@@ -62,7 +62,7 @@ def _photographs(options: Namespace) -> CaptureSpec:
     if not path.is_dir():
         raise InputError(f"{path}: is no folder; give the folder of the photographs")
     spec = read_photographs(path, options.colour_space)
-    if spec.kind != "images":
+    if spec.kind is not CaptureKind.IMAGES:
         raise InputError(f"{path}: holds a capture with lights; give a folder of photographs alone")
     view = replace(spec.views[0], mask=None)
     names = _distinct_names(path, spec)

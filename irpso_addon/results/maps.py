@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -11,6 +12,16 @@ from ..core.udim import ONE_SQUARE, tile_part
 from ..reflectance.model import ReflectanceModel
 
 UNKNOWN = 0.25  # of a parameter's range: with a larger standard deviation it is unknown
+
+
+class Cause(StrEnum):
+    """Why a parameter of a texel is unknown; docs/reading_maps.md has the remedies."""
+
+    LATER_ROUND = "later_round"  # a later round of interreflection searches it
+    MOSTLY_INDIRECT = "mostly_indirect"  # most of the texel's light comes from the subject
+    NOTHING_DETERMINED = "nothing_determined"  # no parameter is: few samples, or a hollow with unexplained light
+    WIDE_DEVIATION = "wide_deviation"
+    TWO_MODES = "two_modes"
 
 
 @dataclass(frozen=True)
@@ -26,7 +37,8 @@ class Maps:
     opposite border, as of a mesh unwrapped all around. alternatives: parameter name → (H, W, components), the deviance,
     −9 to 9, of materials far from the estimate in that number against the estimate (solver/state/alternatives.py);
     measured with the confidence, else None. two_modes: parameter name → (H, W) bool, covered texels whose material
-    leaves that number open; {} before solver.modes.with_modes.
+    leaves that number open; {} before solver.modes.with_modes. unknown_texels: parameter name → cause → (H, W) bool,
+    texels that are unknown whatever their estimate; their ``confidence`` is the widest (RecoveryEngine.unknown_texels).
     """
 
     model: ReflectanceModel
@@ -39,15 +51,30 @@ class Maps:
     wrapped: bool = False
     alternatives: dict[str, np.ndarray] | None = None
     two_modes: dict[str, np.ndarray] = field(default_factory=dict)
+    unknown_texels: dict[str, dict[Cause, np.ndarray]] = field(default_factory=dict)
 
     def unknown(self) -> dict[str, np.ndarray]:
         """Return, for normals and searched numbers, (H, W) bool: texels with wide ``confidence`` or two modes."""
-        return {
-            p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * p.width)
-            | self.two_modes.get(p.name, False)
-            for p in self.model.parameters
-            if self.confidence is not None and p.has_unknown
-        }
+        return {name: np.any(list(masks.values()), axis=0) for name, masks in self.unknown_by_cause().items()}
+
+    def unknown_by_cause(self) -> dict[str, dict[Cause, np.ndarray]]:
+        """Return the texels of ``unknown``, (H, W) bool by parameter and cause; of several causes the first counts."""
+        if self.confidence is None:
+            return {}
+        widths = [(self.confidence[p.name][..., 0], np.float32(p.width)) for p in self.model.parameters]
+        nothing = np.all([(sigma >= width) | (sigma == 0) for sigma, width in widths], axis=0)  # 0: fixed
+        result: dict[str, dict[Cause, np.ndarray]] = {}
+        for p, (sigma, _) in zip(self.model.parameters, widths, strict=True):
+            if p.has_unknown:
+                wide = sigma > UNKNOWN * p.width
+                masks = self.unknown_texels.get(p.name, {}) | {
+                    Cause.NOTHING_DETERMINED: nothing & wide, Cause.WIDE_DEVIATION: wide,
+                    Cause.TWO_MODES: self.two_modes.get(p.name, np.zeros_like(wide)),
+                }  # fmt: skip
+                left, result[p.name] = self.covered, {}
+                for cause, mask in masks.items():
+                    result[p.name][cause], left = left & mask, left & ~mask
+        return result
 
 
 def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
@@ -70,5 +97,9 @@ def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
                 margin=None if maps.margin is None else part(maps.margin),
                 alternatives=maps.alternatives and {name: part(value) for name, value in maps.alternatives.items()},
                 two_modes={name: part(value) for name, value in maps.two_modes.items()},
+                unknown_texels={
+                    name: {cause: part(value) for cause, value in masks.items()}
+                    for name, masks in maps.unknown_texels.items()
+                },
             ),
         )

@@ -53,8 +53,15 @@ def build_report(
         report["noise_codes"] = round(255 * noise, 2)
     if maps.residual is not None:
         report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
-    if covered and (unknown := maps.unknown()):
-        report["unknown"] = {name: round(int(there.sum()) / covered, 4) for name, there in unknown.items()}
+    if covered and (unknown := maps.unknown_by_cause()):
+        shares = {
+            name: {str(cause): int(mask.sum()) / covered for cause, mask in masks.items() if mask.any()}
+            for name, masks in unknown.items()
+        }
+        report["unknown"] = {name: round(sum(causes.values(), 0.0), 4) for name, causes in shares.items()}
+        report["unknown_causes"] = {
+            name: {cause: round(share, 4) for cause, share in causes.items()} for name, causes in shares.items()
+        }
     if maps.two_modes:
         report["two_modes"] = mode_shares(maps)
     if ground_truth is not None:

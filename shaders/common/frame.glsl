@@ -6,6 +6,7 @@
 #define TEXEL_OUTSIDE 0
 #define TEXEL_SOLVED 1
 #define TEXEL_HALO 2
+#define TEXEL_SEPARATED 4 // added to the state where the indirect light was subtracted from the samples
 
 struct Frame {
     vec3 position;
@@ -16,7 +17,12 @@ struct Frame {
 
 int state_at(ivec2 texel)
 {
-    return int(geometry_at(GEOMETRY_POSITION, texel).w);
+    return int(geometry_at(GEOMETRY_POSITION, texel).w) & (TEXEL_SEPARATED - 1);
+}
+
+bool separated_at(ivec2 texel)
+{
+    return (int(geometry_at(GEOMETRY_POSITION, texel).w) & TEXEL_SEPARATED) != 0;
 }
 
 // Returns the texel's scale: a percentile of its radiance per light intensity (solver/settings/groups.py, Fitness).
@@ -25,7 +31,7 @@ float radiance_scale_at(ivec2 texel)
     return geometry_at(GEOMETRY_NORMAL, texel).w;
 }
 
-// shadow_at() of texels from whose samples the indirect light was subtracted.
+// shadow_at() of separated texels.
 #define SEPARATED_SHADOW 0.02
 
 // Returns the shadow limit, a fraction of the scale: darker samples count as shadow. 0 where the light is not indirect.

@@ -185,9 +185,8 @@ bool texel_kernel(ivec2 texel)
         float variance = variance_of(texel, sums);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
-        float shadow = shadow_at(texel);
-        bool separated = shadow < 1.5 * SEPARATED_SHADOW;
-        if (shadow > 0.0 && unexplained > (separated ? UNEXPLAINED_LIMIT_SEPARATED : UNEXPLAINED_LIMIT)) {
+        float limit = separated_at(texel) ? UNEXPLAINED_LIMIT_SEPARATED : UNEXPLAINED_LIMIT;
+        if (shadow_at(texel) > 0.0 && unexplained > limit) {
             variance = -1.0;
         }
 #endif

@@ -1,4 +1,4 @@
-// Over the domain: shows one parameter. Reads u_packed, the estimates and u_measure. Alpha is UNUSED where the
+// Over the domain: shows one parameter. Reads u_packed, the estimates and the measures. Alpha is UNUSED where
 // deviation of number u_at exceeds u_unknown.
 // u_at, u_components: first number and count. u_encoding: a fraction of the range (u_low, u_width), a colour, or a
 // normal. One number is shown as grey, two as red and green, four as their first three.

@@ -86,6 +86,11 @@ def test_the_result_says_what_it_changed(ready):
     assert found["rounds"] == 3 and 0.05 < found["share"] < 0.3
     ready.run("settings.view.shown = 'PARAMETER'\nsettings.view.parameter = 'normal'")
     ready.screenshot("interreflection: normals")
+    ready.run("session.current().probes.add(16, 16)")
+    ready.wait("session.current().probes[0].judged == session.current().progress")
+    found = ready.run("[str(c) for c in session.current().probes[0].unknown.values()]")
+    masks = "session.current().maps().unknown_by_cause()['normal'].items()"
+    assert found == ready.run(f"[str(cause) for cause, mask in {masks} if mask[16, 16]]")
 
 
 def test_occluders_are_a_collection_in_the_subject_panel(ready):

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...capture.formats.diligent import FILENAMES, is_mask, mask_of
 from ...capture.formats.lists import read_lines
+from ...capture.formats.registry import captures_with_lights
 from ...capture.framing import Framing
 from ...capture.images.exif import exposure_of
 from ...capture.images.exr_header import is_exr
@@ -21,7 +22,7 @@ from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.files import natural, visible
-from ..photographs import CAMERA, has_lights, is_photograph, position_lists
+from ..photographs import CAMERA, is_photograph
 from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .bursts import bursts_of
 from .develop import ExposureGroup
@@ -81,8 +82,7 @@ def read_source(
         raise InputError("--bursts averages photographs of one exposure; omit --brackets and --exposure")
     path = Path(path)
     excluded = {p.resolve() for p in left_out}
-    # Of several .lp files read_spec says that one is to be chosen.
-    if has_lights(path) or position_lists(path) if path.is_dir() else path.is_file():
+    if captures_with_lights(path) if path.is_dir() else path.is_file():  # of several, read_spec says to choose one
         return _listed_source(read_spec(path, colour_space), decoder, exposing, excluded, bursts)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...core.files import visible
 from ..errors import CaptureError
 from ..images.image import SUFFIXES, ImageRef, find_image
-from ..spec import CaptureSpec, ObservationSpec, ViewSpec
+from ..spec import CaptureKind, CaptureSpec, ObservationSpec, ViewSpec
 from .lists import read_directions, read_intensities, read_lines
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 
@@ -58,7 +58,7 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     known_keys(table, CAMERA_KEYS, str(camera))
     make, lens = camera_maker(table, str(camera)), has_lens(table)
     view = ViewSpec("camera", make, str(camera), None, ImageRef(mask) if mask else None, lens=lens)
-    return CaptureSpec(folder.resolve().name, "DiLiGenT folder", folder, tuple(observations), (view,))
+    return CaptureSpec(folder.resolve().name, CaptureKind.DILIGENT, folder, tuple(observations), (view,))
 
 
 def _same_count(path: Path, count: int, expected: int) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import CaptureError
 from ..images.image import ImageRef, find_image
-from ..spec import CaptureSpec, ObservationSpec, ViewSpec
+from ..spec import CaptureKind, CaptureSpec, ObservationSpec, ViewSpec
 from .lists import numbers, read_lines
 from .toml_file import camera_maker
 
@@ -36,4 +36,4 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
         image = ImageRef(find_image(path.parent, name), colour_space=colour_space, named_in=f"its name in {where}")
         observations.append(ObservationSpec(image.path.name, image, tuple(numbers(words[1:], where)), where))
     view = ViewSpec("camera", camera_maker({}, str(path)), str(path), lens=False)
-    return CaptureSpec(path.resolve().parent.name, "RTI light positions", path, tuple(observations), (view,))
+    return CaptureSpec(path.resolve().parent.name, CaptureKind.RTI, path, tuple(observations), (view,))

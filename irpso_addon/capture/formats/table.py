@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import CaptureError
 from ..framing import AUTO, Framing
-from ..spec import CaptureSpec, ObservationSpec
+from ..spec import CaptureKind, CaptureSpec, ObservationSpec
 from ..types import triple
 from .cameras import Views
 from .toml_file import image_ref, is_number, known_keys, load_toml, number, rows, text, vector
@@ -49,7 +49,7 @@ def spec_of_keys(table: dict[str, Any], path: Path, colour_space: str = "auto") 
         for n, row in enumerate(rows(table, "observation", path), 1)
     )
     framing = _framing(table, str(path))
-    return CaptureSpec(name, "capture table", path, observations, tuple(views.specs), distance, framing=framing)
+    return CaptureSpec(name, CaptureKind.TABLE, path, observations, tuple(views.specs), distance, framing=framing)
 
 
 def _framing(table: dict[str, Any], where: str) -> Framing:

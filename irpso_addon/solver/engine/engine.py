@@ -20,7 +20,7 @@ from ...gpu.kernel import EntryChoice
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ...results.maps import Maps
+from ...results.maps import Cause, Maps
 from ..phases.phase import Phase
 from ..settings.fixed import full_map
 from ..settings.resolve import held_names
@@ -200,10 +200,12 @@ class RecoveryEngine(ABC):
         """The parameters that are not searched now."""
         return held_names(self.schedule, self.model, self.fixed)
 
-    @property
-    def held_by_round(self) -> frozenset[str]:
-        """Those of them that a later round searches: nothing is known of them."""
-        return frozenset()
+    def unknown_texels(self, name: str) -> dict[Cause, np.ndarray]:
+        """Return cause → (H, W) bool: texels of which a parameter is unknown, whatever its estimate in ``view``.
+
+        ``maps`` has them too, with the widest deviations. Another mask is another array.
+        """
+        return {}
 
     @property
     def phase(self) -> Phase | None:

@@ -17,7 +17,7 @@ from ...geometry.light.interreflection_geometry import InterreflectionGeometry
 from ...geometry.samples import SampleStack
 from ...gpu.kernel import EntryChoice
 from ...reflectance.model import ReflectanceModel
-from ...results.maps import Maps
+from ...results.maps import Cause, Maps
 from ..engine.engine import RecoveryEngine
 from ..engine.recovery import Recovery
 from ..engine.successive import Successive
@@ -89,6 +89,7 @@ class InterreflectionRounds(Successive):
         self._rounds = round_schedules(schedule, model, fixed or {}, geometry.known_shape)
         super().__init__(domain, model, schedule, seed, fixed, entry, self._rounds.schedules(schedule))
         self._geometry, self._solve = geometry, solve
+        self._everywhere = np.ones(domain.shape, bool)
         self._mostly_indirect = np.zeros(domain.shape, bool)  # texels whose light is mostly indirect
         self._substitutes: dict[str, np.ndarray] = {}  # maps for these texels
         self._samples: SampleStack | None = None  # without indirect light
@@ -110,18 +111,14 @@ class InterreflectionRounds(Successive):
         """
         maps = self._live.maps(confidence)
         values, deviations = dict(maps.values), maps.confidence and dict(maps.confidence)
-        if self._rounds.normals_fixed_in(self._at):
-            for p in self.model.parameters:
-                if deviations and p.name in self.held_by_round:
-                    deviations[p.name] = np.full_like(deviations[p.name], p.width)
-            return replace(maps, confidence=deviations)
-        for p in self.model.parameters if self._substitutes else ():
-            if p.name not in self.fixed:
-                values[p.name] = np.where(self._mostly_indirect[..., None], self._substitutes[p.name], values[p.name])
+        unknown = {p.name: self.unknown_texels(p.name) for p in self.model.parameters}
+        for p in self.model.parameters:
+            for cause, mask in unknown[p.name].items():
                 if deviations:
-                    widest = np.float32(p.width)
-                    deviations[p.name] = np.where(self._mostly_indirect[..., None], widest, deviations[p.name])
-        return replace(maps, values=values, confidence=deviations)
+                    deviations[p.name] = np.where(mask[..., None], np.float32(p.width), deviations[p.name])
+                if cause is Cause.MOSTLY_INDIRECT:
+                    values[p.name] = np.where(mask[..., None], self._substitutes[p.name], values[p.name])
+        return replace(maps, values=values, confidence=deviations, unknown_texels=unknown)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -148,9 +145,13 @@ class InterreflectionRounds(Successive):
                 )
         return tuple(lines)
 
-    @property
-    def held_by_round(self) -> frozenset[str]:
-        return frozenset(self._rounds.fixed_in(self._at, self.model).keys() - self.fixed.keys())
+    def unknown_texels(self, name: str) -> dict[Cause, np.ndarray]:
+        if name in self.fixed:
+            return {}
+        if name in self._rounds.fixed_in(self._at, self.model):
+            return {Cause.LATER_ROUND: self._everywhere}
+        last = not self._rounds.normals_fixed_in(self._at)
+        return {Cause.MOSTLY_INDIRECT: self._mostly_indirect} if last and self._mostly_indirect.any() else {}
 
     @property
     def has_rounds(self) -> bool:
@@ -378,8 +379,9 @@ class InterreflectionRounds(Successive):
         own = (counted * direct).sum(axis=0, dtype=np.float64)
         others = strength * (counted * radiance.mean(axis=-1)).sum(axis=0, dtype=np.float64)
         part = others / np.maximum(others + own, 1e-12)
-        self._mostly_indirect[covered] = transport.at_texels(part[:, None])[:, 0] > MAX_INDIRECT
-        self._mostly_indirect &= self.domain.solvable
+        found = np.zeros(self.domain.shape, bool)
+        found[covered] = transport.at_texels(part[:, None])[:, 0] > MAX_INDIRECT
+        self._mostly_indirect = found & self.domain.solvable
         for name, value in light.materials.items():
             self._substitutes[name] = np.zeros((*self.domain.shape, value.shape[-1]), np.float32)
             self._substitutes[name][covered] = transport.at_texels(value)

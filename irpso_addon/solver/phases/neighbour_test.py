@@ -75,10 +75,6 @@ class NeighbourTest(TexturePhase):
         """Return the measurements after the decisions."""
         raise NotImplementedError
 
-    def reached(self, threshold: float) -> bool:
-        """Return False: nothing is searched."""
-        return False
-
     def read(self, *names: str) -> np.ndarray:
         """Return (h, w, channels) of the current textures of some groups, channels side by side."""
         self._ensure_inputs()

@@ -186,14 +186,18 @@ class TexturePhase(Phase):
         for name in self.shared:
             self.textures.upload(name, [next(parts) for _ in self.textures.of(name)])
 
-    def fitness(self) -> np.ndarray:
-        """Return (H, W) float32 over the domain: every texel's best fitness; NaN where none is solved."""
-        return np.zeros((0, 3))
+    def fitness(self) -> np.ndarray | None:
+        """Return (H, W) float32 over the domain: every texel's best fitness; NaN where none is solved.
+
+        None: the phase does not search for a lower fitness.
+        """
+        return None
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
-        solved = texel_states(self.domain.domain) == SOLVED
-        return bool((self.fitness()[solved] <= threshold).all())
+        if (fitness := self.fitness()) is None:
+            return False
+        return bool((fitness[texel_states(self.domain.domain) == SOLVED] <= threshold).all())
 
     def state(self) -> dict[str, np.ndarray]:
         """Return name → array of all that persists between iterations."""

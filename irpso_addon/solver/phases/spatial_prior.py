@@ -99,10 +99,6 @@ class SpatialPriorPhase(TexturePhase):
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
-    def reached(self, threshold: float) -> bool:
-        """Return False: a prior does not lower the fitness."""
-        return False
-
     def _copy(self, bands: Bands, sources: Sequence[Texture], targets: Sequence[Texture]) -> Iterator[None]:
         for source, target in zip(sources, targets, strict=True):
             yield from self.passes.copy.in_one_draw(bands, [target], {"u_source": source})

@@ -104,10 +104,6 @@ class SurfacePhase(TexturePhase):
         if self.acceptance is not None:
             yield from self.acceptance.deciding(bands, seconds)
 
-    def reached(self, threshold: float) -> bool:
-        """Return False: bent normals do not lower the fitness."""
-        return False
-
     def _in_bands(
         self,
         name: str,

@@ -14,10 +14,11 @@ from ...gpu.library import defined
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from .packing import Packing
-from .separation_record import Separation
+from .separation_record import SEPARATED_SHADOW, Separation
 
 UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # fitness of a material that was never evaluated
-OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
+_STATES = defined("common/frame.glsl", "TEXEL_")
+OUTSIDE, SOLVED, HALO = (_STATES[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
 
 
 class DomainTextures:
@@ -57,16 +58,25 @@ class DomainTextures:
         shadow = np.broadcast_to(np.float32(shadow), self.scale.shape)
         if not np.array_equal(shadow, self.shadow):
             self.shadow = shadow
-            arrays = domain_arrays(self.domain, self.packing, self.scale, shadow)
-            self.textures["u_geometry"] = textures.upload_layers(arrays["u_geometry"])
+            self.textures["u_geometry"] = textures.upload_layers(self._geometry())
 
     def where(self, chosen: np.ndarray) -> DomainTextures:
         """Return the same domain, in which only the chosen texels, (h, w) bool, are solved."""
         result = copy(self)
-        arrays = domain_arrays(self.domain, self.packing, self.scale, self.shadow)
-        arrays["u_geometry"][0, ..., 3][~chosen] = OUTSIDE
-        result.textures = ChainMap({"u_geometry": textures.upload_layers(arrays["u_geometry"])}, self.textures)
+        geometry = self._geometry()
+        geometry[0, ..., 3][~chosen] = OUTSIDE
+        result.textures = ChainMap({"u_geometry": textures.upload_layers(geometry)}, self.textures)
         return result
+
+    def _geometry(self) -> np.ndarray:
+        """Return u_geometry. Texels whose threshold is raised further than by the separation do not count as separated.
+
+        There the photographs have more indirect light than was subtracted.
+        """
+        geometry = domain_arrays(self.domain, self.packing, self.scale, self.shadow)["u_geometry"]
+        separated = self.separation.separated & (self.shadow <= np.float32(SEPARATED_SHADOW))
+        geometry[0, ..., 3] += np.where(separated, _STATES["SEPARATED"], 0)
+        return geometry
 
     def give_stack(self, stack: np.ndarray) -> None:
         """Upload the packed sample stack (K, h, w, 4); shallow copies share it."""

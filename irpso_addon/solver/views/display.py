@@ -19,6 +19,7 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
+from ...results.maps import Cause, Maps
 from ..engine.engine import RecoveryEngine
 from ..engine.progress import Progress
 from ..kernels import declarations
@@ -106,6 +107,30 @@ class Display:
         drawn = self._pictures.get(shown)
         return drawn is None or drawn[1] != (self._recovery.progress, 0)
 
+    def unknown_at(self, row: int, column: int) -> dict[str, Cause] | None:
+        """Return parameter → why it is unknown, of those that are unknown at a solved texel of the domain.
+
+        None before a ``picture`` has measured the current deviations, and at a coarser level.
+        """
+        measure, domain, model = self._measures.get("confidence"), self._recovery.domain, self._recovery.model
+        packing = Packing(domain.solvable, domain.seams)
+        if measure is None or measure.measured != self._recovery.progress:
+            return None
+        measured = list(measure.bindings().values())
+        if (measured[0].width, measured[0].height) != (packing.width, packing.height):
+            return None
+        place = packing.places(np.array([row]), np.array([column]))
+        numbers = np.concatenate([textures.texels(texture, place)[0] for texture in measured])
+        (x, y), (x0, y0) = domain.origin, self._whole.domain.origin
+        at, deviations, unknown = (slice(row + y - y0, row + y - y0 + 1), column + x - x0), {}, {}
+        for p in model.parameters:
+            first = model.offset(p.name)
+            deviations[p.name] = numbers[None, None, first : first + (1 if p.is_normal else p.components)]
+            unknown[p.name] = {cause: mask[at][None] for cause, mask in self._whole.unknown_texels(p.name).items()}
+        maps = Maps(model, {}, np.ones((1, 1), bool), confidence=deviations, unknown_texels=unknown)
+        causes = maps.unknown_by_cause()
+        return {name: cause for name, masks in causes.items() for cause, mask in masks.items() if mask.any()}
+
     def close(self) -> None:
         """Free shaders and textures."""
         for work in self._passes.values():
@@ -121,6 +146,7 @@ class Display:
         self._pictures: OrderedDict[Shown, tuple[Texture, tuple[Progress, int] | None]] = OrderedDict()
         self._ramp: Texture | None = None
         self._share: tuple[np.ndarray, Texture] | None = None  # the recovery's array, and its texture
+        self._least: dict[str, tuple[list[np.ndarray], Texture]] = {}  # by parameter: the recovery's masks
 
     def _check(self, shown: Shown) -> None:
         if shown.kind in ("parameter", "confidence"):
@@ -172,12 +198,32 @@ class Display:
         self._passes[kind].run([picture], inputs, constants)
 
     def _measured_inputs(self, shown: Shown) -> dict[str, Texture]:
-        """Return sampler name → measured texture; of a parameter that a round holds, the widest deviation."""
+        """Return sampler name → measured texture; for deviations also the least ones."""
         measured = self._measure(shown.measured).bindings()
-        if shown.measured == "confidence" and shown.parameter in self._recovery.held_by_round:
-            width = self._recovery.model.parameter(shown.parameter).width
-            return {name: textures.empty(t.width, t.height, "RGBA32F", width) for name, t in measured.items()}
+        if shown.measured == "confidence":
+            return {**measured, "u_least": self._least_deviations(shown.parameter, measured["u_measure_0"])}
         return measured
+
+    def _least_deviations(self, name: str, alike: Texture) -> Texture:
+        """Return a texture like ``alike``: the range's width where a parameter is unknown whatever its estimate."""
+        masks = list(self._whole.unknown_texels(name).values())
+        known, texture = self._least.get(name, ([], None))
+        if texture is None or len(masks) != len(known) or any(a is not b for a, b in zip(masks, known, strict=True)):
+            if masks:
+                unknown = self._packed(np.any(masks, axis=0))
+                width = self._recovery.model.parameter(name).width
+                texture = textures.upload(np.where(unknown, np.float32(width), np.float32(_UNMEASURED)))
+            else:
+                texture = textures.empty(alike.width, alike.height, "R32F", _UNMEASURED)
+            self._least[name] = masks, texture
+        return texture
+
+    def _packed(self, values: np.ndarray) -> np.ndarray:
+        """Return (H, W) values of the whole domain, packed as this recovery's textures."""
+        domain = self._recovery.domain
+        (x, y), (x0, y0), (height, width) = domain.origin, self._whole.domain.origin, domain.shape
+        own = values[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
+        return Packing(domain.solvable, domain.seams).pack(own)
 
     def _measure(self, kind: str) -> _Measure:
         if kind not in self._measures:
@@ -193,13 +239,11 @@ class Display:
 
     def _indirect(self, alike: Texture) -> Texture:
         """Return the ``indirect_share`` of the texels, packed; below 0 without one. alike: a texture of that size."""
-        domain, share = self._recovery.domain, self._whole.indirect_share
+        share = self._whole.indirect_share
         if share is None:
             return textures.empty(alike.width, alike.height, "R32F", _UNMEASURED)
         if self._share is None or self._share[0] is not share:
-            (x, y), (x0, y0), (height, width) = domain.origin, self._whole.domain.origin, domain.shape
-            own = share[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
-            self._share = share, textures.upload(Packing(domain.solvable, domain.seams).pack(own))
+            self._share = share, textures.upload(self._packed(share))
         return self._share[1]
 
     def _colors(self) -> Texture:
@@ -307,5 +351,8 @@ def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: Mapping[st
         name, constants = "show_parameter", _PARAMETER
     elif measured.textures:
         name, constants = "show_measure", _MEASURE
+    defines = dict(domain_defines)
+    if kind in ("confidence", "unknown"):
+        defines, samplers = defines | {"DEVIATIONS": 1}, samplers | {"u_least": declarations.FLOAT_2D}
     output, includes = Output("o_picture", "RGBA16F"), declarations.model_includes(model)
-    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, domain_defines, includes))
+    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, defines, includes))

@@ -12,6 +12,7 @@ from ...gpu import textures
 from ...gpu.kernel import Kernel, Output
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
+from ...results.maps import Cause
 from ..engine.engine import RecoveryEngine
 from ..engine.halo import Box
 from ..kernels.declarations import FLOAT_2D
@@ -68,6 +69,14 @@ class TiledDisplay:
         return shown not in self._pictures or any(
             tile not in self._displays or self._displays[tile].pending(shown) for tile in tiles
         )
+
+    def unknown_at(self, row: int, column: int) -> dict[str, Cause] | None:
+        """Return why a texel is unknown, as Display.unknown_at; None where its tile waits for its turn."""
+        for (left, bottom, width, height), tile in self._recovery.tiles():
+            if tile in self._displays and 0 <= column - left < width and 0 <= row - bottom < height:
+                x, y = _corner(self._recovery.domain, tile)
+                return self._displays[tile].unknown_at(row - y, column - x)
+        return None
 
     def close(self) -> None:
         """Free shaders and textures."""

@@ -20,8 +20,9 @@ from bpy.props import StringProperty
 from ...blender.images import decode
 from ...blender.scenes.scene import middle_of
 from ...blender.scenes.scene_capture import wide_lights
-from ...calibration.photographs import is_photograph
+from ...calibration.photographs import CAMERA, is_photograph
 from ...capture.card import card_depth, card_middle
+from ...capture.formats.registry import EXTENSIONS, SUFFIXES, captures_in
 from ...capture.inspect import sufficiency
 from ...capture.inspect.frames import Finding
 from ...capture.inspect.report import Report, inspect_steps
@@ -45,9 +46,7 @@ from ..session.scene_job import subject_object
 _SHORTEST, _LONGEST = 0.02, 0.5
 _PAUSE = 0.005  # seconds until the next slice
 _REDRAW_SECONDS = 0.25  # seconds between redraws of the check's progress
-_EXTENSIONS = ".lp;.toml;.txt"
-_TABLES = (".lp", ".toml")  # files that are a capture by themselves
-_CAMERA = "camera.toml"  # except this one, which belongs to a folder
+_EXTENSIONS = ";".join(EXTENSIONS)
 _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
 CARD_SETTINGS = ("subject", "framing", "crop", "corners", "card_distance", "card_width")
 
@@ -92,8 +91,8 @@ def import_again(scene, path: Path, names: Sequence[str]) -> None:
 
 
 def capture_at(path: Path) -> Path:
-    """Return the capture's path for a chosen one: an .lp or .toml as it is, for any other file its folder."""
-    if path.is_file() and (path.suffix.lower() not in _TABLES or path.name.lower() == _CAMERA):
+    """Return the capture's path for a chosen one: a file that is a capture as it is, for any other file its folder."""
+    if path.is_file() and (path.suffix.lower() not in SUFFIXES or path.name.lower() == CAMERA):
         return path.parent
     return path
 
@@ -248,8 +247,7 @@ def _refusal(error: InputError, path: Path | None) -> str:
     """Return the message of a refused capture. For photographs without a list of lights it names Find Lights."""
     if getattr(error, "code", "") != "kind" or path is None or not path.is_dir():
         return str(error)
-    suffixes = {file.suffix.lower() for file in path.iterdir()}
-    if ".lp" in suffixes or not any(is_photograph(Path(f"x{suffix}")) for suffix in suffixes):
+    if captures_in(path) or not any(is_photograph(file) for file in path.iterdir()):
         return str(error)
     return f"{path}: holds photographs without a list of their lights; use Find Lights"
 

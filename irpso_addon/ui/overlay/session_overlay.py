@@ -71,7 +71,8 @@ class SessionOverlay:
             return False
         if self._recovery is not running.recovery:
             self._begin()
-        return self._read_probes() | any([self._draw_pictures(scene) for scene in self._scenes()])
+        changed = self._read_probes() | any([self._draw_pictures(scene) for scene in self._scenes()])
+        return self._judge_probes() or changed
 
     def wants_redraw(self) -> bool:
         """Return whether the overlay is animated, as in Blink."""
@@ -216,6 +217,16 @@ class SessionOverlay:
             if probe in watched:
                 self._trails.setdefault(probe.slot, swarm.Trail()).update(state.particles, (probe.row, probe.column))
         return True
+
+    def _judge_probes(self) -> bool:
+        """Read why the probed texels of a paused recovery are unknown, once its deviations are measured."""
+        running, changed = self.running, False
+        for probe in [] if running.active else running.probes:
+            if probe.judged != running.progress:
+                found = running.display.unknown_at(probe.row, probe.column)
+                probe.unknown, probe.judged = found or {}, None if found is None else running.progress
+                changed |= found is not None
+        return changed
 
     def _placement(self, subject) -> Placement:
         if self._corners is None:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import bpy
 
+from ...results.maps import Cause
 from ..common import drawing
-from ..common.words import iface
+from ..common.words import iface, n_
 from ..overlay.handlers import why_hidden
 from ..session import session
 from .capture import draw_observation
 from .sidebar import Sidebar
 
+# Why the shown parameter of a probed texel is unknown.
+_CAUSES = {
+    Cause.LATER_ROUND: n_("Unknown: a later round finds it"),
+    Cause.MOSTLY_INDIRECT: n_("Unknown: light is mostly indirect"),
+    Cause.NOTHING_DETERMINED: n_("Unknown: too little or unexplained light"),
+    Cause.WIDE_DEVIATION: n_("Unknown: deviation is wide"),
+}
 # Blender's icons in the colours of the probes' marks and curves, in the order of results.preview.MARK_COLORS.
 _PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
 _OF_A_MAP = ("PARAMETER", "CONFIDENCE")
@@ -122,6 +130,8 @@ def draw_probes(layout, context) -> None:
         text = f"{probe.number}:  {probe.column}, {probe.row}{error}"
         row.label(text=text, icon=_PROBE_ICONS[probe.slot], translate=False)
         row.operator("irpso.probe_remove", text="", icon="X", emboss=False).index = index
+        if not running.active and (cause := probe.unknown.get(view.parameter)):
+            column.label(text=_CAUSES[cause], icon="BLANK1")
     if not running.probes:
         return
     column = layout.column(heading="Show")

@@ -73,8 +73,8 @@ _SHOWN = (
     (
         "INDIRECT",
         "Indirect Light",
-        "The part of the photographed light that other parts of the subject sent: blue is none, red is half or more."
-        " Interreflection finds it",
+        "The part of the photographed light that other parts of the subject sent: blue is none, red is two thirds or"
+        " more. Interreflection finds it",
     ),
     ("RENDER", "Render", "The recovered material under the light of one photograph"),
     ("REFERENCE", "Photograph", "The photograph itself"),

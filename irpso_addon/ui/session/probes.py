@@ -5,17 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from ...results.maps import Cause
+from ...solver.engine.progress import Progress
+
 MAX_PROBES = 4
 
 
 @dataclass
 class Probe:
-    """A watched texel. curve: (iteration, error) pairs. slot: index of its colour, 0…3."""
+    """A watched texel. curve: (iteration, error) pairs. slot: index of its colour, 0…3.
+
+    unknown: parameter → why it is unknown, when the recovery was last paused; judged: the progress then.
+    """
 
     row: int
     column: int
     curve: list[tuple[int, float]] = field(default_factory=list)
     slot: int = 0
+    unknown: dict[str, Cause] = field(default_factory=dict)
+    judged: Progress | None = None
 
     @property
     def number(self) -> int:

@@ -14,6 +14,7 @@ from irpso_addon.solver.engine.confidence import Confidence
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.separation_record import SEPARATED_SHADOW, Separation
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import make_domain, pack_layers, unit
 from tests.oracles import confidence as oracle
@@ -65,16 +66,19 @@ def observed(model, domain, values, noise, seed=0):
     return Subject(model, with_samples(domain, stack), values)
 
 
-def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM, shadow=None):
+def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM, shadow=None, separated=False):
     """What the pass says, name → (H, W, components) over the domain, NaN where nothing is solved.
 
-    shadow: (H, W), raised where the light is indirect.
+    shadow: (H, W), raised where the light is indirect. separated: whether that light was subtracted there.
     """
     context.ensure()
     domain, pack = subject.domain, Packing(subject.domain.solvable)
     scale = pack.pack(np.ones(domain.shape, np.float32))
-    uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scale)
-    uploaded.raise_shadow(0.0 if shadow is None else pack.pack(np.float32(shadow)))
+    raised = pack.pack(np.float32(np.zeros(domain.shape) if shadow is None else shadow))
+    separation = Separation.none(raised.shape)
+    separation.values[separated & (raised > 0), 0] = 1
+    uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scale, separation=separation)
+    uploaded.raise_shadow(raised)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
     for _ in work.measuring(uploaded, estimates.bindings(), Bands(), seconds):
@@ -244,13 +248,18 @@ def test_samples_count_by_their_weight():
         assert np.allclose(few[name], halves[name], rtol=1e-4)
 
 
-@pytest.mark.parametrize(("shadow_there", "left"), [(0.05, 0.8), (0.02, 0.7)])  # raised; of separated light
-def test_indirect_light_that_is_not_explained_leaves_everything_open(shadow_there, left):
+@pytest.mark.parametrize(
+    ("shadow_there", "separated", "left"),
+    [(0.05, False, 0.8), (SEPARATED_SHADOW, True, 0.7), (SEPARATED_SHADOW, False, 0.8), (0.05, True, 0.8)],
+)
+def test_indirect_light_that_is_not_explained_leaves_everything_open(shadow_there, separated, left):
     subject = make_subject("lambert", noise=0.0, holes=False, changes={"base_color": 0.5})
     dark = {**subject.values, "base_color": left * subject.values["base_color"]}
     shadow = np.zeros(SHAPE)
     shadow[:, ::2] = shadow_there
-    explained, unexplained = (deviations(subject, values=values, shadow=shadow) for values in (None, dark))
+    explained, unexplained = (
+        deviations(subject, values=values, shadow=shadow, separated=separated) for values in (None, dark)
+    )
     for p in subject.model.parameters:
         np.testing.assert_array_equal(unexplained[p.name][:, ::2], np.float32(p.width))
         assert (unexplained[p.name][:, 1::2] < 0.9 * p.width).mean() > 0.5

@@ -13,7 +13,8 @@ from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection, MeshInterreflection
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.results.false_color import false_color
+from irpso_addon.results.false_color import COLORS, false_color
+from irpso_addon.results.maps import UNKNOWN, Cause
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.interreflection import rounds
 from irpso_addon.solver.interreflection.indirect_light import IndirectLight
@@ -120,6 +121,24 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
     assert 0 < count == np.count_nonzero(there) <= np.count_nonzero(maps.covered)
     np.testing.assert_allclose(maps.values["normal"][there], np.tile(np.float32([0, 0, 1]), (count, 1)), atol=1e-6)
     assert (maps.confidence["base_color"][there] == 1).all()
+
+
+def test_the_window_marks_the_texels_that_the_maps_call_unknown(bowl, monkeypatch):
+    monkeypatch.setattr(rounds, "MAX_INDIRECT", 0.2)
+    shown = Shown("parameter", "normal", unknown=UNKNOWN * np.pi / 2)
+    with rounds_of(bowl) as recovery, closing(Display(recovery)) as display:
+        for cause in (Cause.LATER_ROUND, Cause.MOSTLY_INDIRECT):
+            maps = recovery.maps()
+            mask = maps.unknown_by_cause()["normal"][cause]
+            assert mask.any()
+            alpha = textures.download(display.picture(shown))[..., 3]
+            for texel in np.argwhere(maps.covered)[::37]:
+                causes = [why for why, there in maps.unknown_by_cause()["normal"].items() if there[*texel]]
+                assert list(display.unknown_at(*texel).values()) == causes, texel
+            np.testing.assert_array_equal((alpha > 0) & (alpha < 1), maps.unknown()["normal"])
+            deviations = textures.download(display.picture(Shown("confidence", "normal", limit=1.0)))
+            np.testing.assert_allclose(deviations[mask, :3], np.tile(COLORS[-1], (mask.sum(), 1)), atol=1e-3)
+            recovery.step()
 
 
 def test_a_wrong_material_does_not_hide_that_a_texel_owes_most_of_its_light_to_others(bowl, monkeypatch):

@@ -9,6 +9,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.gpu.textures import CHANNELS
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.phases.phase import TexturePhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -120,6 +121,22 @@ def test_every_phase_takes_the_planned_bytes(recover, preset):
         while recovery.phase is phase:
             recovery.step(iterations=1)
     assert recovery.progress.done
+
+
+def test_only_phases_that_lower_the_fitness_reach_a_threshold(recover):
+    schedule = load_schedule("standard").replaced(
+        iterations=1, cycles=1, prefit_iterations=0, refinement_iterations=1, refinement_start_iterations=1
+    )
+    domain, _ = subject(9, 11, holes=False, observations=12)
+    recovery, shapes = recover(domain, LAMBERT, schedule), {}
+    while not recovery.progress.done:
+        phase = recovery.phase
+        if isinstance(phase, TexturePhase):
+            fitness = phase.fitness()
+            shapes[phase.title] = None if fitness is None else fitness.shape
+            assert phase.reached(np.inf) == (fitness is not None), phase.title
+        recovery.step(iterations=1)
+    assert set(shapes.values()) == {None, domain.shape}, shapes
 
 
 # ---- stages ------------------------------------------------------------------------------------------------------

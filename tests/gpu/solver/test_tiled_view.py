@@ -7,6 +7,7 @@ import pytest
 
 from irpso_addon.gpu import context, textures
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import UNKNOWN, Cause
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.views import tiled_view
@@ -60,6 +61,21 @@ def test_tiles_make_up_the_picture_of_the_whole(domain, wanted, shown):
             assert display.pending(shown)
             np.testing.assert_array_equal(picture_of(display, shown), wanted[shown])
             assert not display.pending(shown)
+
+
+def test_texels_that_the_whole_calls_unknown_are_marked_in_their_tiles(domain, monkeypatch):
+    mask = np.random.default_rng(0).random(domain.shape) < 0.3
+    causes = {"normal": {Cause.MOSTLY_INDIRECT: mask}}
+    monkeypatch.setattr(TiledRecovery, "unknown_texels", lambda self, name: causes.get(name, {}))
+    shown = Shown("parameter", "normal", unknown=UNKNOWN * np.pi / 2)
+    with tiled(domain) as recovery, closing(display_of(recovery)) as display:
+        recovery.step()
+        assert display.unknown_at(*np.argwhere(domain.solvable)[0]) is None  # nothing is measured yet
+        alpha = picture_of(display, shown)[..., 3]
+        for row, column in np.argwhere(domain.solvable):
+            cause = display.unknown_at(row, column).get("normal")
+            assert (cause is Cause.MOSTLY_INDIRECT) == mask[row, column]
+            assert (0 < alpha[row, column] < 1) == (cause is not None)
 
 
 def test_a_side_longer_than_a_picture_shows_fewer_texels(domain, wanted, monkeypatch):

@@ -9,6 +9,8 @@ import pytest
 
 import irpso_addon
 from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.results.maps import Cause
+from irpso_addon.solver.views.display import Shown
 from tests.builders import command_line as cli_maker
 from tests.builders.captures import chunk, write_png
 from tests.builders.drawn_panels import drawn, labels
@@ -248,6 +250,7 @@ def test_below_recover_stands_how_long_the_search_will_take(settings, card, monk
 
 
 def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
+    from irpso_addon.ui.overlay.session_overlay import SessionOverlay
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.scene_job import make_job
 
@@ -281,6 +284,20 @@ def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
     running.probes[0].curve.append((1, 0.0123))
     found = drawn()
     assert "1:  4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators
+    overlay, (probed,) = SessionOverlay(running, 0), running.probes
+    assert not overlay._judge_probes()
+    probed.unknown, view.parameter = {"normal": Cause.MOSTLY_INDIRECT}, "normal"
+    why = "Unknown: light is mostly indirect"
+    assert why not in drawn().texts  # it still changes
+    running.pause()
+    assert why in drawn().texts
+    view.parameter = "base_color"
+    assert why not in drawn().texts
+    assert not overlay._judge_probes() and probed.judged is None and probed.unknown == {}
+    running.display.picture(Shown("confidence", "normal"))
+    assert overlay._judge_probes() and probed.judged == running.progress
+    assert probed.unknown == running.display.unknown_at(3, 4) and not overlay._judge_probes()
+    running.resume()
     view.show = False
     assert "shown" not in drawn().props
 

@@ -1,5 +1,6 @@
 """What the benchmarks make of their numbers: intervals, slopes, tables, plots, and which results are fresh."""
 
+import ast
 import json
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import report
+from benchmarks.run import PROGRAMS
 
 
 def test_the_interval_covers_the_true_mean_in_about_95_of_100_samples():
@@ -48,6 +50,11 @@ def test_a_plot_is_a_small_picture_that_can_be_read(tmp_path):
     root = ElementTree.parse(tmp_path / "line.svg").getroot()
     assert root.tag.endswith("svg") and "A title" in "".join(root.itertext())
     assert (tmp_path / "line.svg").stat().st_size < report.MAX_BYTES
+
+
+def test_lines_of_a_plot_are_relative_and_end_where_they_did():
+    path = "M40.1 189.5 L40.1 33.6 L40.6 33.5 L1008 0 z M0 2.5 L-1 3 M1 2 C1 2 3 4 5 6"
+    assert report.relative_lines(path) == "M40.1 189.5l0-155.9 .5-.1 967.4-33.5 z M0 2.5l-1 .5 M1 2 C1 2 3 4 5 6"
 
 
 @pytest.fixture
@@ -94,3 +101,29 @@ def test_every_program_with_a_result_is_run_by_make_bench():
     folder = Path(report.__file__).parent
     written = {path.name for path in folder.glob("*.py") if "\nPROGRAM = " in path.read_text(encoding="utf-8")}
     assert {Path(program.PROGRAM.source).name for program in run.PROGRAMS.values()} == written
+
+
+def imported_files(path):
+    """Files of the program and its benchmarks that a module imports, anywhere in it."""
+    package = path.relative_to(report.ROOT).parts
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom):
+            module = [*package[: -node.level if node.level else 0], *filter(None, [node.module])]
+            names = [".".join(module), *(".".join([*module, name]) for name in names)]
+        for name in names:
+            place = report.ROOT.joinpath(*name.split("."))
+            if name.startswith(("benchmarks.", "irpso_addon.")):
+                yield from (file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file())
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_result_depends_on_all_that_its_program_imports(name):
+    program = PROGRAMS[name].PROGRAM
+    known, seen, todo = set(report.source_files(program)), set(), [Path(program.source)]
+    while todo:
+        path = todo.pop()
+        new = set(imported_files(path)) - seen - {Path(report.__file__), report.ROOT / "benchmarks" / "__init__.py"}
+        assert not (unknown := sorted(file.as_posix() for file in new - known)), f"{path.name} imports {unknown}"
+        seen |= new
+        todo += [file for file in new if "benchmarks" in file.parts]

@@ -1,8 +1,12 @@
 """The three layouts are read, and a written capture comes back."""
 
+from dataclasses import replace
+from shutil import copy
+
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.photographs import has_lights, read_photographs
 from irpso_addon.capture import (
     Camera,
     Capture,
@@ -13,6 +17,11 @@ from irpso_addon.capture import (
     write_capture,
     write_exr,
 )
+from irpso_addon.capture.formats import registry
+from irpso_addon.capture.formats.diligent import spec_of_folder
+from irpso_addon.capture.formats.registry import CaptureFormat
+from irpso_addon.capture.read import read_spec
+from irpso_addon.capture.spec import CaptureKind
 from irpso_addon.core.errors import InputError
 from tests.builders.captures import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
@@ -86,6 +95,26 @@ def test_an_lp_file_finds_its_images_by_the_last_part_of_dead_paths(tmp_path):
             np.testing.assert_array_equal(observation.read()[..., 0], frame)
             np.testing.assert_allclose(observation.light.vector, light, atol=1e-12)
         assert capture.masks[0].all() and not capture.cameras[0].perspective
+
+
+def test_a_format_in_the_registry_is_read_and_its_lights_are_known_to_calibrations(tmp_path, monkeypatch):
+    """A new format needs its entry in FORMATS alone."""
+    write_diligent(tmp_path)
+    lights = (tmp_path / "light_directions.txt").rename(tmp_path / "a.lights")
+    made = CaptureFormat(
+        CaptureKind.DILIGENT, "one .lights file", lambda folder: list(folder.glob("*.lights")),
+        lambda path, colour_space: replace(spec_of_made(path), name="made"), suffixes=(".lights",),
+    )  # fmt: skip
+
+    def spec_of_made(path):
+        copy(path, tmp_path / "light_directions.txt")
+        return spec_of_folder(path.parent)
+
+    assert not has_lights(tmp_path) and read_photographs(tmp_path).kind is CaptureKind.IMAGES
+    monkeypatch.setattr(registry, "FORMATS", (made, *registry.FORMATS))
+    assert has_lights(tmp_path)
+    for path in (tmp_path, lights):
+        assert read_spec(path).name == read_photographs(path).name == "made"
 
 
 def two_cameras():

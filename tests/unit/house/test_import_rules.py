@@ -278,8 +278,8 @@ def test_a_fresh_clone_stays_small():
     pack = ["git", "pack-objects", "--stdout", "-q", "--delta-base-offset", "--no-reuse-delta"]
     history = len(subprocess.run(pack, cwd=ROOT, input=names.stdout.encode(), capture_output=True, check=True).stdout)
     # Sources, translations (0.4 MB), tests, benchmarks, and the pages, plots and pictures of docs/; no data.
-    assert files < 8_000_000
-    assert history < 8_000_000  # some 50 kB more an issue; rewriting all pages and docstrings took 300 kB
+    assert files < 9_000_000
+    assert history < 9_000_000  # some 50 kB more an issue; rewriting all pages and docstrings took 300 kB
 
 
 @pytest.mark.parametrize("name", [name for name in irpso_addon.__all__ if name not in ("register", "unregister")])

@@ -89,6 +89,7 @@ def test_two_modes_are_unknown_in_the_report_and_warned_of_where_they_are_many()
     report = build_report(marked, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
     assert report["two_modes"] == {"roughness": 0.5, "metallic": 0.0}
     assert report["unknown"] == {"normal": 0.0, "roughness": 0.5, "metallic": 0.0, "specular": 0.0}
+    assert report["unknown_causes"] == {"normal": {}, "roughness": {"two_modes": 0.5}, "metallic": {}, "specular": {}}
     (line,) = mode_warnings(marked, True)
     assert line.startswith("roughness of 50% of the texels has two possible values")
     assert "the prior decided" in line and "the prior decided" not in mode_warnings(marked, False)[0]
