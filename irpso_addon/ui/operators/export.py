@@ -201,7 +201,7 @@ def proposed_folder(running: session.Session) -> Path:
 
 
 def _proposed_name(running: session.Session, kind: str) -> str:
-    name = running.job.name
+    name = file_stem(running.job.name)
     return f"{name}{ONE_FILE[kind]}" if kind in ONE_FILE else f"{name} {_FORMATS[kind][0].lower()}"
 
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from ...blender.materials import material
-from ...blender.materials.textures import image_files
+from ...blender.materials.textures import image_files, unsaved
 from ...core.errors import IrpsoError
 from ...pipeline import result
 from ...pipeline.result import ResultMaps, result_maps
@@ -130,8 +130,11 @@ def _keep(context, running: session.Session) -> str:
 
 
 def _remove_undone(running: session.Session, folder: Path | None) -> None:
-    """Remove what an undone Keep wrote into the folder; the maps would be written beside it under numbered names."""
-    for path in running.files - image_files():
+    """Remove what an undone Keep wrote into the folder; the maps would be written beside it under numbered names.
+
+    Files that a saved .blend shows stay.
+    """
+    for path in unsaved(running.files - image_files()):
         if folder is not None and path.parent == folder.resolve():
             with suppress(OSError):
                 path.unlink()
