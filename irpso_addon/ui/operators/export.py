@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ...blender.materials.surface_check import check_surface
+from ...blender.materials.surface_check import check_surface, uv_warnings
 from ...blender.occlusion import mesh_open_sky
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
@@ -169,7 +169,8 @@ class IRPSO_OT_export(bpy.types.Operator):
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
         text = rpt("{what} written to {name}", what=FORMATS[self.format][0], name=report["output"])
-        return text, report.get("warnings", [])
+        moved = uv_warnings(running.subject(), job.mesh) if self.format == "gltf" and job.mesh is not None else []
+        return text, [*report.get("warnings", []), *moved]
 
 
 class IRPSO_MT_export(bpy.types.Menu):

@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...blender.materials import material
+from ...blender.materials.surface_check import uv_warnings
 from ...blender.materials.textures import image_files, unsaved
 from ...core.errors import IrpsoError
 from ...pipeline import result
@@ -98,16 +99,18 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running = session.current()
         running.pause()
         try:
-            text = _keep(context, running)
+            text, warnings = _keep(context, running)
             stored_recoveries.delete_when_saved(running.job.resumed, running.stamp)
         except IrpsoError as error:
             return report_and_cancel(self, error)
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
         self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
-def _keep(context, running: session.Session) -> str:
-    """Make images, material and card object; return the operator's message. Raises InputError."""
+def _keep(context, running: session.Session) -> tuple[str, list[str]]:
+    """Make images, material and card object; return the operator's message and warnings. Raises InputError."""
     job = running.job
     former = result.subject_of(job)
     found = current_maps(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
@@ -123,10 +126,11 @@ def _keep(context, running: session.Session) -> str:
         _show(context, subject, new=former is None)
     count = len(map_tables(job.model))
     where = rpt("in {folder}", folder=folder) if folder else rpt("packed into the file")
-    return rpt(
+    text = rpt(
         "Material '{name}' on '{object}', with {count} maps {where}", name=made_material.name, object=subject.name,
         count=count, where=where,
     )  # fmt: skip
+    return text, [] if job.mesh is None else uv_warnings(subject, job.mesh)
 
 
 def _remove_undone(running: session.Session, folder: Path | None) -> None:
