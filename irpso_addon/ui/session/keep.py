@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -95,11 +95,12 @@ class IRPSO_OT_keep(bpy.types.Operator):
         return has_maps(cls)
 
     def execute(self, context):
-        """Pause the recovery, and make images, material and, for a card, its object."""
+        """Pause the recovery, and make images, material and, for a card, its object, in the recovery's scene."""
         running = session.current()
         running.pause()
         try:
-            text, warnings = _keep(context, running)
+            with _home(context, running):
+                text, warnings = _keep(context, running)
             stored_recoveries.delete_when_saved(running.job.resumed, running.stamp)
         except IrpsoError as error:
             return report_and_cancel(self, error)
@@ -107,6 +108,14 @@ class IRPSO_OT_keep(bpy.types.Operator):
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, text)
         return {"FINISHED"}
+
+
+def _home(context, running: session.Session) -> AbstractContextManager[Any]:
+    """Return a context manager in which ``context`` has the recovery's scene, if that still exists."""
+    scene = running.home_scene() or context.scene
+    return (
+        nullcontext() if scene == context.scene else context.temp_override(scene=scene, view_layer=scene.view_layers[0])
+    )
 
 
 def _keep(context, running: session.Session) -> tuple[str, list[str]]:

@@ -94,6 +94,25 @@ def test_keeping_again_updates_the_material_and_keeps_the_users_nodes(recovered)
     assert obj.visible_get()
 
 
+def test_keep_in_another_scene_makes_the_card_in_the_recoverys_scene(recovered):
+    home, other = bpy.context.scene, bpy.data.scenes.new("Other")
+    other.irpso.displacement = True
+    try:
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            for _ in range(2):
+                assert bpy.ops.irpso.keep() == {"FINISHED"}
+        (card,) = home.objects
+        assert not other.objects[:] and card.visible_get() and bpy.context.view_layer.objects.active == card
+        assert not card.modifiers and bpy.context.scene == home
+        home.irpso.displacement = True
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            bpy.ops.irpso.keep()
+        assert not other.objects[:] and card.modifiers
+    finally:
+        home.irpso.displacement = False
+        bpy.data.scenes.remove(other)
+
+
 def test_a_card_removed_from_the_scene_is_linked_again(recovered):
     bpy.ops.irpso.keep()
     (obj,) = bpy.context.scene.objects
