@@ -57,11 +57,11 @@ def build_material(
     """
     import bpy
 
-    tables, name = map_tables(maps.model), f"IRPSO {subject}"
+    tables = map_tables(maps.model)
     shown = [] if obj is None else [slot.material for slot in obj.material_slots]
     materials = own_blocks("material", TAG, subject)
-    former = min(materials, key=lambda one: (one not in shown, one.name != name), default=None)
-    material = former or new_material(name)
+    former = min(materials, key=lambda one: (one not in shown, _renamed(one, subject)), default=None)
+    material = former or new_material(f"IRPSO {subject}")
     material[TAG] = subject
     build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
     try:
@@ -88,6 +88,11 @@ def build_material(
             bpy.data.materials.remove(material)
         raise
     return material
+
+
+def _renamed(block: Any, subject: str) -> tuple[bool, int]:
+    """Return the least value for a material or card that has the name it was made with. Blender cuts long names."""
+    return not f"IRPSO {subject}".startswith(block.name), -len(block.name)
 
 
 def subject_name(name: str, origin: str, obj=None) -> str:
@@ -203,7 +208,7 @@ def find_card(subject: str):
     import bpy
 
     found = [obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None]
-    return min(found, key=lambda obj: obj.name != f"IRPSO {subject}", default=None)
+    return min(found, key=lambda obj: _renamed(obj, subject), default=None)
 
 
 def subject_object(uid: int | None, subject: str):

@@ -59,10 +59,12 @@ def test_the_copy_that_an_object_shows_is_the_one_to_update():
     np.testing.assert_allclose(shown_color(former), first.values["base_color"], atol=4e-5)
 
 
-def test_without_an_object_the_material_of_the_original_name_is_updated():
-    material = build_material(maps(0), "a")
+@pytest.mark.parametrize("subject", ["a", "x" * 300], ids=["short", "cut"])
+def test_without_an_object_the_material_of_the_original_name_is_updated(subject):
+    material = build_material(maps(0), subject)
     material.copy().name = "A backup"
-    assert build_material(maps(1), "a") == material
+    material.copy()
+    assert build_material(maps(1), subject) == material
 
 
 def test_a_material_of_the_user_that_shows_a_map_follows_it():
