@@ -272,22 +272,24 @@ def save_blend(path: str | Path) -> Path:
     if path.is_dir() or not path.parent.is_dir():
         what = "is a folder" if path.is_dir() else "its folder does not exist"
         raise InputError(f"{path}: {what}; give the name of a .blend file")
-    images = [i for i in bpy.data.images if IMAGE_TAG in i and i.packed_file is None and i.library is None]
-    before = [image.filepath for image in images]
+    images = [image for image in bpy.data.images if IMAGE_TAG in image and image.library is None]
+    before = [image.filepath_raw for image in images]
     try:
         with replacing_file(path, durable=True) as partial:
             # Blender remaps relative paths from the open file's folder to the copy's, but those of no unsaved file.
             start = None if bpy.data.filepath else str(path.parent)
             for image in images:
+                own = image.filepath_raw  # of a packed one: where unpacking writes it, beside each file
+                file = path.parent / own.removeprefix("//") if image.packed_files else bpy.path.abspath(own)
                 with suppress(ValueError):  # on Windows: another drive
-                    image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=start)
+                    image.filepath_raw = bpy.path.relpath(str(file), start=start)
             with quiet_operator():
                 bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=True)
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
     finally:
         for image, old in zip(images, before, strict=True):
-            image.filepath = old
+            image.filepath_raw = old
     return path
 
 

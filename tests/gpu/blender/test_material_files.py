@@ -232,12 +232,18 @@ def test_a_copy_in_another_folder_finds_the_users_images_and_libraries(tmp_path)
     image.save()
     image.filepath, image.use_fake_user = "//tex/wood.png", True
     build_material(random_maps(load_model("lambert")), "icon", tmp_path / "tex").use_fake_user = True
+    build_material(random_maps(load_model("lambert")), "packed").use_fake_user = True
+    tiled = replace(random_maps(load_model("lambert")), tiles=tuple(range(1001, 1008)))
+    build_material(tiled, "tiled").use_fake_user = True
     path = save_blend(tmp_path / "out" / "result.blend")
+    assert bpy.data.images["IRPSO packed normal"].filepath == "//textures/IRPSO_packed_normal.png"
     assert image.filepath == "//tex/wood.png" and bpy.data.filepath == str(tmp_path / "scene.blend")
     bpy.ops.wm.open_mainfile(filepath=str(path))
-    files = {image.name: image.filepath.replace("\\", "/") for image in bpy.data.images if image.source == "FILE"}
+    files = {image.name: image.filepath.replace("\\", "/") for image in bpy.data.images}
     assert files["wood"] == "//../tex/wood.png"
     assert files["IRPSO icon normal"] == "//../tex/IRPSO_icon_normal.png"
+    assert files["IRPSO packed normal"] == "//textures/IRPSO_packed_normal.png"
+    assert files["IRPSO tiled normal"] == "//textures/IRPSO_tiled_normal.<UDIM>.png"
     assert Path(bpy.path.abspath(bpy.data.libraries[0].filepath)).resolve() == tmp_path / "library.blend"
     assert not bpy.data.objects["prop"].is_missing
 
