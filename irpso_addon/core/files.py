@@ -15,6 +15,7 @@ from typing import Any
 
 from .errors import InputError
 
+_NAME_BYTES = 150
 _unfinished: set[Path] = set()  # folders that are being filled
 
 
@@ -38,6 +39,11 @@ def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
     finally:
         if partial.exists():
             partial.unlink()
+
+
+def shortened(name: str) -> str:
+    """Return the beginning of a name, in at most 150 bytes of UTF-8: file systems allow 255, with prefix and suffix."""
+    return name.encode(errors="replace")[:_NAME_BYTES].decode(errors="ignore")
 
 
 def remove_partials(path: Path) -> None:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..core.errors import InputError
+from ..core.files import shortened
 from ..results.write import check_output_folder
 
 _MESHES = (".glb", ".gltf", ".fbx", ".obj", ".stl", ".ply", ".3mf", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend")
@@ -68,5 +69,5 @@ def _refuse_file(path: Path, remedy: str) -> None:
 
 
 def file_stem(name: str) -> str:
-    """Return a name for files: letters, digits, _ and - stay, other characters become _."""
-    return "".join(c if c.isalnum() or c in "_-" else "_" for c in name) or "material"
+    """Return a name for files: letters, digits, _ and - stay, other characters become _; a long one ends early."""
+    return shortened("".join(c if c.isalnum() or c in "_-" else "_" for c in name)) or "material"

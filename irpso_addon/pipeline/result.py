@@ -181,7 +181,7 @@ def make_material(
     """
     maps = found.in_blender_frames
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)
-    built = material.build_material(maps, job.name, folder, uv_map, height)
+    built = material.build_material(maps, job.name, folder, uv_map, height, subject)
     if job.mesh is None:
         rows, columns = maps.covered.shape
         subject = material.card_object(job.name, rows, columns, height is not None)

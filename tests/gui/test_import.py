@@ -211,6 +211,13 @@ def test_a_card_is_marked_by_clicks_on_its_corners(ready, tmp_path):
     found = ready.run("list(settings().corners)", area="IMAGE_EDITOR")
     expected = [value for mark in ((5, 3), (20, 4), (19, 13), (4, 12)) for value in mark]
     assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) < 0.2
+    assert ready.run("[image.name for image in bpy.data.images if image.is_dirty]") == []  # Blender asks to save such
+    shown = "[area.spaces.active.image.name for area in main_window().screen.areas if area.type == 'IMAGE_EDITOR']"
+    ready.run("mine = bpy.data.images.new('mine', 4, 4)\nbpy.context.space_data.image = mine", area="IMAGE_EDITOR")
+    ready.run("bpy.ops.irpso.mark_card('INVOKE_DEFAULT')")
+    ready.wait(f"{shown} == ['IRPSO Photograph']", area="")
+    ready.key("Escape")
+    ready.wait(f"{shown} == ['mine']", area="")
 
 
 def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(ready, tmp_path):

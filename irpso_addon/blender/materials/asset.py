@@ -14,6 +14,7 @@ from ...core.errors import InputError
 from ...core.files import replacing_file
 from ..operators import quiet_operator
 from .material import TAG
+from .nodes import images_of
 from .pictures import icon
 
 _SIDE = 256  # pixels of a preview, as Blender's own have
@@ -50,7 +51,7 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
     """
     import bpy
 
-    images = sorted(_images(material.node_tree), key=lambda image: image.name)
+    images = sorted(images_of(material.node_tree), key=lambda image: image.name)
     if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
         raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
     picture = icon(obj, _SIDE)
@@ -108,12 +109,3 @@ def _packed(images: Iterable[Any]) -> Iterator[None]:
         for image in files:
             if image.packed_file is not None or image.packed_files:
                 image.unpack(method="REMOVE")
-
-
-def _images(tree: Any) -> set[Any]:
-    """Return the images of a node tree and of the groups in it."""
-    images = {node.image for node in tree.nodes if node.type == "TEX_IMAGE" and node.image is not None}
-    for node in tree.nodes:
-        if node.type == "GROUP" and node.node_tree is not None:
-            images |= _images(node.node_tree)
-    return images

@@ -8,7 +8,9 @@ within a few thousandths of its height and does not count the connected normal m
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from ...geometry.relief.height import Height
 from ...results.maps import Maps
@@ -21,9 +23,20 @@ _FINEST, _SHOWN = 8, 6  # most halvings of a card's side: in renders, in the vie
 _PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (280, -620)}
 
 
-def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, folder: Path | None, uv_map: str):
-    """Make image and Displacement node; return its output. A card is one unit wide at any resolution."""
-    image = data_image(maps, "height", height.values[..., None], subject, folder)
+def displacement(
+    nodes: OwnNodes,
+    maps: Maps,
+    height: Height,
+    subject: str,
+    folder: Path | None,
+    uv_map: str,
+    former: Mapping[str, Any],
+) -> Any:
+    """Make image and Displacement node; return its output. A card is one unit wide at any resolution.
+
+    former: images by tag, from ``own_images``.
+    """
+    image = data_image(maps, "height", height.values[..., None], subject, folder, former)
     # With repetition the border of a card would take half of its height from the opposite side.
     texture = nodes.node(
         "map height", "ShaderNodeTexImage", _PLACES["map height"], "Height", image=image, extension="EXTEND"

@@ -19,6 +19,7 @@ from ...core.errors import InputError
 from ...core.files import replacing_file
 from ...core.png import encode_png
 from ...core.udim import tile_place
+from ...geometry.spaces import unit
 from ..colour_spaces import Use, use_space
 from ..mesh import mesh_of_faces
 from ..operators import quiet_operator, removed_afterwards
@@ -31,6 +32,7 @@ _SETTINGS = {
     "export_lights": False, "export_image_format": "AUTO", "will_save_settings": False,
 }  # fmt: skip
 _UNEQUAL = 1e-3  # relative
+_SHEARED = 1e-5  # beyond the rounding of a matrix
 _OUTPUT = "glTF Material Output"
 
 
@@ -90,7 +92,7 @@ def write_glb(
 
 
 def _scale_warnings(obj: Any) -> list[str]:
-    scale = np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0)
+    scale = np.linalg.svd(np.array(obj.matrix_world)[:3, :3], compute_uv=False)  # that of a shear, too
     if np.ptp(scale) <= _UNEQUAL * scale.max():
         return []
     return [
@@ -253,7 +255,9 @@ def _triangles(
     uvs = _read(layer.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
     normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
     corners = np.reshape(vertices, (-1, 3))
-    mesh = mesh_of_faces(name, _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3), corners)
+    shear = _shear(obj.matrix_world)
+    coordinates = _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3) @ shear.T
+    mesh = mesh_of_faces(name, coordinates, corners)
     made.append(mesh)
     is_recovered = [chosen is None or index in chosen for index in range(len(obj.material_slots))]
     is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
@@ -264,7 +268,7 @@ def _triangles(
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
-    mesh.normals_split_custom_set(normals)
+    mesh.normals_split_custom_set(unit(normals @ np.linalg.inv(shear)))
     mesh.update()
     copy = bpy.data.objects.new(name, mesh)
     made.append(copy)
@@ -272,6 +276,14 @@ def _triangles(
     bpy.context.scene.collection.objects.link(copy)
     bpy.context.view_layer.update()
     return copy
+
+
+def _shear(matrix: Any) -> np.ndarray:
+    """Return (3, 3) what an object's location, rotation and scale leave of its matrix: its parents may shear it."""
+    from mathutils import Matrix
+
+    rest = np.array(Matrix.LocRotScale(*matrix.decompose()).inverted() @ matrix)[:3, :3]
+    return rest if np.abs(rest - np.eye(3)).max() > _SHEARED else np.eye(3)
 
 
 def _tiles(uvs: np.ndarray, numbers: list[int], recovered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

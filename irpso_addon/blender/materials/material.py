@@ -5,7 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from .displacement import METHOD, displacement, divide
 from .look import ROUGHNESS, look_node
 from .nodes import OwnNodes, set_input
 from .textures import TAG as IMAGE_TAG
-from .textures import check_images, material_images, own_block
+from .textures import check_images, map_images, material_images, own_blocks, own_images
 
 TAG = "irpso_subject"
 ORIGIN = "irpso_origin"  # source of a material
@@ -36,47 +38,61 @@ _CHANNELS = ("Red", "Green", "Blue")
 
 
 def build_material(
-    maps: Maps, subject: str, images_folder: str | Path | None = None, uv_map: str = "", height: Height | None = None
-):
+    maps: Maps,
+    subject: str,
+    images_folder: str | Path | None = None,
+    uv_map: str = "",
+    height: Height | None = None,
+    obj: Any = None,
+) -> Any:
     """Return the bpy material of a subject, created or updated, with its maps as images.
 
     images_folder: of the image files; one that begins with // lies beside the open file, and so do the images' paths.
-    None packs them. uv_map: the mesh's UV map; "" is the active one.
+    None packs them. uv_map: the mesh's UV map; "" is the active one. height: displaces a fine enough mesh.
+    obj: the subject's object. Of several materials of the subject the one that it shows is updated, else the one with
+    the original name; the others are the user's copies and stay, with their images.
     The model's [material] chooses the ``shader``: "two_lobe", or "principled": image nodes drive the sockets of a
-    Principled BSDF that the parameters name. Nodes of the user stay unchanged. height: displaces a fine enough mesh.
+    Principled BSDF that the parameters name. Nodes of the user stay unchanged.
     Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
     """
     import bpy
 
     tables = map_tables(maps.model)
-    former = own_block("material", TAG, subject)
+    shown = [] if obj is None else [slot.material for slot in obj.material_slots]
+    materials = own_blocks("material", TAG, subject)
+    former = min(materials, key=lambda one: (one not in shown, _renamed(one, subject)), default=None)
     material = former or new_material(f"IRPSO {subject}")
     material[TAG] = subject
     build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
     try:
+        check_images(maps.model, subject)
+        known = own_images(subject, material, [one for one in materials if one != material])
         with OwnNodes(material.node_tree) as nodes:
             surface, sockets = build(nodes, maps.model, uv_map)
             folder = None if images_folder is None else Path(bpy.path.abspath(str(images_folder))).absolute()
-            images = material_images(maps, subject, folder)
+            images = material_images(maps, subject, folder, known)
             sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
             _connect(nodes, maps.model, sources, sockets)
             output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
             nodes.link(surface, output.inputs["Surface"])
             if height is not None:
-                nodes.link(displacement(nodes, maps, height, subject, folder, uv_map), output.inputs["Displacement"])
+                relief = displacement(nodes, maps, height, subject, folder, uv_map, known)
+                nodes.link(relief, output.inputs["Displacement"])
                 material.displacement_method = METHOD
             if str(images_folder).startswith("//"):
-                for image in bpy.data.images:
-                    if (
-                        str(image.get(IMAGE_TAG, "")).startswith(f"{subject}/")
-                        and Path(image.filepath).parent == folder
-                    ):
+                for image in map_images(subject):
+                    if Path(image.filepath).parent == folder:
                         image.filepath = bpy.path.relpath(image.filepath)
-    except InputError:
+    except BaseException:
         if former is None:
             bpy.data.materials.remove(material)
         raise
     return material
+
+
+def _renamed(block: Any, subject: str) -> tuple[bool, int]:
+    """Return the least value for a material or card that has the name it was made with. Blender cuts long names."""
+    return not f"IRPSO {subject}".startswith(block.name), -len(block.name)
 
 
 def subject_name(name: str, origin: str, obj=None) -> str:
@@ -118,14 +134,13 @@ def check_material(model: ReflectanceModel, subject: str) -> None:
     """Raise InputError where ``build_material`` would; the open file stays unchanged."""
     import bpy
 
-    own_block("material", TAG, subject)
+    own_blocks("material", TAG, subject)
     check_images(model, subject)
     groups = set(bpy.data.node_groups)
     texel = {p.name: np.float32(p.default).reshape(1, 1, -1) for p in model.parameters}
     made = build_material(Maps(model, texel, np.ones((1, 1), bool)), _TRIAL)
-    images = [image for image in bpy.data.images if str(image.get(IMAGE_TAG, "")).startswith(f"{_TRIAL}/")]
     bpy.data.materials.remove(made)
-    for image in images:
+    for image in map_images(_TRIAL):
         bpy.data.images.remove(image)
     for group in set(bpy.data.node_groups) - groups:
         bpy.data.node_groups.remove(group)
@@ -181,16 +196,19 @@ def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
 
 def _fill_slot(obj, index: int, material) -> None:
     slot = obj.material_slots[index]
-    if obj.data.library is not None:  # linked data cannot be changed: the object holds the material
+    former = None if slot.material is None else slot.material.get(TAG)
+    # The object holds the material if data are linked, or if a linked duplicate would lose its recovered one.
+    if obj.data.library is not None or (obj.data.users > 1 and former not in (None, material.get(TAG))):
         slot.link = "OBJECT"
     slot.material = material
 
 
 def find_card(subject: str):
-    """Return the object that ``card_object`` made for this subject, or None."""
+    """Return the object that ``card_object`` made for this subject, or None. Duplicates have another name."""
     import bpy
 
-    return next((obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None), None)
+    found = [obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None]
+    return min(found, key=lambda obj: _renamed(obj, subject), default=None)
 
 
 def subject_object(uid: int | None, subject: str):
@@ -254,22 +272,24 @@ def save_blend(path: str | Path) -> Path:
     if path.is_dir() or not path.parent.is_dir():
         what = "is a folder" if path.is_dir() else "its folder does not exist"
         raise InputError(f"{path}: {what}; give the name of a .blend file")
-    images = [i for i in bpy.data.images if IMAGE_TAG in i and i.packed_file is None and i.library is None]
-    before = [image.filepath for image in images]
+    images = [image for image in bpy.data.images if IMAGE_TAG in image and image.library is None]
+    before = [image.filepath_raw for image in images]
     try:
         with replacing_file(path, durable=True) as partial:
+            # Blender remaps relative paths from the open file's folder to the copy's, but those of no unsaved file.
+            start = None if bpy.data.filepath else str(path.parent)
             for image in images:
-                image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
-            # The paths fit the new place, so Blender must not remap them.
+                own = image.filepath_raw  # of a packed one: where unpacking writes it, beside each file
+                file = path.parent / own.removeprefix("//") if image.packed_files else bpy.path.abspath(own)
+                with suppress(ValueError):  # on Windows: another drive
+                    image.filepath_raw = bpy.path.relpath(str(file), start=start)
             with quiet_operator():
-                bpy.ops.wm.save_as_mainfile(
-                    filepath=str(partial), copy=True, check_existing=False, relative_remap=False
-                )
+                bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=True)
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
     finally:
         for image, old in zip(images, before, strict=True):
-            image.filepath = old
+            image.filepath_raw = old
     return path
 
 

@@ -19,6 +19,14 @@ def tagged_group(tag: str, key: str, name: str) -> tuple[Any, bool]:
     return group, True
 
 
+def images_of(tree: Any) -> set[Any]:
+    """Return the images of a node tree and of the groups in it; none for None."""
+    if tree is None:
+        return set()
+    images = {node.image for node in tree.nodes if node.type == "TEX_IMAGE" and node.image is not None}
+    return images.union(*(images_of(node.node_tree) for node in tree.nodes if node.type == "GROUP"))
+
+
 class OwnNodes:
     """IRPSO's nodes of a tree, each identified by its role.
 

@@ -71,6 +71,7 @@ def _pictures(obj: Any, side: int, card_from: Sequence[float], rotations: Sequen
         placeable.parent = None
         placeable.constraints.clear()
         placeable.animation_data_clear()
+        placeable.hide_render = False
         scene.collection.objects.link(placeable)
         corners = [_extent(obj, axes, place) for place in placed]
         low, high = (np.array(ends) for ends in zip(*corners, strict=True))

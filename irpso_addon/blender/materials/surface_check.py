@@ -1,13 +1,19 @@
-"""Check that an object still has the material slots and the UV map of its recovery."""
+"""Checks that an object still has the material slots, the UV map and its coordinates of its recovery."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ...core.errors import InputError
 from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names
+from ...geometry.surface.udim import lay_out
+from ..mesh import read_attribute
 from .material import TAG
+
+_MOVED = 1e-6  # of a UDIM tile
 
 
 def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
@@ -37,3 +43,42 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
             f"'{obj.name}' has no UV map '{mesh.uv_map}' any more, in which its maps were recovered; give it"
             " this name again, or recover again"
         )
+
+
+def uv_warnings(obj: Any, mesh: MeshData) -> list[str]:
+    """Return a warning where the UV map of an object has moved since its mesh was read: the maps no longer fit.
+
+    Nothing is known of a mesh with more or fewer triangles, as a new modifier makes them.
+    """
+    uvs = _uvs(obj, mesh.uv_map)
+    if uvs.shape != mesh.uvs.shape:
+        return []
+    chosen = slice(None) if mesh.solved is None else mesh.solved
+    try:
+        tiles, placed = lay_out(obj.name, uvs[chosen])
+    except InputError:
+        tiles = ()
+    if tiles == mesh.tiles and np.abs(placed - mesh.uvs[chosen]).max(initial=0) <= _MOVED:
+        return []
+    return [
+        f"the UV map '{mesh.uv_map}' of '{obj.name}' has changed since its maps were recovered, which no longer fit it;"
+        " undo that and keep again, or recover again"
+    ]
+
+
+def _uvs(obj: Any, uv_map: str) -> np.ndarray:
+    """Return (T, 3, 2) texture coordinates of an object's triangles, as ``extract_mesh`` reads them."""
+    import bpy
+
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    evaluated = obj.evaluated_get(depsgraph)
+    mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    try:
+        mesh.calc_loop_triangles()
+        loops = read_attribute(mesh.loop_triangles, "loops", 3 * len(mesh.loop_triangles), np.int32)
+        uvs = read_attribute(mesh.uv_layers[uv_map].uv, "vector", 2 * len(mesh.loops))
+        return uvs.reshape(-1, 2)[loops].reshape(-1, 3, 2)
+    finally:
+        bpy.data.meshes.remove(mesh)

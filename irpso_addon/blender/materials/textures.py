@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,62 +13,56 @@ import numpy as np
 
 from ...capture.images.exr import write_exr
 from ...core.errors import InputError
+from ...core.files import shortened
 from ...core.png import encode_png
 from ...core.udim import ONE_SQUARE, PATTERN, tile_stem
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.map_tables import MapTable, encoded_values, exr_channels, map_tables, map_values
 from ...results.maps import Maps, split_maps
 from ..colour_spaces import use_space
+from .nodes import images_of
 
 TAG = "irpso_map"
+_unsaved: set[Path] = set()  # the maps' files that no .blend on the disk shows
 
 
-def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, object]:
-    """Return map name → bpy image, created or updated.
+def material_images(maps: Maps, subject: str, folder: Path | None, former: Mapping[str, Any]) -> dict[str, Any]:
+    """Return map name → bpy image, created or updated. former: from ``own_images``.
 
     folder: of the image files; None packs them into the .blend. A map is a 16-bit PNG, or a 32-bit EXR where its range
-    exceeds 0…1; UDIM tiles have one file each in a tiled image. Raises InputError where the folder cannot be written
-    or the image is linked.
+    exceeds 0…1; UDIM tiles have one file each in a tiled image. Raises InputError where the folder cannot be written.
     """
-    tables = map_tables(maps.model)
-    images = {table.name: own_block("image", TAG, f"{subject}/{table.name}") for table in tables}
-    with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        for table in tables:
-            where = Path(temporary) if folder is None else folder
-            name = bpy_name(subject, table.name)
-            paths = _write_pictures(maps, table, where, name, images[table.name])
-            images[table.name] = _update_image(images[table.name], name, paths, table, packed=folder is None)
-            images[table.name][TAG] = f"{subject}/{table.name}"
-    return images
+    return {table.name: _map_image(maps, table, subject, folder, former) for table in map_tables(maps.model)}
 
 
-def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: Path | None):
+def data_image(
+    maps: Maps, name: str, values: np.ndarray, subject: str, folder: Path | None, former: Mapping[str, Any]
+) -> Any:
     """Return the bpy image, a 32-bit EXR, of values (H, W, 1) over the maps' texels that are no map of the model."""
     table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that exceeds PNG's
+    return _map_image(replace(maps, values={name: values}), table, subject, folder, former)
+
+
+def _map_image(maps: Maps, table: MapTable, subject: str, folder: Path | None, former: Mapping[str, Any]) -> Any:
+    tag = f"{subject}/{table.name}"
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        where, title = Path(temporary) if folder is None else folder, bpy_name(subject, name)
-        former = own_block("image", TAG, f"{subject}/{name}")
-        paths = _write_pictures(replace(maps, values={name: values}), table, where, title, former)
-        image = _update_image(former, title, paths, table, packed=folder is None)
-    image[TAG] = f"{subject}/{name}"
+        where = Path(temporary) if folder is None else folder
+        paths = _write_pictures(maps, table, where, subject, former.get(tag))
+        image = _update_image(former.get(tag), f"IRPSO {subject} {table.name}", paths, table, packed=folder is None)
+    image[TAG] = tag
     return image
 
 
 def check_images(model: ReflectanceModel, subject: str) -> None:
     """Raise InputError where an image of this subject is linked from a library, or two maps have one name."""
     for table in map_tables(model):
-        own_block("image", TAG, f"{subject}/{table.name}")
+        own_blocks("image", TAG, f"{subject}/{table.name}")
 
 
-def bpy_name(subject: str, map_name: str) -> str:
-    """Return the name of a map's image, as in "IRPSO subject base_color"."""
-    return f"IRPSO {subject} {map_name}"
+def own_blocks(kind: Literal["image", "material"], tag: str, value: str) -> list[Any]:
+    """Return the local images or materials whose property ``tag`` is ``value``.
 
-
-def own_block(kind: Literal["image", "material"], tag: str, value: str) -> Any:
-    """Return the image or material whose property ``tag`` is ``value``, or None.
-
-    Raises InputError where it is linked.
+    Raises InputError where all are linked.
     """
     import bpy
 
@@ -78,31 +73,49 @@ def own_block(kind: Literal["image", "material"], tag: str, value: str) -> Any:
             f"{kind} '{found[0].name}' is linked from {found[0].library.filepath};"
             " make it local or recover under another name"
         )
-    return local[0] if local else None
+    return local
 
 
-def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str, former: Any) -> dict[int, Path]:
-    """Write a map; return UDIM tile number → file. former: the image that the map had, or None; its files are replaced.
+def own_images(subject: str, material: Any, copies: Iterable[Any]) -> dict[str, Any]:
+    """Return tag → local image that a new map of a material replaces. Images that ``copies`` of it show stay."""
+    copied = set().union(*(images_of(copy.node_tree) for copy in copies))
+    shown = images_of(material.node_tree)
+    free = [image for image in map_images(subject) if image.library is None and image not in copied]
+    return {image[TAG]: image for image in sorted(free, key=lambda image: image in shown)}
 
-    Other files stay: another .blend, or another subject of a similar name, may show them.
+
+def map_images(subject: str) -> list[Any]:
+    """Return the images of a subject's maps."""
+    import bpy
+
+    return [image for image in bpy.data.images if str(image.get(TAG, "")).rpartition("/")[0] == subject]
+
+
+def _write_pictures(maps: Maps, table: MapTable, folder: Path, subject: str, former: Any) -> dict[int, Path]:
+    """Write a map; return UDIM tile number → file. former: the image that the map had, or None.
+
+    Only files are replaced that the former image alone shows: neither a saved .blend, nor another subject of a similar
+    name. Raises InputError where the folder cannot be written.
     """
-    stem = "".join(c if c.isalnum() or c in "_- " else "_" for c in name).replace(" ", "_")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another folder") from error
-    suffix, own = ".png" if table.fits_unit else ".exr", _files(former)
+    name = f"IRPSO {shortened(subject)} {table.name}"
+    stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in name)
+    suffix, own = ".png" if table.fits_unit else ".exr", _files(former) & _unsaved
     stems = (stem if number == 0 else f"{stem}_{number}" for number in itertools.count())
     sets = (
         {number: folder / f"{tile_stem(one, number, maps.tiles)}{suffix}" for number in maps.tiles} for one in stems
     )
-    paths = next(one for one in sets if all(path.resolve() in own or not path.exists() for path in one.values()))
-    for number, part in split_maps(maps):
-        values = map_values(table, part)
-        if table.fits_unit:
-            encode_png(paths[number], encoded_values(table, values), bits=16)
-        else:
-            write_exr(paths[number], {"": exr_channels(values)})
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = next(one for one in sets if all(path.resolve() in own or not path.exists() for path in one.values()))
+        for number, part in split_maps(maps):
+            values = map_values(table, part)
+            if table.fits_unit:
+                encode_png(paths[number], encoded_values(table, values), bits=16)
+            else:
+                write_exr(paths[number], {"": exr_channels(values)})
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
+    _unsaved.update(path.resolve() for path in paths.values())
     return paths
 
 
@@ -110,8 +123,17 @@ def image_files(subject: str | None = None) -> set[Path]:
     """Return the files that the open file's images show; of a subject's maps alone, or, with None, of all images."""
     import bpy
 
-    chosen = [i for i in bpy.data.images if subject is None or str(i.get(TAG, "")).startswith(f"{subject}/")]
-    return set().union(*map(_files, chosen))
+    return set().union(*map(_files, bpy.data.images if subject is None else map_images(subject)))
+
+
+def unsaved(files: Iterable[Path]) -> set[Path]:
+    """Return those of the files that were written since the .blend was loaded or saved: on the disk it shows others."""
+    return _unsaved.intersection(files)
+
+
+def mark_saved() -> None:
+    """Note that a .blend has been saved, or another is loaded: its maps' files are not replaced any more."""
+    _unsaved.clear()
 
 
 def _files(image: Any) -> set[Path]:

@@ -94,8 +94,9 @@ class Marking:
             picture, self._size = _make_picture(self.radiances(context.scene.irpso, readers))
         except InputError as error:
             return failures.report_and_cancel(self, error)
-        self._area = _show_in_editor(context, picture)
+        self._area, self._former = _show_in_editor(context, picture)
         if self._area is None:
+            _remove_picture()
             self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")
             return {"CANCELLED"}
         self._grabbed: Hashable | None = None
@@ -182,11 +183,26 @@ class Marking:
             bpy.types.SpaceImageEditor.draw_handler_remove(self._draw_handler, "WINDOW")
             self._draw_handler = None
             self._drawing.close()
+            self._show_former(context)
             handlers.redraw()
         if context.window is not None:
             context.window.cursor_modal_restore()
             context.workspace.status_text_set(None)
         return result
+
+    def _show_former(self, context) -> None:
+        """Show the editor's former image again, and remove the picture: Blender would ask to save it at the end."""
+        screen = context.screen
+        if screen is not None and self._area in list(screen.areas) and self._area.type == "IMAGE_EDITOR":
+            space = self._area.spaces.active
+            if space.image is not None and space.image.name == _PICTURE:
+                space.image = bpy.data.images.get(self._former)
+        _remove_picture()
+
+
+def _remove_picture() -> None:
+    if (picture := bpy.data.images.get(_PICTURE)) is not None:
+        bpy.data.images.remove(picture)
 
 
 def _spread(items: tuple[T, ...], most: int) -> tuple[T, ...]:
@@ -204,16 +220,18 @@ def _make_picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
         peak = np.maximum(peak, np.nan_to_num(radiance[::step, ::step]))
     peak = srgb_from_linear(np.clip(peak / max(float(np.percentile(peak, _BRIGHT)), 1e-6), 0, 1))
     height, width = peak.shape[:2]
-    if (former := bpy.data.images.get(_PICTURE)) is not None:
-        bpy.data.images.remove(former)
+    _remove_picture()
     image = bpy.data.images.new(_PICTURE, width, height)
     image.pixels.foreach_set(np.concatenate([peak, np.ones((height, width, 1))], axis=-1).astype(np.float32).ravel())
     image.update()
     return image, size
 
 
-def _show_in_editor(context, picture):
-    """Show the picture in an Image editor and return it; without one split the largest area, None if that fails."""
+def _show_in_editor(context, picture) -> tuple[Any, str]:
+    """Show the picture in an Image editor; return it and the name of its former image, "" for none.
+
+    Without an Image editor the largest area is split; the editor is None if that fails.
+    """
     areas = list(context.screen.areas)
     area = next((area for area in areas if area.type == "IMAGE_EDITOR"), None)
     if area is None:
@@ -222,11 +240,12 @@ def _show_in_editor(context, picture):
             bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
         area = next((area for area in context.screen.areas if area not in areas), None)
         if area is None:
-            return None
+            return None, ""
         area.type = "IMAGE_EDITOR"
     space = area.spaces.active
+    former = "" if space.image is None else space.image.name
     space.mode, space.image = "VIEW", picture
     region = next(region for region in area.regions if region.type == "WINDOW")
     with context.temp_override(area=area, region=region):
         bpy.ops.image.view_all(fit_view=True)
-    return area
+    return area, former

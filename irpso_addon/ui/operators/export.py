@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ...blender.materials.surface_check import check_surface
+from ...blender.materials.surface_check import check_surface, uv_warnings
 from ...blender.occlusion import mesh_open_sky
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
@@ -169,7 +169,8 @@ class IRPSO_OT_export(bpy.types.Operator):
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
         text = rpt("{what} written to {name}", what=FORMATS[self.format][0], name=report["output"])
-        return text, report.get("warnings", [])
+        moved = uv_warnings(running.subject(), job.mesh) if self.format == "gltf" and job.mesh is not None else []
+        return text, [*report.get("warnings", []), *moved]
 
 
 class IRPSO_MT_export(bpy.types.Menu):
@@ -201,7 +202,7 @@ def proposed_folder(running: session.Session) -> Path:
 
 
 def _proposed_name(running: session.Session, kind: str) -> str:
-    name = running.job.name
+    name = file_stem(running.job.name)
     return f"{name}{ONE_FILE[kind]}" if kind in ONE_FILE else f"{name} {_FORMATS[kind][0].lower()}"
 
 

@@ -122,9 +122,10 @@ class IRPSO_OT_run(bpy.types.Operator):
         return {"PASS_THROUGH"} if running.active else self._leave(context)
 
     def cancel(self, context):
-        """Pause when the operator's window is closed. Another window can resume."""
+        """Pause when the operator's window or file is closed. Another window can resume."""
         if self._is_current():
             self._session.pause()
+        context.window_manager.event_timer_remove(self._timer)
 
     def _is_current(self) -> bool:
         return session.current() is self._session and self._session.runs == self._number

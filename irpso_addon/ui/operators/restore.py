@@ -9,6 +9,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
 
+from ...blender.materials.textures import mark_saved
 from ...core.errors import InputError, IrpsoError
 from ...solver.state.checkpoint import glance
 from ..common import drawing, failures
@@ -125,6 +126,7 @@ CLASSES = (IRPSO_OT_restore, IRPSO_OT_forget)
 @persistent
 def _on_save(*_: object) -> None:
     stored_recoveries.delete_saved()
+    mark_saved()
     if not bpy.app.timers.is_registered(mark_changed):
         bpy.app.timers.register(mark_changed, first_interval=_AFTER_SAVING)
 

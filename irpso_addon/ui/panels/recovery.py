@@ -100,7 +100,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
         row.operator("irpso.stop", text="Stop and Keep", icon="CHECKMARK")
     row.operator("irpso.cancel", text="Cancel", icon="X")
     if running.recovery is not None and running.state == "paused":
-        _draw_displacement(layout, context)
+        _draw_displacement(layout, running.home_scene() or context.scene)
         layout.operator("irpso.export", text="Export…", icon="EXPORT")
 
 
@@ -131,7 +131,7 @@ def draw_result(layout, context, running: session.Session) -> None:
     row = layout.row()
     row.scale_y = 1.0 if kept else 2.0
     row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")
-    _draw_displacement(layout, context)
+    _draw_displacement(layout, running.home_scene() or context.scene)
     row = layout.row(align=True)
     row.operator("irpso.export", text="Export…", icon="EXPORT")
     row.operator("irpso.cancel", text="Close" if kept else "Discard", icon="X")
@@ -162,11 +162,11 @@ def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
         )
 
 
-def _draw_displacement(layout, context) -> None:
-    """Draw the options of Keep."""
+def _draw_displacement(layout, scene: bpy.types.Scene) -> None:
+    """Draw the options of Keep, which are those of the recovery's scene."""
     column = layout.column(heading="Keep With")
     column.use_property_split, column.use_property_decorate = True, False
-    column.prop(context.scene.irpso, "displacement")
+    column.prop(scene.irpso, "displacement")
 
 
 class IRPSO_PT_search(Sidebar, bpy.types.Panel):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,8 @@ import bpy
 import numpy as np
 
 from ...blender.materials import material
-from ...blender.materials.textures import image_files
+from ...blender.materials.surface_check import uv_warnings
+from ...blender.materials.textures import image_files, unsaved
 from ...core.errors import IrpsoError
 from ...pipeline import result
 from ...pipeline.result import ResultMaps, result_maps
@@ -94,20 +95,31 @@ class IRPSO_OT_keep(bpy.types.Operator):
         return has_maps(cls)
 
     def execute(self, context):
-        """Pause the recovery, and make images, material and, for a card, its object."""
+        """Pause the recovery, and make images, material and, for a card, its object, in the recovery's scene."""
         running = session.current()
         running.pause()
         try:
-            text = _keep(context, running)
+            with _home(context, running):
+                text, warnings = _keep(context, running)
             stored_recoveries.delete_when_saved(running.job.resumed, running.stamp)
         except IrpsoError as error:
             return report_and_cancel(self, error)
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
         self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
-def _keep(context, running: session.Session) -> str:
-    """Make images, material and card object; return the operator's message. Raises InputError."""
+def _home(context, running: session.Session) -> AbstractContextManager[Any]:
+    """Return a context manager in which ``context`` has the recovery's scene, if that still exists."""
+    scene = running.home_scene() or context.scene
+    return (
+        nullcontext() if scene == context.scene else context.temp_override(scene=scene, view_layer=scene.view_layers[0])
+    )
+
+
+def _keep(context, running: session.Session) -> tuple[str, list[str]]:
+    """Make images, material and card object; return the operator's message and warnings. Raises InputError."""
     job = running.job
     former = result.subject_of(job)
     found = current_maps(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
@@ -123,15 +135,19 @@ def _keep(context, running: session.Session) -> str:
         _show(context, subject, new=former is None)
     count = len(map_tables(job.model))
     where = rpt("in {folder}", folder=folder) if folder else rpt("packed into the file")
-    return rpt(
+    text = rpt(
         "Material '{name}' on '{object}', with {count} maps {where}", name=made_material.name, object=subject.name,
         count=count, where=where,
     )  # fmt: skip
+    return text, [] if job.mesh is None else uv_warnings(subject, job.mesh)
 
 
 def _remove_undone(running: session.Session, folder: Path | None) -> None:
-    """Remove what an undone Keep wrote into the folder; the maps would be written beside it under numbered names."""
-    for path in running.files - image_files():
+    """Remove what an undone Keep wrote into the folder; the maps would be written beside it under numbered names.
+
+    Files that a saved .blend shows stay.
+    """
+    for path in unsaved(running.files - image_files()):
         if folder is not None and path.parent == folder.resolve():
             with suppress(OSError):
                 path.unlink()

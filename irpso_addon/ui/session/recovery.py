@@ -12,7 +12,7 @@ from uuid import uuid4
 import bpy
 import numpy as np
 
-from ...blender.materials.material import STAMP, subject_object
+from ...blender.materials.material import subject_object
 from ...core.udim import ONE_SQUARE
 from ...geometry.domain import Domain
 from ...gpu import context
@@ -135,9 +135,8 @@ class Session:
 
     @property
     def kept(self) -> bool:
-        """Whether a material of the open file holds the current maps; false after an undo or more iterations."""
-        stamp = self.stamp
-        return bool(stamp) and any(material.get(STAMP) == stamp for material in bpy.data.materials)
+        """Whether a used material of the open file holds the current maps; false after an undo or more iterations."""
+        return self.stamp in stored_recoveries.kept_stamps()
 
     @property
     def stopped(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
+from ...blender.materials.textures import mark_saved
 from ...core.errors import InputError
 from ...pipeline.run import RunCache
 from ..common import failures
@@ -92,3 +93,4 @@ def unregister() -> None:
 @failures.reported(_LEAVING)
 def _on_load(*_: object) -> None:
     reset()
+    mark_saved()

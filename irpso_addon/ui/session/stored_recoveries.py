@@ -107,9 +107,19 @@ def delete_when_saved(path: Path | None, stamp: str) -> None:
         _kept[path] = stamp
 
 
+def kept_stamps() -> set[str]:
+    """Return the stamps of the materials that a saved file holds. Blender saves none without users."""
+    bare = [mesh for mesh in bpy.data.meshes if not mesh.users]  # of deleted objects
+
+    def users(material: Any) -> int:
+        return material.users - sum(list(mesh.materials).count(material) for mesh in bare)
+
+    return {material[STAMP] for material in bpy.data.materials if STAMP in material and users(material) > 0}
+
+
 def delete_saved() -> None:
     """After the file was saved: delete the stored recoveries whose maps it holds."""
-    stamps = {material.get(STAMP) for material in bpy.data.materials}
+    stamps = kept_stamps()
     for path in [path for path, stamp in _kept.items() if stamp in stamps]:
         del _kept[path]
         delete(path)

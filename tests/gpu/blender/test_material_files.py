@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object, save_blend
+from irpso_addon.blender.materials.textures import mark_saved
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
 from tests.gpu.blender.test_material import SHAPE, counts, pixels, random_maps
@@ -175,3 +176,87 @@ def test_an_old_file_survives_when_saving_fails(tmp_path, monkeypatch):
         save_blend(target)
     assert target.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["x.blend"]
+
+
+def test_maps_that_a_saved_file_shows_are_not_replaced(tmp_path):
+    first, second, third = (random_maps(load_model("lambert"), seed) for seed in range(3))
+    path = str(tmp_path / "a.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    build_material(first, "icon", "//maps").use_fake_user = True
+    bpy.ops.wm.save_mainfile()
+    mark_saved()  # by the extension's handler
+    for found in (second, third):  # files that were written after it was saved are replaced
+        build_material(found, "icon", "//maps")
+        assert {image.filepath for image in bpy.data.images} == {
+            f"//maps/IRPSO_icon_{name}_1.png" for name in ("base_color", "normal")
+        }
+        np.testing.assert_allclose(
+            pixels(bpy.data.images["IRPSO icon base_color"]), found.values["base_color"], atol=4e-5
+        )
+    bpy.ops.wm.open_mainfile(filepath=path)
+    np.testing.assert_allclose(pixels(bpy.data.images["IRPSO icon base_color"]), first.values["base_color"], atol=4e-5)
+
+
+@pytest.mark.parametrize("subject", ["x" * 250, "\u58c1" * 100, "x" * 200 + "/y"], ids=["long", "wide", "path"])
+def test_the_files_of_a_long_name_have_a_shorter_one(subject, tmp_path):
+    maps = replace(random_maps(load_model("lambert")), tiles=tuple(range(1001, 1008)))
+    build_material(maps, subject, tmp_path)
+    names = [path.name for path in tmp_path.iterdir()]
+    assert len(names) == 14 and max(len(name.encode()) for name in names) < 200
+    assert all(name.startswith(f"IRPSO_{subject[:50]}") for name in names)
+    assert sum("base_color.10" in name for name in names) == 7
+
+
+def test_maps_that_cannot_be_written_are_refused_and_leave_no_material(tmp_path, monkeypatch):
+    def no_space(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("irpso_addon.blender.materials.textures.encode_png", no_space)
+    with pytest.raises(InputError, match="cannot be written .No space left on device.; choose another folder"):
+        build_material(random_maps(load_model("lambert")), "icon", tmp_path)
+    assert not bpy.data.materials
+
+
+def test_a_copy_in_another_folder_finds_the_users_images_and_libraries(tmp_path):
+    (tmp_path / "tex").mkdir()
+    (tmp_path / "out").mkdir()
+    bpy.data.objects.new("prop", None).use_fake_user = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True, relative=True) as (_, target):
+        target.objects = ["prop"]
+    bpy.context.scene.collection.objects.link(target.objects[0])
+    image = bpy.data.images.new("wood", 4, 4)
+    image.filepath_raw, image.file_format = str(tmp_path / "tex" / "wood.png"), "PNG"
+    image.save()
+    image.filepath, image.use_fake_user = "//tex/wood.png", True
+    build_material(random_maps(load_model("lambert")), "icon", tmp_path / "tex").use_fake_user = True
+    build_material(random_maps(load_model("lambert")), "packed").use_fake_user = True
+    tiled = replace(random_maps(load_model("lambert")), tiles=tuple(range(1001, 1008)))
+    build_material(tiled, "tiled").use_fake_user = True
+    path = save_blend(tmp_path / "out" / "result.blend")
+    assert bpy.data.images["IRPSO packed normal"].filepath == "//textures/IRPSO_packed_normal.png"
+    assert image.filepath == "//tex/wood.png" and bpy.data.filepath == str(tmp_path / "scene.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    files = {image.name: image.filepath.replace("\\", "/") for image in bpy.data.images}
+    assert files["wood"] == "//../tex/wood.png"
+    assert files["IRPSO icon normal"] == "//../tex/IRPSO_icon_normal.png"
+    assert files["IRPSO packed normal"] == "//textures/IRPSO_packed_normal.png"
+    assert files["IRPSO tiled normal"] == "//textures/IRPSO_tiled_normal.<UDIM>.png"
+    assert Path(bpy.path.abspath(bpy.data.libraries[0].filepath)).resolve() == tmp_path / "library.blend"
+    assert not bpy.data.objects["prop"].is_missing
+
+
+def test_a_file_is_saved_though_its_maps_lie_on_another_drive(tmp_path, monkeypatch):
+    build_material(random_maps(load_model("lambert")), "icon", tmp_path / "maps").use_fake_user = True
+
+    def other_drive(*_, **__):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    monkeypatch.setattr(bpy.path, "relpath", other_drive)
+    path = save_blend(tmp_path / "result.blend")
+    monkeypatch.undo()
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    file = Path(bpy.path.abspath(bpy.data.images["IRPSO icon normal"].filepath))
+    assert file == tmp_path / "maps" / "IRPSO_icon_normal.png"

@@ -8,6 +8,7 @@ import pytest
 
 from irpso_addon.blender.materials.asset import recovered_slot
 from irpso_addon.blender.materials.material import TAG, apply_material, build_material, card_object, save_blend
+from irpso_addon.blender.materials.pictures import icon
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
 from irpso_addon.exports.asset import Shelf, write_to_shelf
@@ -100,6 +101,12 @@ def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, 
         np.testing.assert_array_equal(new, old)
     alpha = np.array(loaded(path).preview.image_pixels_float[:]).reshape(256, 256, 4)[..., 3]
     assert alpha[128, 128] == 1 and np.ptp(np.nonzero(alpha > 0.5)[1]) > 225
+
+
+def test_an_object_that_is_hidden_in_renders_is_in_its_picture(card):
+    card.hide_render = True
+    bpy.context.view_layer.update()
+    assert icon(card, 16)[8, 8, 3] == 1 and card.hide_render
 
 
 def test_pictures_in_files_stay_files(tmp_path):

@@ -128,6 +128,30 @@ def test_a_gltf_viewer_shades_with_the_recovered_world_normals(tmp_path):
         assert median < (0.8 if frame else 0.3) and high < (3.0 if frame else 0.8)
 
 
+def test_a_sheared_object_keeps_its_shape_and_normals(tmp_path):
+    result, obj = on_a_sheet("principled", texels=32)
+    parent = bpy.data.objects.new("parent", None)
+    bpy.context.scene.collection.objects.link(parent)
+    parent.scale, obj.parent = (2, 1, -0.5), parent
+    bpy.context.view_layer.update()
+    linear = np.array(obj.matrix_world)[:3, :3]
+    (warning,) = gltf.write_gltf(replace(result, card=False), tmp_path / "leaf.glb", obj)["warnings"]
+    assert "unequal scale" in warning
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    node, (part,) = table["nodes"][0], table["meshes"][0]["primitives"]
+    x, y, z, w = node["rotation"]
+    held = Matrix.LocRotScale(node["translation"], Quaternion((w, x, y, z)), node["scale"])
+    turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # glTF's y is up, Blender's z
+    read = {k: accessor(table, binary, part["attributes"][k]).astype(np.float64) for k in ("POSITION", "NORMAL")}
+    written = (read["POSITION"] @ np.array(held)[:3, :3].T + np.array(held.translation)) @ turn.T
+    mesh = extract_mesh(obj)
+    places, at = np.unique(mesh.positions.reshape(-1, 3).round(4), axis=0, return_index=True)
+    distance = np.linalg.norm(written[:, None] - places, axis=-1)
+    assert distance.min(axis=1).max() < 1e-3 and np.ptp(np.linalg.svd(linear)[1]) > 1
+    normals = oracles.unit(read["NORMAL"] @ np.linalg.inv(np.array(held)[:3, :3])) @ turn.T
+    assert angle(normals, mesh.normals.reshape(-1, 3)[at][distance.argmin(axis=1)]).max() < 0.1
+
+
 def test_blenders_exporter_alone_carries_all_maps_but_specular(tmp_path):
     """Why the material is built anew for it."""
     result, obj = on_a_sheet("principled")

@@ -159,6 +159,14 @@ def test_another_format_changes_a_proposed_name_and_leaves_a_chosen_one(session_
     assert not IRPSO_OT_export.check(asked, bpy.context) and asked.filepath == "/out/mine"
 
 
+def test_the_proposed_name_has_no_slash_of_the_subjects():
+    from irpso_addon.ui.operators.export import _proposed_name
+
+    running = SimpleNamespace(job=SimpleNamespace(name="wall/left"))
+    assert _proposed_name(running, "gltf") == "wall_left.glb"
+    assert _proposed_name(running, "textures") == "wall_left textures"
+
+
 def test_the_proposed_folder_is_never_that_of_the_photographs(session_of_card, monkeypatch):
     from irpso_addon.ui.operators import export
 

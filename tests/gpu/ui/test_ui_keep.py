@@ -94,6 +94,25 @@ def test_keeping_again_updates_the_material_and_keeps_the_users_nodes(recovered)
     assert obj.visible_get()
 
 
+def test_keep_in_another_scene_makes_the_card_in_the_recoverys_scene(recovered):
+    home, other = bpy.context.scene, bpy.data.scenes.new("Other")
+    other.irpso.displacement = True
+    try:
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            for _ in range(2):
+                assert bpy.ops.irpso.keep() == {"FINISHED"}
+        (card,) = home.objects
+        assert not other.objects[:] and card.visible_get() and bpy.context.view_layer.objects.active == card
+        assert not card.modifiers and bpy.context.scene == home
+        home.irpso.displacement = True
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            bpy.ops.irpso.keep()
+        assert not other.objects[:] and card.modifiers
+    finally:
+        home.irpso.displacement = False
+        bpy.data.scenes.remove(other)
+
+
 def test_a_card_removed_from_the_scene_is_linked_again(recovered):
     bpy.ops.irpso.keep()
     (obj,) = bpy.context.scene.objects
@@ -136,6 +155,38 @@ def test_keep_after_an_undone_keep_replaces_its_files_and_no_others(recovered, t
     former = {path: path.read_bytes() for path in folder.iterdir()}
     bpy.ops.irpso.keep()
     assert {path: path.read_bytes() for path in former} == former
+
+
+def test_maps_of_the_saved_file_stay_when_keep_is_pressed_again_or_was_undone(recovered, tmp_path, monkeypatch):
+    from irpso_addon.ui.properties import preferences
+
+    folder = tmp_path / "maps"
+    monkeypatch.setattr(preferences, "current", lambda context: preferences.PreferenceValues(output_folder=str(folder)))
+    bpy.ops.irpso.keep()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "leaf.blend"), copy=True)
+    shown = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    bpy.ops.irpso.keep()
+    assert len(list(folder.iterdir())) == 2 * len(MAPS)
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])  # as an undo of both does
+    recovered.files |= shown.keys()
+    bpy.ops.irpso.keep()
+    assert {path: path.stat().st_mtime_ns for path in shown} == shown
+    assert len(list(folder.iterdir())) == 2 * len(MAPS)
+
+
+def test_a_material_that_nothing_uses_is_not_kept(recovered):
+    bpy.ops.irpso.keep()
+    assert recovered.kept
+    (obj,) = bpy.context.scene.objects
+    material = obj.material_slots[0].material
+    obj.material_slots[0].material = None
+    assert not recovered.kept  # Blender would not save it
+    material.use_fake_user = True
+    assert recovered.kept
+    obj.material_slots[0].material, material.use_fake_user = material, False
+    assert recovered.kept
+    bpy.ops.object.delete()  # its mesh stays, with the material, until the file is closed
+    assert not bpy.data.objects and not recovered.kept
 
 
 def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made(recovered, tmp_path, monkeypatch):

@@ -222,6 +222,16 @@ def test_resume_takes_the_settings_of_the_scene_in_which_it_began_and_only_there
     assert bpy.ops.irpso.resume() == {"FINISHED"} and running.job.schedule == schedule
 
 
+def test_closing_the_file_pauses_and_ends_the_timer(running):
+    from irpso_addon.ui.operators.recover import IRPSO_OT_run
+
+    ended = []
+    context = SimpleNamespace(window_manager=SimpleNamespace(event_timer_remove=ended.append))
+    run = SimpleNamespace(_session=running, _number=running.runs, _timer="timer", _is_current=lambda: True)
+    IRPSO_OT_run.cancel(run, context)
+    assert ended == ["timer"] and running.state == "paused"
+
+
 def test_stopping_keeps_and_ends_the_run(running):
     assert bpy.ops.irpso.stop() == {"FINISHED"}
     assert running.state == "done" and running.kept

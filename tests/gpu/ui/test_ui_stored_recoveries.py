@@ -142,6 +142,18 @@ def test_a_stored_recovery_outlives_a_keep_that_was_undone_before_saving(stored,
     session.end()
 
 
+def test_a_stored_recovery_outlives_a_kept_material_that_was_taken_off(stored, plane, tmp_path):
+    from irpso_addon.ui.session import session
+
+    bpy.ops.irpso.restore(path=str(stored.path))
+    session.current().run()
+    assert bpy.ops.irpso.keep() == {"FINISHED"}
+    bpy.context.object.material_slots[0].material = None
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "off.blend"))  # without the material
+    assert stored.path.exists()
+    session.end()
+
+
 def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.scene_job import make_job

@@ -168,6 +168,34 @@ def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_p
         session.end()
 
 
+def test_a_uv_map_that_has_moved_since_is_warned_of(settings, tmp_path, capfd):
+    from irpso_addon.ui.session import session
+
+    thing, layer = settings.object, settings.object.data.uv_layers.active
+    settings.slots, thing.active_material_index = "ACTIVE", 1
+    session.begin(make_job()).run()
+    told = "the UV map 'UVMap' of 'Two' has changed since its maps were recovered"
+    export = {"filepath": str(tmp_path / "two.glb"), "format": "gltf"}
+    try:
+
+        def said():
+            thing.data.update_tag()
+            assert bpy.ops.irpso.keep() == {"FINISHED"} and bpy.ops.irpso.export(**export) == {"FINISHED"}
+            return capfd.readouterr().out.count(told)
+
+        assert said() == 0
+        layer.uv[0].vector.x += 0.25  # of the slot that was not recovered
+        assert said() == 0
+        layer.uv[4].vector.x += 0.25
+        assert said() == 2
+        layer.uv[4].vector.x -= 0.75  # across the border of the tile
+        assert said() == 2
+        thing.modifiers.new("Finer", "SUBSURF")
+        assert said() == 0
+    finally:
+        session.end()
+
+
 def test_missing_slots_are_reported_before_anything_is_read(settings):
     from irpso_addon.ui.session.scene_job import missing
 
