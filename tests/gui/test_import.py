@@ -208,9 +208,12 @@ def test_a_card_is_marked_by_clicks_on_its_corners(ready, tmp_path):
     ready.screenshot("a card is marked")
     ready.key("Return")
     ready.run("redrawn()", area="")
-    found = ready.run("list(settings().corners)", area="IMAGE_EDITOR")
+    found = ready.run("list(settings().corners)")
     expected = [value for mark in ((5, 3), (20, 4), (19, 13), (4, 12)) for value in mark]
     assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) < 0.2
+    assert ready.reports()[-1].startswith("Corners: ")
+    ready.wait("all(area.type != 'IMAGE_EDITOR' for area in main_window().screen.areas)", area="")
+    ready.screenshot("the marked card's photograph is closed")
 
 
 def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(ready, tmp_path):
