@@ -2,9 +2,9 @@
 
 Usage: python -m benchmarks.road [--quick] [--again] [--output FOLDER]
 
-Needs what `make test-gui` needs, and rti_icon of the folder IRPSO_DATA, or of ../shared/data. The extension is the
-built zip. Nothing is typed. A click is one on a button, on OK of a dialog or on Accept of the file browser, in which
-the folder is already open.
+Needs what `make test-gui` needs. Roads with rti_icon, of the folder IRPSO_DATA or of ../shared/data, are skipped where
+it is absent. The extension is the built zip. Nothing is typed. A click is one on a button, on OK of a dialog or on
+Accept of the file browser, in which the folder is already open. IRPSO_ROADS=icon,rig takes some roads.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from benchmarks import report
 sys.path.insert(0, str(report.ROOT / "scripts"))
 
 DATA = Path(os.environ.get("IRPSO_DATA", report.ROOT.parent / "shared" / "data"))
+ICON = DATA / "rti_icon"
 FACE = ((0.25, 0.8), (0.75, 0.8), (0.75, 0.3), (0.25, 0.3))  # of the icon, in parts of its picture
 PICTURES = report.CACHE / "road"  # screenshots of every step
 MODULE = "bl_ext.user_default.irpso.irpso_addon.ui"
@@ -99,16 +100,26 @@ class Walk:
 
         self.step(name, clicks, act)
 
-    def choose(self, folder: Path) -> None:
-        """Accept a folder in the file browser."""
+    def choose(self, folder: Path | None) -> None:
+        """Accept a folder in the file browser, or what it offers."""
         self.window.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
-        path = f"{folder}/".encode()
-        self.window.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {path!r}", area="")
+        if folder is not None:
+            path = f"{folder}/".encode()
+            self.window.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {path!r}", area="")
         self.window.settle()
         self.window.move(*self.window.region("FILE_BROWSER").centre)
         self.window.key("Return")
         self.window.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
         self.window.settle()
+
+    def saved(self, name: str, operator: str) -> None:
+        """Choose an entry of the menu of photographs, and accept the name that the file browser offers."""
+
+        def act() -> None:
+            self.window.run(f"bpy.ops.{operator}('INVOKE_DEFAULT')")
+            self.choose(None)
+
+        self.step(name, 3, act)
 
     def accept(self) -> None:
         """Click OK of a dialog."""
@@ -160,11 +171,18 @@ def measure(quick: bool) -> dict[str, Any]:
                 SETUP + f"from pathlib import Path\nPath.home = lambda: Path({scratch!r})" + QUICK * quick, area=""
             )
             for name, road in ROADS.items():
+                if name not in os.environ.get("IRPSO_ROADS", name).split(","):
+                    continue
+                if name in OF_ICON and not ICON.is_dir():
+                    roads[name] = {"skipped": "rti_icon is not in the folder of test data"}
+                    continue
                 load = os.getloadavg()[0]
                 walk = Walk(window, name)
                 road(walk, folder)
-                walk.recover_and_keep(quick)
-                texels = window.run("__import__('math').prod(session.current().job.size)")
+                texels = 0
+                if name != "rig":
+                    walk.recover_and_keep(quick)
+                    texels = window.run("__import__('math').prod(session.current().job.size)")
                 roads[name] = {"load": load, "steps": walk.rows, "texels": texels}
     return {"blender": blender.name, "backend": backend, "roads": roads}
 
@@ -189,18 +207,36 @@ def _photographs(walk: Walk, folder: Path) -> None:
 
 
 def _icon(walk: Walk, folder: Path) -> None:
-    shutil.copytree(DATA / "rti_icon", folder / "icon")
+    shutil.copytree(ICON, folder / "icon")
     walk.press("Import Capture…", "irpso.import_capture", lambda: walk.choose(folder / "icon"), 2)
     walk.press("Find Lights…", "irpso.find_lights", walk.accept, 2)
     walk.corners()
     walk.mark(FACE)
 
 
-ROADS = {"sample": _sample, "photographs": _photographs, "icon": _icon}
+def _rig(walk: Walk, folder: Path) -> None:
+    shutil.copytree(ICON, folder / "first")
+    (folder / "second").mkdir()
+    for path in ICON.glob("*.jpg"):
+        shutil.copy(path, folder / "second")
+    walk.press("Import Capture…", "irpso.import_capture", lambda: walk.choose(folder / "first"), 2)
+    walk.saved("▾ › Save Rig…", "irpso.save_rig")
+
+    def chosen() -> None:
+        walk.window.run("bpy.ops.irpso.apply_rig('INVOKE_DEFAULT')")
+        walk.choose(folder / "second")
+        walk.accept()
+
+    walk.step("▾ › Apply Rig…", 4, chosen)
+
+
+ROADS = {"sample": _sample, "photographs": _photographs, "icon": _icon, "rig": _rig}
+OF_ICON = ("icon", "rig")
 _TITLES = {
     "sample": "Open Sample",
     "photographs": "The sample's photographs, as if they were your own",
     "icon": "The middle of a painted icon, with the lights of its .lp list: it shows no ball and no outline",
+    "rig": "The icon's lamps as a rig, applied to other photographs without a list of lights",
 }
 
 
@@ -213,14 +249,18 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " stall. Load: programs that want the cores; times and turns grow with it."
     ]
     for name, road in data["roads"].items():
+        lines += ["", f"## {_TITLES[name]}", ""]
+        if "skipped" in road:
+            lines.append(f"Skipped: {road['skipped']}.")
+            continue
         rows = [
             [row["step"], row["clicks"], report.short(row["seconds"]), report.short(row["turn"]), _said(row["said"])]
             for row in road["steps"]
         ]
         total = ["together", sum(row["clicks"] for row in road["steps"]),
                  report.short(sum(row["seconds"] for row in road["steps"])), "", ""]  # fmt: skip
-        lines += ["", f"## {_TITLES[name]}", ""]
-        lines += [f"{road['texels']} texels. Load of the machine before: {road['load']:.1f}.", ""]
+        texels = f"{road['texels']} texels. " if road["texels"] else ""
+        lines += [f"{texels}Load of the machine before: {road['load']:.1f}.", ""]
         lines += report.table(["step", "clicks", "s", "longest turn, s", "what the window says"], [*rows, total])
     return lines
 
@@ -236,6 +276,7 @@ def headline(data: dict[str, Any]) -> str:
         f"{name}: {sum(row['clicks'] for row in road['steps'])} clicks, "
         f"{sum(row['seconds'] for row in road['steps']):.0f} s"
         for name, road in data["roads"].items()
+        if "steps" in road
     )
 
 

@@ -208,10 +208,15 @@ def test_a_card_is_marked_by_clicks_on_its_corners(ready, tmp_path):
     ready.screenshot("a card is marked")
     ready.key("Return")
     ready.run("redrawn()", area="")
-    found = ready.run("list(settings().corners)", area="IMAGE_EDITOR")
+    found = ready.run("list(settings().corners)")
     expected = [value for mark in ((5, 3), (20, 4), (19, 13), (4, 12)) for value in mark]
     assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) < 0.2
+    assert ready.reports()[-1].startswith("Corners: ")
+    ready.wait("all(area.type != 'IMAGE_EDITOR' for area in main_window().screen.areas)", area="")
+    ready.screenshot("the marked card's photograph is closed")
     assert ready.run("[image.name for image in bpy.data.images if image.is_dirty]") == []  # Blender asks to save such
+    timeline = "next(area for area in main_window().screen.areas if area.type == 'DOPESHEET_EDITOR')"
+    ready.run(f"{timeline}.type = 'IMAGE_EDITOR'", area="")
     shown = "[area.spaces.active.image.name for area in main_window().screen.areas if area.type == 'IMAGE_EDITOR']"
     ready.run("mine = bpy.data.images.new('mine', 4, 4)\nbpy.context.space_data.image = mine", area="IMAGE_EDITOR")
     ready.run("bpy.ops.irpso.mark_card('INVOKE_DEFAULT')")

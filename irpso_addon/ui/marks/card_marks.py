@@ -57,8 +57,11 @@ class _CornerMarking(Marking):
             self.report({"INFO"}, rpt("{count} of 4 corners are marked; click the others", count=len(self._points)))
             return False
         height = self._size[1]
-        corners = np.array(self._points) * self._size
-        self._store(context.scene.irpso, np.stack([corners[:, 0], height - corners[:, 1]], axis=-1))
+        marked = np.array(self._points) * self._size
+        corners = around(np.stack([marked[:, 0], height - marked[:, 1]], axis=-1) * (1, -1)) * (1, -1)
+        self._store(context.scene.irpso, corners)
+        text = "  ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+        self.report({"INFO"}, rpt("Corners: {corners}", corners=text))
         return True
 
     def _store(self, settings, corners: np.ndarray) -> None:

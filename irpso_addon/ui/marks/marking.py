@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import bpy
@@ -94,7 +96,9 @@ class Marking:
             picture, self._size = _make_picture(self.radiances(context.scene.irpso, readers))
         except InputError as error:
             return failures.report_and_cancel(self, error)
+        before = list(context.screen.areas)
         self._area, self._former = _show_in_editor(context, picture)
+        self._own_area = self._area not in before
         if self._area is None:
             _remove_picture()
             self.report({"ERROR"}, "There is no room for an Image editor in this window; make an area larger")
@@ -188,6 +192,8 @@ class Marking:
         if context.window is not None:
             context.window.cursor_modal_restore()
             context.workspace.status_text_set(None)
+            if self._own_area:  # a timer, because Blender uses the area after the operator returns
+                bpy.app.timers.register(partial(_close_area, context.window, self._area))
         return result
 
     def _show_former(self, context) -> None:
@@ -225,6 +231,15 @@ def _make_picture(radiances: Iterable[np.ndarray]) -> tuple[Any, np.ndarray]:
     image.pixels.foreach_set(np.concatenate([peak, np.ones((height, width, 1))], axis=-1).astype(np.float32).ravel())
     image.update()
     return image, size
+
+
+def _close_area(window, area) -> None:
+    """Close an area that was split for the picture, unless the user has closed it or shows something else in it."""
+    with suppress(ReferenceError):
+        shown = area in list(window.screen.areas) and area.type == "IMAGE_EDITOR"
+        if shown and area.spaces.active.image is None:
+            with bpy.context.temp_override(window=window, screen=window.screen, area=area):
+                bpy.ops.screen.area_close()
 
 
 def _show_in_editor(context, picture) -> tuple[Any, str]:

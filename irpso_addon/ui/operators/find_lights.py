@@ -89,14 +89,17 @@ class ChoosePhotographs(VideoBrowser, bpy.types.Operator):
 
     directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     filter_image: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    rig: StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # which gives the lights
 
     def execute(self, context):
-        """Open the dialog of Find Lights for the chosen folder; make photographs of a video first."""
+        """Open the dialog of Find Lights, or Apply Rig, for the chosen folder; make photographs of a video first."""
         try:
             chosen = absolute(self.filepath or self.directory, "Photographs")
         except InputError as error:
             return failures.report_and_cancel(self, error)
-        if is_video(chosen):
+        if self.rig:
+            bpy.ops.irpso.apply_rig("INVOKE_DEFAULT", rig=self.rig, photographs=str(chosen))
+        elif is_video(chosen):
             bpy.ops.irpso.photographs_of_video(filepath=str(chosen))
         else:
             bpy.ops.irpso.find_lights("INVOKE_DEFAULT", photographs=str(capture_at(chosen)))

@@ -6,7 +6,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ...blender.images import decode
 from ...calibration.developing.measure import Progress
@@ -30,7 +30,12 @@ _MATCH = (
     ("names", "Names", "By the same names as the rig's photographs; some may be missing"),
     ("numbers", "Numbers", "By the last number in their names; some may be missing"),
 )
-_FOLDER = {"subtype": "DIR_PATH", **RELATIVE_PATH}
+_FOLDER = {"subtype": "DIR_PATH", "options": {"SKIP_SAVE", *RELATIVE_PATH.get("options", ())}}
+_REMEDIES = {
+    "write one with irpso rig save CAPTURE -o RIG": "choose the folder that Save Rig made",
+    "write it again with irpso rig save": "save it again with Save Rig",
+}
+_last_rig = ""  # the rig last saved or applied, which Apply Rig offers
 
 
 class IRPSO_OT_save_rig(bpy.types.Operator):
@@ -65,6 +70,7 @@ class IRPSO_OT_save_rig(bpy.types.Operator):
             rig = save_rig(read_spec(capture_path(settings), settings.colour_space), out, decode)
         except InputError as error:
             return failures.report_and_cancel(self, error)
+        _remember(out)
         count = len(rig.photographs)
         if rig.measured is not None:
             text = rpt("{name}: {count} lamps, with corrections", name=out.name, count=count)
@@ -84,6 +90,7 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
     names = {
         "--match names or --match numbers": "Match: Names or Numbers", "--match order": "Match: Order",
         "--match names": "Match: Names", "--match numbers": "Match: Numbers", ", or scale with --exposure exif": "",
+        **_REMEDIES,
     }  # fmt: skip
 
     rig: StringProperty(name="Rig", description="Folder of the rig, with rig.toml", **_FOLDER)
@@ -91,8 +98,18 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
     match: EnumProperty(name="Match", description="Which lamp lit which photograph", items=_MATCH, default="auto")
 
     def invoke(self, context, event):
-        """Open the dialog."""
-        return context.window_manager.invoke_props_dialog(self, width=420)
+        """Open a file browser for the rig, if none is known, and for the photographs; then the dialog.
+
+        A file browser that the dialog itself opens in the same window would end the dialog.
+        """
+        self.rig = self.rig or (_last_rig if Path(_last_rig).is_dir() else "")
+        if self.rig and self.photographs:
+            return context.window_manager.invoke_props_dialog(self, width=420)
+        if self.rig:
+            bpy.ops.irpso.choose_photographs("INVOKE_DEFAULT", rig=self.rig)
+        else:
+            bpy.ops.irpso.choose_rig("INVOKE_DEFAULT")
+        return {"CANCELLED"}
 
     def draw(self, context) -> None:
         """Draw the dialog."""
@@ -119,11 +136,42 @@ class IRPSO_OT_apply_rig(SlicedOperator, bpy.types.Operator):
     def finished(self, context, result: tuple[Path, Applied]) -> set[str]:
         """Import the capture, and report the lamps."""
         out, applied = result
+        _remember(absolute(self.rig, "Rig"))
         count = len(applied.lamps)
         developed = applied.developed
         summary = rpt("{count} lamps, linear images", count=count) if developed else rpt("{count} lamps", count=count)
         bpy.ops.irpso.import_capture(directory=str(out))
         return reported(self, out, [*applied.left_out, *applied.warnings], summary)
+
+
+class IRPSO_OT_choose_rig(bpy.types.Operator):
+    """Choose the folder that Save Rig made; the photographs are chosen next"""
+
+    bl_idname = "irpso.choose_rig"
+    bl_label = "Choose Rig"
+    bl_options = {"INTERNAL"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context, event):
+        """Open the file browser."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Go on with Apply Rig, if the folder is a rig."""
+        try:
+            rig = read_rig(absolute(self.directory, "Rig"))
+        except InputError as error:
+            return failures.report_and_cancel(self, error, _REMEDIES)
+        bpy.ops.irpso.apply_rig("INVOKE_DEFAULT", rig=str(rig.path))
+        return {"FINISHED"}
+
+
+def _remember(rig: Path) -> None:
+    global _last_rig
+    _last_rig = str(rig)
 
 
 class IRPSO_MT_photographs(bpy.types.Menu):
@@ -143,4 +191,4 @@ class IRPSO_MT_photographs(bpy.types.Menu):
         layout.operator("irpso.apply_rig", text="Apply Rig…", icon="IMPORT")
 
 
-CLASSES = (IRPSO_OT_save_rig, IRPSO_OT_apply_rig, IRPSO_MT_photographs)
+CLASSES = (IRPSO_OT_save_rig, IRPSO_OT_apply_rig, IRPSO_OT_choose_rig, IRPSO_MT_photographs)

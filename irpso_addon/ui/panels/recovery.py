@@ -20,6 +20,8 @@ from ..session.scene_capture import has_capture
 from ..session.scene_job import missing
 from .sidebar import Sidebar
 
+_OF_STRENGTHS = "--intensities"  # in warnings whose remedy is Light Strengths
+
 
 class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
     """The button Recover, the progress, the result."""
@@ -33,9 +35,13 @@ class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
             draw_stored(self.layout, context)
             _draw_start(self.layout, context, n_("Recover"))
         elif running.state == "done":
-            draw_result(self.layout, context, running)
+            warnings = draw_result(self.layout, context, running)
             self.layout.separator()
             _draw_start(self.layout, context, n_("Recover Again"))
+            if any(_OF_STRENGTHS in text for text in warnings):  # the panel that has them is hidden now
+                column = self.layout.column()
+                column.use_property_split, column.use_property_decorate = True, False
+                column.prop(context.scene.irpso, "light_strengths")
         else:
             draw_progress(self.layout, context, running)
 
@@ -104,8 +110,8 @@ def draw_progress(layout, context, running: session.Session) -> None:
         layout.operator("irpso.export", text="Export…", icon="EXPORT")
 
 
-def draw_result(layout, context, running: session.Session) -> None:
-    """Draw the result's figures and warnings, and the buttons."""
+def draw_result(layout, context, running: session.Session) -> list[str]:
+    """Draw the result's figures and warnings, and the buttons; return the warnings."""
     kept, stopped = running.kept, running.stopped
     column = layout.column(align=True)
     state = [iface("Stopped Early")] * stopped + [iface("Kept")] * kept or [iface("Done")]
@@ -124,7 +130,8 @@ def draw_result(layout, context, running: session.Session) -> None:
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
     of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.work.scaled)
-    for text in (*running.warnings, *of_capture):
+    warnings = [*running.warnings, *of_capture]
+    for text in warnings:
         _draw_warning(layout, context, text)
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")
@@ -142,6 +149,7 @@ def draw_result(layout, context, running: session.Session) -> None:
         text = iface("The scene's view transform changes colors. To compare with the photographs:")
         drawing.wrapped(layout, context, text, "INFO")
         layout.operator("irpso.standard_view", icon="COLOR")
+    return warnings
 
 
 def _draw_warning(layout, context, text: str) -> None:

@@ -17,10 +17,12 @@ class Sidebar:
 
 
 class Failures:
-    """Base of the first panel: messages of failures that no operator could report."""
+    """Base of the first panel: messages of failures that no operator could report.
+
+    It has a header: Blender would sort a panel without one, and its tab, before all others.
+    """
 
     bl_label = "Failed"
-    bl_options = {"HIDE_HEADER"}
 
     @classmethod
     def poll(cls, context) -> bool:

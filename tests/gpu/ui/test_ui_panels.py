@@ -200,6 +200,20 @@ def test_the_panels_show_the_next_steps_from_loading_to_kept(settings, card):
     assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
 
 
+def test_a_warning_of_the_light_strengths_brings_their_setting_beside_recover_again(settings, card):
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.scene_job import make_job
+
+    settings.capture_path, settings.model = str(card), "lambert"
+    running = session.begin(make_job(bpy.context))
+    running.run()
+    running.warnings = ()
+    assert "light_strengths" not in drawn().props
+    running.warnings = ("the images contradict the lights' intensities; estimate them with --intensities estimate",)
+    assert "light_strengths" in drawn().props and "hold_out" in drawn().props
+    running.close()
+
+
 def test_a_result_of_photographs_that_state_srgb_opens_none_of_them_to_be_drawn(settings, tmp_path, monkeypatch):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.scene_job import make_job
