@@ -59,6 +59,7 @@ def light_transport_steps(
     lights: (K, 4) as in Domain. resolution: cells along the longer side of the domain, at most. rays: of an element.
     """
     elements = _Elements(bake, resolution)
+    yield 0.0
     normals = bake.normal.reshape(-1, 3)[elements.texels].astype(np.float64)
     points, face = _ray_origins(mesh, bake, elements.texels)
     directions = cosine_directions(normals, rays)
@@ -72,7 +73,8 @@ def light_transport_steps(
         yield (number + 1) / total
     steps = lit_steps(mesh, bake, elements.texels, lights, cast)
     lit = yield from map_steps(steps, lambda part: (rays + part * len(lights)) / total)
-    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *elements.around())
+    around = yield from map_steps(elements.around_steps(), lambda step: 1.0)
+    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *around)
 
 
 def lit_steps(
@@ -177,8 +179,8 @@ class _Elements:
         solved = True if mesh.solved is None else mesh.solved[triangle]
         return np.where(front & solved, best, -1)
 
-    def around(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
+    def around_steps(self) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
+        """Yield often; return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
 
         In each cell the element most like the texel. Bilinear weights, lowered for elements that are unlike it.
         """
@@ -190,6 +192,7 @@ class _Elements:
             row, column = np.floor(y).astype(int) + down, np.floor(x).astype(int) + across
             best, alike = np.zeros(len(texels), np.int32), np.full(len(texels), _FOREIGN)
             for element in self._at(row, column):
+                yield
                 likeness = self._likeness(element, texels)
                 better = likeness > alike
                 best[better], alike[better] = element[better], likeness[better]

@@ -33,6 +33,11 @@ class RoundSchedules:
         """Number of recoveries."""
         return 1 + (self.matte + self.full if self.end is None else self.end)
 
+    @property
+    def longest(self) -> RoundSchedules:
+        """The rounds with the full one that may follow matte ones."""
+        return replace(self, full=1) if self.matte and not self.full and self.end is None else self
+
     def normals_fixed_in(self, number: int) -> bool:
         """Return whether a recovery fixes the normals of the known shape."""
         return self.fixes_normals and number < self.count - 1
