@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from ...core.filters import weighted_median
-from ...core.nearest import nearest
 from ...geometry.domain import Domain
 from ...geometry.light.light_shape import beam_shares
 from ...geometry.light.light_transport import LightTransport
+from ...geometry.nearest import nearest
 from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel

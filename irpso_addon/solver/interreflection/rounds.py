@@ -24,12 +24,12 @@ from ..engine.successive import Successive
 from ..phases.phase import BAND_SECONDS
 from ..planning.cost import works_of_rounds
 from ..settings.resolve import held_names
+from ..settings.round_schedules import RoundSchedules, round_schedules
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
 from .corrected_stack import CorrectedStack
 from .indirect_light import IndirectLight
-from .schedules import RoundSchedules, round_schedules
 from .shrinkage import shrunk_to_similar_colours
 
 _RULES = 2  # raised where a run that resumes would decide otherwise about its rounds than it did

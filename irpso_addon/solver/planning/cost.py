@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from ...geometry.light.light_transport import MAX_ELEMENTS
 from ...reflectance.model import ReflectanceModel
-from ..interreflection.schedules import RoundSchedules, round_schedules
 from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
@@ -29,6 +28,7 @@ from ..settings.resolve import (
     held_names,
     resolve,
 )
+from ..settings.round_schedules import RoundSchedules, round_schedules
 from ..settings.schedule import Schedule
 from ..state.alternatives import varied
 from ..state.phase_textures import (

@@ -94,7 +94,7 @@ def test_the_fraction_never_steps_back_whether_a_full_round_follows_or_not(subje
     with rounds_of(bowl[subject](), SINGLE.replaced(interreflection_matte_rounds=2)) as recovery:
         done = False
         while not done:
-            progress = recovery.step(2)
+            progress = recovery.step(time_budget_s=0)
             done = progress.done
             fractions.append(progress.fraction)
             recoveries.append(recovery._at)

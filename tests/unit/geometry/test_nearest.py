@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from irpso_addon.core import nearest as module
-from irpso_addon.core.nearest import nearest
+from irpso_addon.geometry import nearest as module
+from irpso_addon.geometry.nearest import nearest
 
 
 def surface(count, seed=0):

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...reflectance.model import ReflectanceModel
-from ..settings.levels import warm_started
-from ..settings.schedule import Schedule
+from .levels import warm_started
+from .schedule import Schedule
 
 _MATTE_STEPS = 6  # of Levenberg–Marquardt in a matte round
 
