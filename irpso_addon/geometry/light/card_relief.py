@@ -16,7 +16,7 @@ from ..relief.relief import card_height_steps, slopes_seen
 from ..surface.bake import SurfaceBake
 from ..surface.mesh import MeshData
 
-_AN_ELEMENT = 4  # vertices along an element, at least
+_AN_ELEMENT = 4  # vertices along an element; whole strides may halve it
 _LEAST, _MOST = 640, 1024  # vertices along the longer side: no fewer, unless it has fewer texels; and no more
 _TRIANGLES = 2  # of four vertices
 _CHUNK = 1 << 16  # texels at a time
