@@ -66,7 +66,7 @@ def _recover(options: Namespace, job: Job) -> dict:
     context.ensure()
     run = Run(job, StepBars(silent(options)))
     plan = run.first_plan()
-    seconds = forecast(plan.work, probed)
+    seconds = forecast(plan.work, probed, plan.most_work)
     if options.dry_run:
         return _planned(options, {"plan": plan, "seconds": seconds})
     if not silent(options):

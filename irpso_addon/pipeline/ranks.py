@@ -171,8 +171,10 @@ def _surface(job: Job) -> Surface:
 def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
-    triangles = rays_triangles(job.mesh, coverage)
-    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment", triangles)
+    triangles = rays_triangles(job.mesh, coverage, job.schedule)
+    cost = recovery_cost(
+        job.model, job.schedule, job.fixed, *counts, job.entry != "fragment", triangles, job.mesh is not None
+    )
     height, width = coverage.shape
     borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))
     limits = device_limits(context.free_device_memory())

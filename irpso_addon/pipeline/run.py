@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..blender.materials.tangent_frames import converted_normals, from_blender
-from ..blender.ray_caster import ray_caster
+from ..blender.ray_caster import ray_caster_steps
 from ..capture.inspect.damage import with_skip_remedy
 from ..core.errors import InputError
 from ..core.optional import present
@@ -271,9 +271,9 @@ class Run:
             return None
         fineness = settings.resolution, settings.rays
         if job.mesh is not None:
-            return MeshInterreflection(job.mesh, ray_caster, *fineness)
+            return MeshInterreflection(job.mesh, ray_caster_steps, *fineness)
         normal = next(p.name for p in job.model.parameters if p.is_normal)
-        return CardInterreflection(job.capture.cameras[0], normal, ray_caster, *fineness)
+        return CardInterreflection(job.capture.cameras[0], normal, ray_caster_steps, *fineness)
 
     def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
         """Return the preparation, or the cached one of an equal job. pack: as for ``prepare``."""

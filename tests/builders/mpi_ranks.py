@@ -14,7 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.blender.ray_caster import ray_caster_steps
 from irpso_addon.cluster.partition import Partition, around
 from irpso_addon.cluster.recovery import Leader, RankedRecovery, serve
 from irpso_addon.cluster.transport import joined
@@ -79,9 +79,9 @@ def cases():
             hollow,
             load_model("metallic_roughness"),
             ROUNDS,
-            MeshInterreflection(mesh, ray_caster, 24, 16),
+            MeshInterreflection(mesh, ray_caster_steps, 24, 16),
         ),
-        "rounds on a card": (cap, LAMBERT, ROUNDS, CardInterreflection(camera, "normal", ray_caster, 19, 16)),
+        "rounds on a card": (cap, LAMBERT, ROUNDS, CardInterreflection(camera, "normal", ray_caster_steps, 19, 16)),
         "indirect light separated by its colour": (colour.corner()[0], LAMBERT, colour.SHORT),
     }
 

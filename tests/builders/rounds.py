@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.blender.ray_caster import ray_caster_steps
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.light.interreflection_geometry import MeshInterreflection
 from irpso_addon.reflectance.model import load_model
@@ -23,7 +23,7 @@ def matt_bowl():
     """Return (domain, geometry) of a matt half sphere, lit through its opening."""
     mesh = cavity_mesh(opening=0.0)
     lights = dome_lights(24, 50.0) * (1, 1, -1)
-    return half_cavity(mesh, ALBEDO, lights), MeshInterreflection(mesh, ray_caster, 48, 64)
+    return half_cavity(mesh, ALBEDO, lights), MeshInterreflection(mesh, ray_caster_steps, 48, 64)
 
 
 def without_indirect(bowl):

@@ -5,21 +5,22 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from ...capture.camera import Camera
 from ...core.errors import InputError
+from ...core.steps import map_steps
 from ..domain import Domain
-from ..relief.relief import card_height
-from ..surface.bake import SurfaceBake, surface_bake
+from ..surface.bake import surface_bake
 from ..surface.mesh import MeshData
+from .card_relief import card_surface_steps, relief_stride
 from .light_transport import Cast, LightTransport, light_transport_steps, lit_steps
 
+T = TypeVar("T")
 Values = Mapping[str, np.ndarray]  # parameter name → (H, W, components)
-CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
-RELIEF_TRIANGLES = 2  # of a card's relief, per texel
+CasterOf = Callable[[MeshData], Generator[None, None, Cast]]  # ray_caster_steps of blender/ray_caster.py
 _KEPT_LIGHTS = 3  # sets of lights: of the fitted photographs, before and after a change, and of the held-out ones
 
 
@@ -71,12 +72,12 @@ class MeshInterreflection:
         """As InterreflectionGeometry. The first call casts all rays, one under new lights only those to the lights."""
         shape, lights = (self.mesh, surface_bake(domain.bake)), domain.lights.tobytes()
         if self._transport is None:
-            cast = self.caster_of(self.mesh)
+            cast = yield from _at_begin(self.caster_of(self.mesh))
             self._transport = yield from light_transport_steps(*shape, domain.lights, cast, self.resolution, self.rays)
             self._lit[lights] = self._transport.lit
         if lights not in self._lit:
-            texels = self._transport.texels
-            lit = yield from lit_steps(*shape, texels, domain.lights, self.caster_of(self.mesh))
+            cast = yield from _at_begin(self.caster_of(self.mesh))
+            lit = yield from lit_steps(*shape, self._transport.texels, domain.lights, cast)
             while len(self._lit) >= _KEPT_LIGHTS:
                 self._lit.pop(next(iter(self._lit)))
             self._lit[lights] = lit
@@ -101,56 +102,22 @@ class CardInterreflection:
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, InterreflectionSurface]:
         """As InterreflectionGeometry. Every call casts all rays: the relief depends on the maps."""
-        mesh, bake = card_surface(self.camera, domain, values[self.normal])
+        normals, stride = values[self.normal], relief_stride(domain.shape, self.resolution)
+        mesh, bake = yield from _at_begin(
+            card_surface_steps(self.camera, domain.bake, domain.solvable, normals, stride)
+        )
         if not len(mesh.positions):
             raise InputError(
                 "interreflection: the card's texels touch nowhere, so they have no relief that throws light; recover"
                 " with --set interreflection_rounds=0"
             )
-        cast = self.caster_of(mesh)
+        cast = yield from _at_begin(self.caster_of(mesh))
         transport = yield from light_transport_steps(mesh, bake, domain.lights, cast, self.resolution, self.rays)
         own = np.zeros((*domain.shape, 3), np.float32)
         own[..., 2] = 1
         return InterreflectionSurface(replace(domain, bake=bake, card=False), transport, {**values, self.normal: own})
 
 
-def card_surface(camera: Camera, domain: Domain, normals: np.ndarray) -> tuple[MeshData, SurfaceBake]:
-    """Return the relief of a card's normals (H, W, 3) as a mesh with a vertex at each texel, and as a bake.
-
-    The frames of the bake have the normals as z. Its coverage is the domain's solvable texels.
-    """
-    covered, flat = domain.solvable, domain.bake
-    up = np.where(covered[..., None], normals, (0.0, 0.0, 1.0)).astype(np.float64)
-    height = card_height(camera, up, covered).values.astype(np.float64)[..., None] / camera.scale[0]
-    places = flat.position * (1 - height) if camera.perspective else flat.position + height * (0, 0, 1)
-    along = np.stack([up[..., 2], np.zeros(covered.shape), -up[..., 0]], axis=-1)
-    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
-    facing = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0)) if min(covered.shape) > 1 else up
-    # Beside an uncovered texel a difference of positions is no slope: rim texels would face along the card.
-    facing = np.where((facing[..., 2:] > 0) & _surrounded(covered)[..., None], facing, up)
-    facing /= np.linalg.norm(facing, axis=-1, keepdims=True)
-    tangent = np.concatenate([along, np.ones((*covered.shape, 1))], axis=-1)
-    bake = SurfaceBake(
-        places.astype(np.float32), up.astype(np.float32), tangent.astype(np.float32), covered, flat.uv,
-        facing.astype(np.float32), np.zeros(covered.shape, np.int32),
-    )  # fmt: skip
-    return _mesh_over(bake), bake
-
-
-def _surrounded(covered: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: covered texels whose neighbours in row and column are covered, or beyond the image."""
-    around = np.pad(covered, 1, mode="edge")
-    return covered & around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
-
-
-def _mesh_over(bake: SurfaceBake) -> MeshData:
-    """Return two triangles for each four covered texels beside one another."""
-    covered = bake.coverage
-    row, column = np.nonzero(covered[:-1, :-1] & covered[1:, :-1] & covered[:-1, 1:] & covered[1:, 1:])
-    corners = np.array([[(0, 0), (0, 1), (1, 1)], [(0, 0), (1, 1), (1, 0)]])
-    at = (np.stack([row, column], axis=-1)[:, None, None] + corners).reshape(-1, 3, 2)
-    part = at[..., 0], at[..., 1]
-    return MeshData(
-        "relief", bake.position[part], bake.normal[part], bake.tangent[part], bake.uv[part],
-        np.zeros(len(at), np.int32), "", np.eye(4),
-    )  # fmt: skip
+def _at_begin(steps: Generator[None, None, T]) -> Generator[float, None, T]:
+    """Run steps before the first ray: yield 0 each time, return their result."""
+    return map_steps(steps, lambda step: 0.0)

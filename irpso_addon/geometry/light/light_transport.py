@@ -26,6 +26,7 @@ _LIFT = 1e-4  # height of ray origins above the surface, as a fraction of the su
 _ALIKE = 0.05  # a texel less like all elements of its cell gets an element of its own
 _FOREIGN = 1e-3  # an element less like a texel gives it no light
 _FAR = 4.0  # widths of a cell between a ray's hit and an element that stands for it
+_CHUNK = 1 << 16  # texels at a time
 MAX_ELEMENTS = 1 << 13  # or the cells, if these are more
 
 
@@ -59,6 +60,7 @@ def light_transport_steps(
     lights: (K, 4) as in Domain. resolution: cells along the longer side of the domain, at most. rays: of an element.
     """
     elements = _Elements(bake, resolution)
+    yield from map_steps(elements.choose_steps(), lambda step: 0.0)
     normals = bake.normal.reshape(-1, 3)[elements.texels].astype(np.float64)
     points, face = _ray_origins(mesh, bake, elements.texels)
     directions = cosine_directions(normals, rays)
@@ -72,7 +74,8 @@ def light_transport_steps(
         yield (number + 1) / total
     steps = lit_steps(mesh, bake, elements.texels, lights, cast)
     lit = yield from map_steps(steps, lambda part: (rays + part * len(lights)) / total)
-    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *elements.around())
+    around = yield from map_steps(elements.around_steps(), lambda step: 1.0)
+    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *around)
 
 
 def lit_steps(
@@ -125,19 +128,29 @@ class _Elements:
         height, width = bake.coverage.shape
         longer = max(height, width)
         count = min(resolution, longer)
-        self._stride = stride = longer / count  # texels along a cell, not always whole
-        rows, columns = np.nonzero(bake.coverage)
+        self._stride = longer / count  # texels along a cell, not always whole
         self._cells = -(-height * count // longer), -(-width * count // longer)
-        row, column = ((2 * at + 1) * count // (2 * longer) for at in (rows, columns))
-        cell = row * self._cells[1] + column
-        distance = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
-        self._width = stride * _texel_width(bake)
+        self._count = count
         self.texels = np.zeros(0, np.int64)
         self._of_cells: list[np.ndarray] = []  # the first element of each cell, the second, …; −1 for none
-        self._choose(cell, rows * width + columns, np.lexsort((distance, cell)), max(count**2, MAX_ELEMENTS))
 
-    def _choose(self, cell: np.ndarray, texels: np.ndarray, left: np.ndarray, most: int) -> None:
-        """Set the elements. cell, texels: (T,) of all texels; left: their order, by cell and distance to its centre."""
+    def choose_steps(self) -> Generator[None, None, None]:
+        """Yield often; set the elements."""
+        count, stride, (height, width) = self._count, self._stride, self._bake.coverage.shape
+        longer, most, widths = max(height, width), max(count**2, MAX_ELEMENTS), [1e-12]
+        for axis in (0, 1):
+            yield
+            widths.append(_texel_width(self._bake, axis))
+        yield
+        self._width = stride * max(widths)
+        rows, columns = np.nonzero(self._bake.coverage)
+        row, column = ((2 * at + 1) * count // (2 * longer) for at in (rows, columns))
+        cell, texels = row * self._cells[1] + column, rows * width + columns
+        distance = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
+        del rows, columns, row, column
+        yield
+        left = np.lexsort((distance, cell))
+        yield
         while len(left) and len(self.texels) < most:
             cells, first = (found[: most - len(self.texels)] for found in np.unique(cell[left], return_index=True))
             number = np.full(self._cells[0] * self._cells[1], -1, np.int32)
@@ -147,7 +160,11 @@ class _Elements:
             self._places, self._normals = (
                 part.reshape(-1, 3)[self.texels] for part in (self._bake.position, self._bake.normal)
             )
-            left = left[self._likeness(number[cell[left]], texels[left]) < _ALIKE]
+            unlike = np.zeros(len(left), bool)
+            for part in _chunks(len(left)):
+                yield
+                unlike[part] = self._likeness(number[cell[left[part]]], texels[left[part]]) < _ALIKE
+            left = left[unlike]
 
     def _likeness(self, element: np.ndarray, texels: np.ndarray) -> np.ndarray:
         """Return (N,) in 0 … 1, of elements and texels (N,); 0 for element −1."""
@@ -177,12 +194,20 @@ class _Elements:
         solved = True if mesh.solved is None else mesh.solved[triangle]
         return np.where(front & solved, best, -1)
 
-    def around(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
+    def around_steps(self) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
+        """Yield often; return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
 
         In each cell the element most like the texel. Bilinear weights, lowered for elements that are unlike it.
         """
         rows, columns = np.nonzero(self._bake.coverage)
+        near, share = np.empty((len(rows), 4), np.int32), np.empty((len(rows), 4), np.float32)
+        for part in _chunks(len(rows)):
+            yield
+            near[part], share[part] = self._around(rows[part], columns[part])
+        return near, share
+
+    def _around(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``around_steps`` of some texels."""
         texels = rows * self._bake.coverage.shape[1] + columns
         y, x = ((at + 0.5) / self._stride - 0.5 for at in (rows, columns))
         near, share = [], []
@@ -197,7 +222,7 @@ class _Elements:
             share.append(np.where(alike > _FOREIGN, (1 - np.abs(y - row)) * (1 - np.abs(x - column)) * alike, 0))
         total = np.sum(share, axis=0)
         total[total == 0] = 1
-        return np.stack(near, axis=-1), (np.stack(share, axis=-1) / total[:, None]).astype(np.float32)
+        return np.stack(near, axis=-1), np.stack(share, axis=-1) / total[:, None]
 
     def _at(self, row: np.ndarray, column: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the first elements of cells, the second, …; −1 for none."""
@@ -208,11 +233,13 @@ class _Elements:
             yield np.where(inside, number[cell], -1)
 
 
-def _texel_width(bake: SurfaceBake) -> float:
-    """Return the median distance, in world units, between neighbouring texels; the larger of rows and columns."""
-    widths = [1e-12]
-    for axis in (0, 1):
-        both = np.minimum(*(np.delete(bake.coverage, end, axis) for end in (0, -1)))
-        gaps = np.linalg.norm(np.diff(bake.position, axis=axis)[both], axis=-1)
-        widths.append(float(np.median(gaps)) if len(gaps) else 0.0)
-    return max(widths)
+def _chunks(count: int) -> Iterator[slice]:
+    """Yield slices of ``count`` texels, some at a time."""
+    return (slice(start, start + _CHUNK) for start in range(0, count, _CHUNK))
+
+
+def _texel_width(bake: SurfaceBake, axis: int) -> float:
+    """Return the median distance, in world units, between neighbouring texels along rows (1) or columns (0)."""
+    both = np.minimum(*(np.delete(bake.coverage, end, axis) for end in (0, -1)))
+    gaps = np.linalg.norm(np.diff(bake.position, axis=axis)[both], axis=-1)
+    return float(np.median(gaps)) if len(gaps) else 0.0

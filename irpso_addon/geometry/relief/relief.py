@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
 
 from ...capture.camera import Camera
 from ...core.graph import connected
+from ...core.steps import blocking
 from ..surface.bake import SurfaceBake
 from ..surface.footprint import texel_steps
 from ..surface.mesh import MeshData
-from .height import TEXELS, Height, card_slopes, integrate, relief_from_log, tangent_slopes
+from .height import TEXELS, Height, card_slopes, integrate, integrate_steps, relief_from_log, tangent_slopes
 
 
-def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Height:
-    """Return the relief of a card in texels, toward the viewer; normals: (H, W, 3) in camera space.
+def card_height_steps(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Generator[None, None, Height]:
+    """Yield often; return the relief of a card in texels, toward the viewer; normals: (H, W, 3) in camera space.
 
     With a perspective camera heights are along its axis, relative to the mean depth, in texels at that depth.
     """
-    if not camera.perspective:
-        values, steps = integrate(*card_slopes(normals, camera.scale), covered)
-    else:
-        rays = replace(camera, matrix=np.eye(4)).points()
-        slopes, weights = card_slopes(normals, camera.scale, rays)
-        if any(camera.distortion) and min(covered.shape) > 1:
-            slopes = _through_lens(slopes, rays[..., :2] * camera.scale)
-        values, steps = integrate(slopes, weights, covered)
-        values = relief_from_log(values, camera.scale[0])
+    slopes, weights = slopes_seen(camera, normals)
+    yield
+    values, steps = yield from integrate_steps(slopes, weights, covered)
+    values = relief_from_log(values, camera.scale[0]) if camera.perspective else values
     return Height(values.astype(np.float32), covered, TEXELS, steps)
+
+
+card_height = blocking("card_height", card_height_steps)
+
+
+def slopes_seen(camera: Camera, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return slopes (H, W, 2) and weights (H, W), as ``card_slopes``, of a card's normals in camera space."""
+    if not camera.perspective:
+        return card_slopes(normals, camera.scale)
+    rays = replace(camera, matrix=np.eye(4)).points()
+    slopes, weights = card_slopes(normals, camera.scale, rays)
+    if any(camera.distortion) and min(normals.shape[:2]) > 1:
+        slopes = _through_lens(slopes, rays[..., :2] * camera.scale)
+    return slopes, weights
 
 
 def _through_lens(slopes: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
 from ..state.layout import digest_of_texels
+from ..state.prepare import Prepared
 from ..state.separation import SeparatedStack
 from ..state.separation_record import Separation
 from .halo import Box
@@ -275,6 +276,11 @@ class RecoveryEngine(ABC):
         saved = checkpoint.read(Path(path), self.identity)
         self.restore(saved)
         return dict(saved.notes)
+
+    def preparation(self, domain: Domain, schedule: Schedule) -> Generator[None, None, Prepared | None]:
+        """Yield often; return the preparation of a recovery of this kind, or None if it prepares itself."""
+        yield from ()
+        return None
 
     @abstractmethod
     def close(self) -> None:

@@ -30,7 +30,7 @@ from ..settings.schedule import Schedule, refuse_interreflection
 from ..state.checkpoint import NEVER, PHASE, Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prefit_measurements import PrefitMeasurements
-from ..state.prepare import Prepared
+from ..state.prepare import Prepared, prepare_steps
 from ..state.separation import separated_steps
 from ..state.separation_record import Separation
 from ..state.textures import SOLVED, Estimates, loss_constants, texel_states
@@ -97,6 +97,9 @@ class Recovery(RecoveryEngine):
             self.restore_snapshot(snapshot)
         elif fresh:
             self._phase = self._begin(0, schedule)
+
+    def preparation(self, domain: Domain, schedule: Schedule) -> Generator[None, None, Prepared | None]:
+        return map_steps(prepare_steps(domain, self.model, schedule), lambda part: None)
 
     @property
     def capabilities(self) -> Capabilities:

@@ -19,7 +19,7 @@ from ...gpu.program import ProgramCache
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..phases.phase import Phase
-from ..planning.cost import work_of
+from ..planning.cost import work_of_search
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
 from ..state.separation_record import Separation
@@ -105,8 +105,8 @@ class Successive(RecoveryEngine):
             title=live.title + self._title_suffix(at),
             iteration_in_all=sum(self._iterations[:at]) + live.iteration_in_all,
             iterations_in_all=sum(self._iterations),
-            fraction=done / sum(self._costs),
-            stage_end=(done + (live.stage_end - live.fraction) * self._costs[at]) / sum(self._costs),
+            fraction=done / self._cost_of_all,
+            stage_end=(done + (live.stage_end - live.fraction) * self._costs[at]) / self._cost_of_all,
             evaluations=self._earlier_evaluations + live.evaluations,
             done=live.done and at == len(self._schedules) - 1,
         )
@@ -176,8 +176,13 @@ class Successive(RecoveryEngine):
         observations = self.domain.observations
         self._stages, self._iterations, self._costs = [], [], []
         for number, schedule in enumerate(self._schedules):
-            stages = resolve(schedule, self.model, set(self._fixed_in(number)), observations)
-            work = sum(sum(work_of(stage, self.model, schedule, observations)) for stage in stages)
+            fixed = self._fixed_in(number)
+            stages = resolve(schedule, self.model, set(fixed), observations)
             self._stages.append(len(stages))
             self._iterations.append(sum(stage.iterations for stage in stages))
-            self._costs.append(work * self._texels(number))
+            self._costs.append(work_of_search(schedule, self.model, fixed, observations) * self._texels(number))
+
+    @property
+    def _cost_of_all(self) -> float:
+        """The cost of all recoveries, including those that may be added."""
+        return sum(self._costs)

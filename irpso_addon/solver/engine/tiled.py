@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.optional import present
+from ...core.steps import map_steps
 from ...geometry.domain import Domain, tile
 from ...gpu import context
 from ...gpu.kernel import EntryChoice
@@ -69,6 +70,9 @@ class TiledRecovery(RecoveryEngine):
         self._pool = TilePool(tiles, model, schedule, seed, self.entry, on_device, scratch)
         self._separation: tuple[int, Separation | None] | None = None  # the separation at a stage
         self._driver = LockStep(self._pool, LocalTransport([part.place for part in tiles]), halo)
+
+    def preparation(self, domain: Domain, schedule: Schedule) -> Generator[None, None, prepare.Prepared | None]:
+        return map_steps(prepare.prepare_steps(domain, self.model, schedule, pack=False), lambda part: None)
 
     @property
     def capabilities(self) -> Capabilities:

@@ -11,6 +11,7 @@ from ...core.filters import weighted_median
 from ...geometry.domain import Domain
 from ...geometry.light.light_shape import beam_shares
 from ...geometry.light.light_transport import LightTransport
+from ...geometry.nearest import nearest
 from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...reflectance.model import ReflectanceModel
@@ -21,7 +22,6 @@ from ..state.textures import observation_defines
 from ..views.forward import render_inputs
 from .corrected_stack import IndirectSamples
 
-_CHUNK = 1 << 22  # distances between elements, computed at a time
 _MIN_ALBEDO = 0.02  # for the detail of albedo between elements, without the noise of black ones
 _AWAY = -0.1  # cosine to a light below which a surface faces away, even if its normal is wrong by 5°
 _MIN_SHARE = 0.01  # of the brightness of the photographs: less is no evidence
@@ -209,13 +209,10 @@ class IndirectLight:
     def _nearest(self, known: np.ndarray) -> np.ndarray:
         """Return (E,): for each element the nearest known one; a known element is its own."""
         places = _flat(self._domain.bake.position)[self.transport.texels]
-        nearest, others = np.arange(len(places)), np.flatnonzero(known)
-        missing = np.flatnonzero(~known) if len(others) else others
-        for part in np.array_split(missing, -(-len(missing) * len(others) // _CHUNK) or 1):
-            along = zip(places[part].T, places[others].T, strict=True)
-            squared = sum((own[:, None] - other) ** 2 for own, other in along)
-            nearest[part] = others[squared.argmin(axis=1)] if len(part) else part
-        return nearest
+        result, others = np.arange(len(places)), np.flatnonzero(known)
+        if len(others):
+            result[~known] = others[nearest(places[~known], places[others])]
+        return result
 
 
 def _of_one_view(views: np.ndarray) -> list[np.ndarray]:

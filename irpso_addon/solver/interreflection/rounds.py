@@ -22,13 +22,14 @@ from ..engine.engine import RecoveryEngine
 from ..engine.recovery import Recovery
 from ..engine.successive import Successive
 from ..phases.phase import BAND_SECONDS
+from ..planning.cost import works_of_rounds
 from ..settings.resolve import held_names
+from ..settings.round_schedules import RoundSchedules, round_schedules
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
 from .corrected_stack import CorrectedStack
 from .indirect_light import IndirectLight
-from .schedules import RoundSchedules, round_schedules
 from .shrinkage import shrunk_to_similar_colours
 
 _RULES = 2  # raised where a run that resumes would decide otherwise about its rounds than it did
@@ -70,8 +71,8 @@ class InterreflectionRounds(Successive):
     of a Recovery. Texels whose part of the surface has no element keep all light.
 
     geometry: builds the surface that sends the light. prepared: from ``prepare``, of the original photographs. solve:
-    creates one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, and one of
-    prepared and guess. The others are as for Recovery.
+    creates one recovery from the arguments of ``Recovery``: domain, model, schedule, seed, fixed, entry, prepared and
+    guess. The others are as for Recovery.
     """
 
     def __init__(
@@ -234,6 +235,16 @@ class InterreflectionRounds(Successive):
     def _texels(self, number: int) -> int:
         return int(np.count_nonzero(self.domain.solvable))
 
+    @property
+    def _cost_of_all(self) -> float:
+        """With the full round that may follow, until that is decided: the fraction never steps back."""
+        return self._longest_cost if self._at < self._rounds.matte else super()._cost_of_all
+
+    def _count(self) -> None:
+        super()._count()
+        rounds = self._rounds.longest, self.schedule, self.model, set(self.fixed), self.domain.observations
+        self._longest_cost = sum(work * self._texels(0) for work in works_of_rounds(*rounds))
+
     def _title_suffix(self, number: int) -> str:
         return f", round {number} of interreflection" if number else ""
 
@@ -244,7 +255,7 @@ class InterreflectionRounds(Successive):
         schedule = self._schedules[self._at]
         begin: dict[str, Any] = {"prepared": prepared} if prepared else {}
         if schedule.swarm.start == "given" and self._source_maps:
-            begin = {"guess": {p.name: self._source_maps[-1][p.name] for p in self.model.parameters}}
+            begin["guess"] = {p.name: self._source_maps[-1][p.name] for p in self.model.parameters}
         fixed = self._fixed_in(self._at)
         return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)
 
@@ -259,10 +270,11 @@ class InterreflectionRounds(Successive):
             self._set_rounds(replace(self._rounds, end=self._at))
             return
         domain = self._after_round(self._at, domain)
+        prepared = yield from self._live.preparation(domain, self._schedules[self._at + 1])
         self._earlier_evaluations += self._live.progress.evaluations
         self._live.close()
         self._at += 1
-        self._live = self._begin(domain)
+        self._live = self._begin(domain, prepared)
 
     def _after_round(self, number: int, domain: Domain | None) -> Domain:
         """Return the domain of the recovery after ``number``. domain: without indirect light, None if it has none.

@@ -28,6 +28,7 @@ from ..settings.resolve import (
     held_names,
     resolve,
 )
+from ..settings.round_schedules import RoundSchedules, round_schedules
 from ..settings.schedule import Schedule
 from ..state.alternatives import varied
 from ..state.phase_textures import (
@@ -84,7 +85,8 @@ class Cost:
     dispatches, whose results are read back through copies. alternatives: RGBA textures of the alternatives.
     recoveries: in turn, without those of matte rounds, which take little. rounds: of interreflection, over at most
     ``elements`` elements with ``rays`` rays each, cast at ``triangles``. levels: map sizes, of which each coarse one
-    has samples of its own. work: per texel, as in ``work_of``.
+    has samples of its own. work: per texel, as in ``work_of``, of all recoveries. most_work: with the full round that
+    may follow matte ones.
     """
 
     observations: int
@@ -100,6 +102,7 @@ class Cost:
     triangles: int = 0
     levels: int = 1
     work: float = 0.0
+    most_work: float = 0.0
 
     @property
     def estimates(self) -> int:
@@ -148,10 +151,11 @@ def recovery_cost(
     held_out: int = 0,
     compute: bool = False,
     triangles: int = 0,
+    known_shape: bool = False,
 ) -> Cost:
     """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError.
 
-    triangles: of the surface of light transport.
+    triangles: of the surface of light transport. known_shape: whether that is a mesh.
     """
     fitted = observations - held_out
     levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
@@ -163,11 +167,31 @@ def recovery_cost(
     transport = (rounds, max(light.resolution**2, MAX_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
     counts = fitted, observations, model.components
     recoveries = 1 + light.rounds
-    work = 0.0
-    for halvings, (level, stages) in enumerate(reversed(levels)):
-        work += sum(sum(work_of(stage, model, level, fitted)) for stage in stages) / 4**halvings
-    work *= recoveries * (1 + OVERHEAD / fitted)
-    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *transport, schedule.levels, work)
+    if schedule.levels > 1:
+        of_levels = (work_of_search(level, model, fixed, fitted) for level, _ in reversed(levels))
+        work = most_work = sum(level / 4**halvings for halvings, level in enumerate(of_levels))
+    else:
+        in_turn = round_schedules(schedule, model, fixed, known_shape)
+        both = in_turn, in_turn.longest
+        work, most_work = (sum(works_of_rounds(rounds, schedule, model, fixed, fitted)) for rounds in both)
+    works = [each * (1 + OVERHEAD / fitted) for each in (work, most_work)]
+    return Cost(*counts, phases, compute, -(-numbers // 4), recoveries, *transport, schedule.levels, *works)
+
+
+def works_of_rounds(
+    rounds: RoundSchedules, schedule: Schedule, model: ReflectanceModel, fixed: Collection[str], observations: int
+) -> list[float]:
+    """Return the work per texel of each recovery of rounds of interreflection, as ``work_of``."""
+    return [
+        work_of_search(own, model, {*fixed, *rounds.fixed_in(number, model)}, observations)
+        for number, own in enumerate(rounds.schedules(schedule))
+    ]
+
+
+def work_of_search(schedule: Schedule, model: ReflectanceModel, fixed: Collection[str], observations: int) -> float:
+    """Return the work per texel of all phases of one recovery, as ``work_of``."""
+    stages = resolve(schedule, model, set(fixed), observations)
+    return sum(sum(work_of(stage, model, schedule, observations)) for stage in stages)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

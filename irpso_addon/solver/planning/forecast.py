@@ -15,14 +15,14 @@ _HOST_PER_RENDER = 2e-11
 _MINUTE, _HOUR = 60, 3600
 
 
-def forecast(work: float, probed: Mapping[str, Any]) -> tuple[float, float]:
+def forecast(work: float, probed: Mapping[str, Any], most_work: float | None = None) -> tuple[float, float]:
     """Return the lower and the upper end of the likely duration of a search, in seconds.
 
-    work: from a ``Plan``. probed: from ``gpu.probe``.
+    work, most_work: from a ``Plan``, None for the same. probed: from ``gpu.probe``.
     """
     render = _ROUNDS_PER_RENDER / rounds_per_second(probed[f"{chosen_entry(probed)}_seconds"])
-    seconds = work * (render + _HOST_PER_RENDER)
-    return seconds / _SPREAD, seconds * _SPREAD
+    each = render + _HOST_PER_RENDER
+    return work * each / _SPREAD, (most_work or work) * each * _SPREAD
 
 
 def in_units(seconds: tuple[float, float]) -> tuple[int, int, str]:

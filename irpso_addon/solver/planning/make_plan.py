@@ -10,7 +10,7 @@ import numpy as np
 
 from ...capture.types import Capture
 from ...geometry.build import check_card
-from ...geometry.light.interreflection_geometry import RELIEF_TRIANGLES
+from ...geometry.light.card_relief import relief_triangles
 from ...geometry.seams.edges import seam_edges
 from ...geometry.surface.bake import uv_coverage
 from ...geometry.surface.mesh import MeshData
@@ -58,8 +58,10 @@ def make_plan(
     """
     free = context.free_device_memory()
     limits = device_limits(free)
-    triangles = rays_triangles(mesh, coverage)
-    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment", triangles)
+    triangles = rays_triangles(mesh, coverage, schedule)
+    cost = recovery_cost(
+        model, schedule, fixed, observations, held_out, entry != "fragment", triangles, mesh is not None
+    )
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
     allowed = machine_memory(memory, str(context.describe()["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
@@ -76,9 +78,11 @@ def make_plan(
     return plan
 
 
-def rays_triangles(mesh: MeshData | None, coverage: np.ndarray) -> int:
+def rays_triangles(mesh: MeshData | None, coverage: np.ndarray, schedule: Schedule) -> int:
     """Return the triangles at which rays of interreflection are cast. coverage: (H, W) of a card if mesh is None."""
-    return RELIEF_TRIANGLES * coverage.size if mesh is None else len(mesh.opaque)
+    if mesh is not None:
+        return len(mesh.opaque)
+    return relief_triangles(coverage.shape, schedule.interreflection.resolution)
 
 
 def device_limits(free: int | None) -> Limits:

@@ -88,7 +88,7 @@ class Plan:
     shape: (H, W) of the domain. texels: covered. tiles: rectangles that contain these texels, with ``halo`` texels
     around each. on_device: tiles on the device at once; where not all fit, tiles take turns. stack_on, state_on: place
     of the sample stack, and of the state of waiting tiles: "memory" or "scratch" (a file). passes: turns of each tile,
-    1 + exchanges. device, host, scratch: peak bytes. work: as in Cost, of all texels.
+    1 + exchanges. device, host, scratch: peak bytes. work, most_work: as in Cost, of all texels.
     """
 
     shape: tuple[int, int]
@@ -105,6 +105,7 @@ class Plan:
     scratch: int
     evaluations: int
     work: float
+    most_work: float
     memory: Memory
 
     @property
@@ -175,7 +176,7 @@ def plan_recovery(
     return Plan(
         (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,
         0 if boxes == [whole] else cost.stencil_radius, on_device, stack_on, state_on, passes,
-        device, host, scratch, texels * cost.evaluations, texels * cost.work, memory,
+        device, host, scratch, texels * cost.evaluations, texels * cost.work, texels * cost.most_work, memory,
     )  # fmt: skip
 
 

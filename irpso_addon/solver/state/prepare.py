@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...core.steps import available_cores, blocking, run_steps
+from ...core.steps import available_cores, blocking, map_steps, run_steps
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -84,28 +84,37 @@ class Prepared:
 def prepare(
     domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True, report: Report = lambda part: None
 ) -> Prepared:
-    """Return each texel's scale, first guess (defaults, or a Lambertian fit where swarms start near one), stack.
+    """Return the result of ``prepare_steps``. report: called now and then with the fraction done, 0 to 1."""
+    return run_steps(prepare_steps(domain, model, schedule, pack), report)
 
-    Uses numpy only, so it may run in a thread beside a window. pack: also make the arrays for the GPU. report: called
-    now and then with the fraction done, 0 to 1.
+
+def prepare_steps(
+    domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True
+) -> Generator[float, None, Prepared]:
+    """Yield the fraction done; return each texel's scale, first guess, and the stack.
+
+    The guess is the defaults, or a Lambertian fit where swarms start near one. Uses numpy only, so it may run in a thread
+    beside a window. pack: also make the arrays for the GPU.
     """
     fitted = schedule.swarm.start == "lambert"
     count = 1 + fitted + pack
-    sweeps = (lambda part, k=k: report((k + part) / count) for k in range(count))
+    sweeps = (lambda part, k=k: (k + part) / count for k in range(count))
     guess = {
         p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*domain.shape, p.components))
         for p in model.parameters
     }
     if fitted:
-        normal, albedo = run_steps(lambert_steps(domain), next(sweeps))
+        normal, albedo = yield from map_steps(lambert_steps(domain), next(sweeps))
         for p in model.parameters:
             if p.is_normal:
                 guess[p.name] = normal
             elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
-    scale = run_steps(scale_steps(domain, schedule.fitness.scale_percentile), next(sweeps))
+    scale = yield from map_steps(scale_steps(domain, schedule.fitness.scale_percentile), next(sweeps))
     prepared = Prepared(scale, guess, brightness(domain))
-    return prepared.packed(domain, schedule, next(sweeps)) if pack else prepared
+    if not pack:
+        return prepared
+    return (yield from map_steps(prepared.packing_steps(domain, schedule), next(sweeps)))
 
 
 def brightness(domain: Domain) -> float:
@@ -342,9 +351,12 @@ def chunk_steps(domain: Domain, work: Callable[[int, Texels], None]) -> Generato
     """Run work(start, texels) for all chunks in a pool of threads; yield the fraction done."""
     with ThreadPoolExecutor(min(_MAX_THREADS, len(available_cores()))) as pool:
         waiting = [pool.submit(work, *chunk) for chunk in chunks(domain)]
-        for number, future in enumerate(waiting, 1):
-            future.result()
-            yield number / len(waiting)
+        try:
+            for number, future in enumerate(waiting, 1):
+                future.result()
+                yield number / len(waiting)
+        finally:  # where it is closed before the end
+            pool.shutdown(cancel_futures=True)
 
 
 def chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:

@@ -28,10 +28,12 @@ def search_time(context) -> str:
         return ""
     fixed = tuple(item.name for item in settings.parameters if not item.recover)
     try:
-        work = _work_per_texel(_model(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
+        schedule, mesh = schedule_of(settings.schedule), settings.subject == "MESH"
+        work, most_work = _work_per_texel(_model(settings), schedule, fixed, settings.checked_images, mesh)
     except InputError:  # Recover says what is wrong
         return ""
-    least, most, unit = in_units(forecast(_texels(settings) * work, probe.measured()))
+    texels = _texels(settings)
+    least, most, unit = in_units(forecast(texels * work, probe.measured(), texels * most_work))
     if least == 0:
         return iface("less than a minute")
     if unit == "hours":
@@ -57,5 +59,9 @@ def _model(settings) -> str:
 
 
 @lru_cache(maxsize=8)  # panels are drawn often
-def _work_per_texel(model: str, schedule: Schedule, fixed: tuple[str, ...], observations: int) -> float:
-    return recovery_cost(load_model(model), schedule, fixed, observations).work
+def _work_per_texel(
+    model: str, schedule: Schedule, fixed: tuple[str, ...], observations: int, mesh: bool
+) -> tuple[float, float]:
+    """Return ``work`` and ``most_work`` of a Cost."""
+    cost = recovery_cost(load_model(model), schedule, fixed, observations, known_shape=mesh)
+    return cost.work, cost.most_work

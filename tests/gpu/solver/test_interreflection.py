@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.blender.ray_caster import ray_caster_steps
 from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection, MeshInterreflection
@@ -244,7 +244,7 @@ def test_a_run_among_other_occluders_is_another(bowl, tmp_path):
         recovery.save(tmp_path / "checkpoint.npz")
     table = replace(geometry.mesh, occluders=geometry.mesh.positions[:2] + np.float32(3))
     with (
-        rounds_of((domain, MeshInterreflection(table, ray_caster, 48, 64))) as recovery,
+        rounds_of((domain, MeshInterreflection(table, ray_caster_steps, 48, 64))) as recovery,
         pytest.raises(CheckpointError, match="is of another recovery: occluders differs"),
     ):
         recovery.load(tmp_path / "checkpoint.npz")
@@ -277,6 +277,20 @@ def test_a_run_continues_wherever_it_takes_settings_again(bowl, whole):
     with recovery:
         assert bits_of(recovery.maps()) == bits_of(whole[0])
     assert slices > 10
+
+
+def test_every_round_is_prepared_before_it_begins(bowl, whole):
+    """What a Recovery prepares by itself, it prepares in one piece: a window would stand still."""
+    given = []
+
+    def solve(*arguments, **more):
+        given.append(more.get("prepared"))
+        return Recovery(*arguments, **more)
+
+    with rounds_of(bowl, solve=solve) as recovery:
+        recovery.step()
+        assert bits_of(recovery.maps()) == bits_of(whole[0])
+    assert len(given) == 3 and all(prepared is not None and prepared.stack is not None for prepared in given[1:])
 
 
 def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
@@ -360,7 +374,7 @@ def test_several_levels_are_refused():
 def test_rounds_find_the_relief_of_a_hollow_card():
     albedo = (0.8, 0.6, 0.4)
     domain, camera, normals = cap_card(albedo, dome_lights(24, 50.0))
-    geometry = CardInterreflection(camera, "normal", ray_caster, 40, 64)
+    geometry = CardInterreflection(camera, "normal", ray_caster_steps, 40, 64)
 
     around = [np.roll(domain.solvable, step, axis) for step in (-1, 1) for axis in (0, 1)]
     rim = domain.solvable & ~np.all(around, axis=0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.blender.ray_caster import ray_caster_steps
 from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -87,6 +87,21 @@ def test_a_full_round_follows_where_surfaces_are_not_matte(tmp_path):
             assert bits_of(recovery.maps()) == found[1][-1]
 
 
+@pytest.mark.parametrize("subject", ["matte", "shiny", "dark"])
+def test_the_fraction_does_not_step_back_between_rounds_whether_a_full_one_follows_or_not(subject):
+    bowl = {"matte": matt_bowl, "shiny": lambda: make_shiny(matt_bowl()), "dark": lambda: without_indirect(matt_bowl())}
+    fractions = {}
+    with rounds_of(bowl[subject](), SINGLE.replaced(interreflection_matte_rounds=2)) as recovery:
+        done = False
+        while not done:
+            progress = recovery.step(time_budget_s=0)
+            done = progress.done
+            fractions.setdefault(recovery._at, []).append(progress.fraction)
+    for number in range(len(fractions) - 1):
+        assert max(fractions[number]) <= min(fractions[number + 1])
+    assert progress.fraction == 1 and max(fractions) == {"matte": 2, "shiny": 3, "dark": 1}[subject]
+
+
 @pytest.mark.parametrize(("gloss", "recoveries"), [(0.02, 3), (0.15, 4)])
 def test_a_full_round_follows_where_matte_surfaces_fit_badly(gloss, recoveries):
     bowl = matt_bowl()
@@ -155,7 +170,7 @@ def test_matte_rounds_that_do_not_help_leave_the_photographs_as_they_are(rounds,
 def test_fixed_colours_and_cards_have_no_matte_rounds(bowl):
     schedule = SINGLE.replaced(interreflection_matte_rounds=2)
     domain, camera, _ = cap_card(ALBEDO, dome_lights(24, 50.0))
-    card = domain, CardInterreflection(camera, "normal", ray_caster, 40, 64)
+    card = domain, CardInterreflection(camera, "normal", ray_caster_steps, 40, 64)
     for subject, fixed in ((bowl, {"base_color": np.float32(ALBEDO)}), (card, {})):
         with rounds_of(subject, schedule, fixed) as recovery:
             stages = recovery.progress.stages

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.blender.ray_caster import ray_caster_steps
 from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
@@ -126,7 +126,7 @@ def test_a_card_in_tiles_has_the_relief_of_the_whole():
     schedule, found = ROUNDS.replaced(interreflection_rounds=1), []
     boxes = [(0, 0, 24, 11), (0, 11, 13, 13), (13, 11, 11, 13)]
     for solve in (Recovery, partial(TiledRecovery, boxes=boxes, halo=16)):
-        geometry = CardInterreflection(camera, "normal", ray_caster, 24, 32)
+        geometry = CardInterreflection(camera, "normal", ray_caster_steps, 24, 32)
         with rounds_of((domain, geometry), schedule, solve=solve) as recovery:
             recovery.step()
             found.append(all_bits_of(recovery.maps()))

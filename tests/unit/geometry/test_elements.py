@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.blender import ray_caster as caster_module
+from irpso_addon.blender.ray_caster import ray_caster, ray_caster_steps
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.light import light_transport as module
 from irpso_addon.geometry.light.light_transport import light_transport_steps
@@ -69,3 +70,14 @@ def test_where_there_are_too_few_elements_texels_get_no_light(monkeypatch):
     assert away.max() < 6 * 16 / 3 * WIDTH
     light = transport.at_texels(np.ones((9, 1)))
     np.testing.assert_array_equal(light[total == 0], 0)
+
+
+def test_a_tree_is_made_in_pieces_and_rays_meet_the_same_triangles(monkeypatch):
+    mesh = cavity_mesh()
+    rays = np.random.default_rng(0).normal(size=(500, 3))
+    origins = np.zeros_like(rays)
+    at_once = ray_caster(mesh)(origins, rays)
+    monkeypatch.setattr(caster_module, "_CHUNK", 100)
+    assert len(list(ray_caster_steps(mesh))) > len(mesh.positions) / 100
+    for one, other in zip(at_once, ray_caster(mesh)(origins, rays), strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -30,6 +30,24 @@ def test_time_grows_with_texels_rounds_and_a_slower_device_and_less_than_with_ph
     assert slow - host == pytest.approx(10 * (quick - host))
 
 
+def test_matte_rounds_of_a_mesh_and_the_full_round_that_may_follow_are_foreseen():
+    model, standard = load_model("metallic_roughness"), load_schedule("standard")
+
+    def cost(schedule, known_shape=True):
+        return recovery_cost(model, schedule, (), 40, known_shape=known_shape)
+
+    alone, matte = cost(standard.without_rounds()), cost(standard)
+    assert alone.work == alone.most_work
+    assert 1.02 * alone.work < matte.work < 1.3 * alone.work
+    assert 1.4 * matte.work < matte.most_work < 2.2 * matte.work
+    full = cost(standard.replaced(interreflection_rounds=1))
+    assert full.work == full.most_work == matte.most_work
+    card = cost(standard, known_shape=False)  # has no matte rounds
+    assert card.work == card.most_work == alone.work
+    sure, possible = (forecast(1e9, QUIET, most) for most in (None, 2e9))
+    assert possible == pytest.approx((sure[0], 2 * sure[1]))
+
+
 def test_on_a_fast_gpu_the_hosts_part_is_foreseen():
     """Of an H100 docs/benchmarks/gpu.md has 12.0 s; 7.6 of them were work of the host that the GPU does since."""
     h100 = {"renderer": "NVIDIA H100", "fragment_seconds": 2.8e-4, "compute_seconds": 5.8e-5}

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...reflectance.model import ReflectanceModel
-from ..settings.levels import warm_started
-from ..settings.schedule import Schedule
+from .levels import warm_started
+from .schedule import Schedule
 
 _MATTE_STEPS = 6  # of Levenberg–Marquardt in a matte round
 
@@ -32,6 +32,11 @@ class RoundSchedules:
     def count(self) -> int:
         """Number of recoveries."""
         return 1 + (self.matte + self.full if self.end is None else self.end)
+
+    @property
+    def longest(self) -> RoundSchedules:
+        """The rounds with the full one that may follow matte ones."""
+        return replace(self, full=1) if self.matte and not self.full and self.end is None else self
 
     def normals_fixed_in(self, number: int) -> bool:
         """Return whether a recovery fixes the normals of the known shape."""
