@@ -12,12 +12,14 @@ import numpy as np
 from ...capture.camera import Camera
 from ...capture.distortion import NAMES
 from ...capture.errors import CaptureError
+from ...capture.poses import upright_camera
 from ...core.errors import InputError
 from ..operators import quiet_operator
 
-# Custom property of a camera object: lens distortion, which Blender's cameras do not have.
-ASPECT = "irpso_pixel_aspect"  # custom property of cameras: pixel aspect (x, y), which Blender has only per scene
-DISTORTION = "irpso_distortion"
+# Custom properties of camera objects: lens distortion, which Blender's cameras do not have; pixel aspect (x, y), which
+# Blender has only per scene; the image's size (width, height); of an imported camera, its image's name in the file.
+DISTORTION, ASPECT, RESOLUTION = "irpso_distortion", "irpso_pixel_aspect", "irpso_resolution"
+FILE_IMAGE = "irpso_camera_image"
 _OTHERS = {".obj", ".ply", ".stl", ".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".dae", ".3ds"}
 
 
@@ -134,6 +136,18 @@ def camera_in_scene(obj: Any, width: int, height: int, scene: Any) -> Camera:
     """Return the camera of an object, with the pixels of its custom property, else of the scene's render settings."""
     aspect = obj.get(ASPECT, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
     return camera_from_object(obj, width, height, tuple(aspect))
+
+
+def camera_of_photographs(obj: Any, width: int, height: int, scene: Any, turned_by: int) -> Camera:
+    """Return the camera of an object that took upright photographs of width × height pixels.
+
+    An imported camera is that of the stored pictures. turned_by: the EXIF orientation that turns them upright.
+    Raises InputError where its photographs have other proportions.
+    """
+    if FILE_IMAGE not in obj or RESOLUTION not in obj:
+        return camera_in_scene(obj, width, height, scene)
+    stored = camera_in_scene(obj, *obj[RESOLUTION], scene)
+    return upright_camera(stored, width, height, turned_by, f"camera '{obj.name}'")
 
 
 def _distorting(camera: Camera, obj: Any) -> Camera:

@@ -11,10 +11,9 @@ from ...capture.camera import Camera
 from ...capture.types import Light
 from ..colour_spaces import from_rec_709
 from .light_units import area_power, point_power, spot_power, sun_strength
-from .scene import ASPECT, DISTORTION
+from .scene import ASPECT, DISTORTION, RESOLUTION
 from .scene_lights import EMISSION, WIDEST_SPOT
 
-RESOLUTION = "irpso_resolution"  # custom property of a camera: its image's size (width, height)
 _SENSOR = 36.0  # mm, Blender's own default
 _AREA_SIZE = 1e-3  # of an area light, world units: a capture knows its centre alone
 _POWER = {"SUN": sun_strength, "POINT": point_power, "SPOT": spot_power, "AREA": area_power}

@@ -16,10 +16,10 @@ from ...blender.colour_spaces import use_space
 from ...blender.images import decode
 from ...blender.materials import material
 from ...blender.scenes import scene_images
-from ...blender.scenes.scene import ASPECT
+from ...blender.scenes.scene import ASPECT, RESOLUTION
 from ...blender.scenes.scene_capture import CAPTURE, lights_in_order, photographed_lights
 from ...blender.scenes.scene_lights import LIGHT_TYPES
-from ...blender.scenes.scene_objects import RESOLUTION, set_camera, set_light
+from ...blender.scenes.scene_objects import set_camera, set_light
 from ...capture.camera import Camera
 from ...capture.card import card_depth, card_middle, card_size
 from ...capture.framing import framed
