@@ -141,9 +141,7 @@ def test_photographs_that_an_imported_camera_cannot_have_taken_are_refused(scene
     lit_by(scene, tmp_path / "a.png", codes), lit_by(scene, tmp_path / "b.png", codes)
     assert len(scene_capture.capture_from_scene(scene).observations) == 2
     lit_by(scene, tmp_path / "odd.png", codes, 3)
-    with pytest.raises(
-        InputError, match="image 'odd.png' of .*: its EXIF orientation is 3 where others .* have 1; "
-    ):
+    with pytest.raises(InputError, match="image 'odd.png' of .*: its EXIF orientation is 3 where others .* have 1; "):
         scene_capture.capture_from_scene(scene)
 
 

@@ -11,6 +11,7 @@ from irpso_addon.blender.materials import material
 from irpso_addon.blender.scenes import scene_lights
 from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
+from irpso_addon.core.errors import InputError
 from irpso_addon.ui.operators import scene_setup
 from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
@@ -101,6 +102,63 @@ def test_lights_are_read_at_world_positions_even_parented_or_hidden(scene, hidde
     from irpso_addon.blender.scenes.scene import world_matrix
 
     np.testing.assert_allclose(world_matrix(light)[:3, 3], (-place[1], place[0], place[2]), atol=1e-5)
+
+
+def keyed(light, scene):
+    for frame, x, energy in ((1, 1, 10.0), (10, 9, 50.0)):
+        light.location.x, light.data.energy = x, energy
+        light.keyframe_insert("location", frame=frame)
+        light.data.keyframe_insert("energy", frame=frame)
+
+
+def driven(light, scene):
+    for owner, path, index in ((light, "location", 0), (light.data, "energy", None)):
+        curve = owner.driver_add(path, index) if index is not None else owner.driver_add(path)
+        curve.driver.expression = "frame - 1" if owner == light else "5 * frame"
+
+
+def constrained(light, scene):
+    target = bpy.data.objects.new("Target", None)
+    scene.collection.objects.link(target)
+    target.location.x, light.data.energy = 9, 50
+    light.constraints.new("COPY_LOCATION").target = target
+
+
+def on_a_keyed_parent(light, scene):
+    parent = bpy.data.objects.new("Slider", None)
+    scene.collection.objects.link(parent)
+    parent.hide_viewport = True
+    light.parent, light.data.energy = parent, 50
+    for frame, x in ((1, 1), (10, 9)):
+        parent.location.x = x
+        parent.keyframe_insert("location", frame=frame)
+
+
+@pytest.mark.parametrize("place", [keyed, driven, constrained, on_a_keyed_parent])
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_light_is_read_where_the_current_frame_has_it_even_disabled_in_viewports(scene, place, hidden):
+    light = add_light(scene, "Key", kind="POINT")
+    place(light, scene)
+    scene.frame_set(1)
+    light.hide_viewport = hidden
+    bpy.context.view_layer.update()
+    scene.frame_set(10)
+    found = scene_lights.light_of(light)
+    np.testing.assert_allclose(found.vector, (9, 0, 0), atol=1e-6)
+    np.testing.assert_allclose(found.intensity, 50 / (4 * np.pi**2), rtol=1e-6)
+    assert light.hide_viewport == hidden
+
+
+def test_an_animated_light_of_a_hidden_collection_is_refused(scene):
+    light = add_light(scene, "Key", kind="POINT")
+    keyed(light, scene)
+    collection = bpy.data.collections.new("off")
+    scene.collection.children.link(collection)
+    scene.collection.objects.unlink(light), collection.objects.link(light)
+    collection.hide_viewport = True
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="object 'Key' is hidden and has constraints, animation or drivers; show it"):
+        scene_lights.light_of(light)
 
 
 def test_strength_exposure_and_nodes_of_a_light_multiply(scene):
