@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -42,7 +43,7 @@ from ..session.card_place import is_automatic, show_card
 from ..session.scene_capture import spec_steps
 from ..session.scene_job import subject_object
 
-_ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12"
+_ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12", by its number in the list
 _FILES = "irpso_capture_files"  # custom property beside CAPTURE: the capture's source, as its name may be another's
 _DOME = 2.0  # the dome's radius over the subject's
 _SMALL = 0.3  # the cameras' display size over the dome's radius
@@ -76,7 +77,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
         obj.irpso.image = None if view.mask is None or mask.all() else images.of(view.mask, mask=True)
         views.append(obj)
     lights = []
-    for index, (listed, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
+    for index, listed, observation in zip(capture.listed_numbers, spec.observations, capture.observations, strict=True):
         name = f"Light {index:03d} {observation.name}"
         obj = _object(existing, made, f"light {index}", name, "SUN", collection, capture)
         set_light(obj, observation.light, dome.centre, dome.radius)
@@ -91,9 +92,9 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
 
 
 def observation_count(scene) -> int:
-    """Return the number of observations: those of the recovery, else the capture's lights in the scene."""
+    """Return the number of listed observations: of the recovery, else up to the capture's last light in the scene."""
     running = session.current()
-    return len(capture_lights(scene)) if running is None else len(running.job.capture.observations)
+    return 1 + max(numbered_lights(scene), default=-1) if running is None else running.job.capture.listed
 
 
 def _observation_changed(view) -> None:
@@ -106,15 +107,16 @@ def _observation_changed(view) -> None:
 def show_observation(scene, number: int) -> None:
     """Switch on only one observation's light, and show its photograph as its camera's background.
 
-    number: of the observation, from 1. Lights without a photograph do not change, nor do cameras that ``create_scene``
-    did not make. The scene's camera changes only if ``create_scene`` made it.
+    number: of the observation in the capture's list, from 1; one without a light counts as the next. Lights without a
+    photograph do not change, nor do cameras that ``create_scene`` did not make. The scene's camera changes only if
+    ``create_scene`` made it.
     """
     bpy.context.view_layer.update()  # for objects that were added or removed just now
-    lights = capture_lights(scene)
+    lights = numbered_lights(scene)
     if not lights:
         return
-    shown = lights[min(number, len(lights)) - 1]
-    for obj in {*lights, *_created_lights(scene)}:
+    shown = of_number(lights, number)
+    for obj in {*lights.values(), *_created_lights(scene)}:
         # Written only on change: each write makes Blender rebuild its dependency graph.
         if obj.hide_render != (obj != shown):
             obj.hide_render = obj != shown
@@ -129,18 +131,23 @@ def show_observation(scene, number: int) -> None:
         _set_resolution(scene, camera)
 
 
-def capture_lights(scene) -> list:
-    """Return the scene's lights of the observations, in their order; [] if there are none.
+def of_number(lights: dict[int, Any], number: int) -> Any:
+    """Return the light of a number from 1; without one the next light, or the last. lights: ``numbered_lights``."""
+    return lights[min((n for n in lights if n >= number - 1), default=max(lights))]
+
+
+def numbered_lights(scene) -> dict[int, Any]:
+    """Return the scene's lights of the observations by their number in the capture's list, from 0, in its order.
 
     For a capture of files these are the lights that ``create_scene`` made, for This Scene all lights with a
     photograph.
     """
     if scene.irpso.source == "SCENE":
-        return photographed_lights(scene)
+        return dict(enumerate(photographed_lights(scene)))
     lights = _created_lights(scene)
     wanted = scene.get(CAPTURE), scene.get(_FILES)
     current = {obj[_ROLE]: obj for obj in lights if (obj[CAPTURE], obj.get(_FILES)) == wanted}  # copies have one role
-    return [current[role] for role in sorted(current, key=natural)]
+    return {int(role.split()[1]): current[role] for role in sorted(current, key=natural)}
 
 
 def place_card(card, camera: Camera, distance: float) -> None:
@@ -335,7 +342,7 @@ class ShowObservation(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether the scene has lights of a capture."""
-        there = capture_lights(context.scene)
+        there = numbered_lights(context.scene)
         return usable(cls, there, "No lights of a capture: press Create Cameras and Lights, or assign images to lights")
 
     def execute(self, context):

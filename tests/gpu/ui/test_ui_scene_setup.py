@@ -13,8 +13,10 @@ from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
 from irpso_addon.core.errors import InputError
 from irpso_addon.ui.operators import scene_setup
-from irpso_addon.ui.session import scene_capture
+from irpso_addon.ui.session import scene_capture, session
+from irpso_addon.ui.session.scene_job import make_job
 from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
+from tests.builders.drawn_panels import drawn
 from tests.builders.profiles import icc, png_icc, table
 from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, image_of, readers_of, write_views
 
@@ -273,6 +275,35 @@ def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scen
         assert [obj for obj in [room, *lamps] if not obj.hide_viewport] == [room, lamps[index]]
 
 
+@pytest.mark.parametrize("source", ["FILES", "SCENE"])
+def test_a_photograph_has_one_number_in_scene_and_recovery_also_beside_left_out_ones(scene, tmp_path, source):
+    settings, damaged = scene.irpso, write_diligent(tmp_path / "ball") / "002.exr"
+    settings.capture_path, settings.subject, settings.model = str(tmp_path / "ball"), "CARD", "lambert"
+    settings.skip_damaged = True
+    if source == "FILES":
+        damaged.write_bytes(b"")
+    bpy.ops.irpso.create_scene()
+    damaged.write_bytes(b"")
+    settings.source, settings.view.shown = source, "RENDER"
+    running = session.begin(make_job(bpy.context))
+    try:
+        while running.display is None:
+            running.tick(0.05)
+        for number, recovered in ((1, 1), (2, 2), (3, 4), (4, 4), (5, 5)):
+            bpy.ops.irpso.show_observation(number=number)
+            (on,) = (obj for obj in scene.objects if obj.type == "LIGHT" and not obj.hide_render)
+            shown = running.job.capture.observations[running.observation(settings.view)].name
+            assert shown.endswith(f"{recovered - 1:03d}.exr")
+            if number == recovered:
+                assert on.name.endswith(shown)
+            texts = " ".join(drawn().texts)  # wrapped
+            assert ("Photograph 3 is left out: 4 is shown" in texts) == (number == 3)
+            assert "of 5" in texts and "of 4" not in texts
+        assert scene_setup.observation_count(scene) == 5
+    finally:
+        session.end()
+
+
 def rendered(scene, path):
     """Return (H, W, 3) radiance of a render by Cycles, row 0 at the bottom."""
     scene.render.engine, scene.cycles.samples, scene.cycles.max_bounces = "CYCLES", 16, 0
@@ -362,7 +393,7 @@ def test_a_capture_of_the_same_name_gets_its_own_lights_and_one_that_was_moved_k
     assert {obj.users_collection[0] for obj in first.values()}.isdisjoint(
         obj.users_collection[0] for obj in second.values()
     )
-    assert scene_setup.capture_lights(scene) == [second[name] for name in sorted(second)]
+    assert scene_setup.numbered_lights(scene) == dict(enumerate(second[name] for name in sorted(second)))
     (tmp_path / "second").rename(tmp_path / "third")
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "third" / "photos"))
     bpy.ops.irpso.create_scene()
@@ -370,4 +401,5 @@ def test_a_capture_of_the_same_name_gets_its_own_lights_and_one_that_was_moved_k
     assert {str(tmp_path / "third") in obj.irpso.image.filepath for obj in second.values()} == {True}
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "first" / "photos"))
     bpy.ops.irpso.create_scene()
-    assert lights() == first | second and scene_setup.capture_lights(scene) == [first[name] for name in sorted(first)]
+    assert lights() == first | second
+    assert scene_setup.numbered_lights(scene) == dict(enumerate(first[name] for name in sorted(first)))
