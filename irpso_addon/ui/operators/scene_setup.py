@@ -13,10 +13,9 @@ import numpy as np
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from mathutils import Matrix, Vector
 
-from ...blender.colour_spaces import use_space
 from ...blender.images import decode
 from ...blender.materials import material
-from ...blender.scenes import scene_images
+from ...blender.scenes.file_images import FileImages
 from ...blender.scenes.scene import ASPECT, RESOLUTION
 from ...blender.scenes.scene_capture import CAPTURE, lights_in_order, photographed_lights
 from ...blender.scenes.scene_lights import LIGHT_TYPES
@@ -24,9 +23,7 @@ from ...blender.scenes.scene_objects import set_camera, set_light
 from ...capture.camera import Camera
 from ...capture.card import card_depth, card_middle, card_size
 from ...capture.framing import framed
-from ...capture.images.headers import read_header
 from ...capture.images.image import ImageRef, ImageStore
-from ...capture.images.raw import is_raw
 from ...capture.inspect.damage import with_skip_remedy
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
@@ -66,7 +63,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     existing = {obj[_ROLE]: obj for obj in _of_capture(_created(scene), capture)}
     made: list = []
     collection = _collection(scene, capture)
-    images = _Images()
+    images = FileImages()
     dome = _dome(scene, capture)
     views = []
     for index, (view, camera, mask) in enumerate(zip(spec.views, capture.cameras, capture.masks, strict=True)):
@@ -236,54 +233,6 @@ def _set_resolution(scene, camera) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = camera[ASPECT]
 
 
-class _Images:
-    """The open file's images by file, EXR part, layer and color space. Missing ones are loaded, without pixels."""
-
-    def __init__(self):
-        own = [image for image in bpy.data.images if image.source == "FILE" and image.filepath and not image.library]
-        self._images = {self._key_of(image): image for image in own}
-
-    @staticmethod
-    def _key_of(image) -> tuple:
-        path = scene_images.file_of(image).resolve()
-        return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
-
-    def of(self, reference: ImageRef, mask: bool = False):
-        """Return the image of a file. Raises CaptureError and loads nothing if the header is unreadable."""
-        path = reference.path.resolve()
-        exr = path.suffix.lower() == ".exr"
-        # What an EXR is read as anyway is not stored: an image that an earlier version loaded is found again.
-        usual = "linear" if exr else "auto"
-        space = None if mask or reference.colour_space in ("auto", usual) else reference.colour_space
-        key = path, reference.part, reference.layer, space
-        if key not in self._images:
-            deep = space is None and not (exr or mask) and _is_linear_by_depth(reference)
-            image = bpy.data.images.load(str(path), check_existing=False)
-            names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
-            for name, value in zip(names, key[1:], strict=True):
-                if value is not None:
-                    image[name] = value
-            if mask:
-                use_space(image, "data")
-            elif deep or space == "linear":
-                use_space(image, "linear")
-            self._images[key] = image
-        return self._images[key]
-
-
-def _is_linear_by_depth(reference: ImageRef) -> bool:
-    """Return whether a file without a colour space is linear, as Blender, which reads its codes as sRGB, cannot tell.
-
-    Raises CaptureError if its header is unreadable.
-    """
-    if is_raw(reference.path):
-        return True
-    store = ImageStore()
-    # A profile applies only in the colour space "auto".
-    deep = read_header(reference.path).bits == 16 and store.profile(reference) is None
-    return deep and store.encoding(reference)[0] == "linear"
-
-
 class CreateScene(bpy.types.Operator):
     """Make objects of the capture's cameras and of its lights with their photographs. Only the light of the chosen
     photograph is switched on. Pressed again, it updates these objects and changes nothing else"""
@@ -384,7 +333,7 @@ class AssignImages(bpy.types.Operator):
         if not names:
             self.report({"ERROR"}, "No image was chosen: select the photographs of the lights in the file browser")
             return {"CANCELLED"}
-        store, images = ImageStore(decode), _Images()
+        store, images = ImageStore(decode), FileImages(with_own_spaces=True)
         try:
             references = [ImageRef(absolute(self.directory, "Folder") / name) for name in names]
             for reference in references:

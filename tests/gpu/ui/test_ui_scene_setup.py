@@ -245,6 +245,25 @@ def test_setup_again_keeps_the_users_objects_and_removes_stale_ones(scene, tmp_p
     assert len([light for light in bpy.data.lights if light.name.startswith("Light")]) == 4
 
 
+@pytest.mark.parametrize("change", ["colour space", "paint"])
+def test_an_image_that_the_user_has_changed_is_loaded_again_as_the_capture_reads_it(scene, tmp_path, change):
+    write_png(tmp_path / "a.png", RNG.integers(0, 255, (6, 8, 3)))
+    write_png(tmp_path / "deep.png", RNG.integers(0, 2**16, (6, 8, 3)), 16)
+    (tmp_path / "two.lp").write_text("2\na.png 0 0.6 0.8\ndeep.png 0.6 0 0.8\n")
+    changed = [image_of(tmp_path / name) for name in ("a.png", "deep.png")]
+    for image in changed:
+        if change == "paint":
+            image.pixels[0] = 0.25
+        else:
+            image.colorspace_settings.name = "Non-Color" if image.name == "a.png" else "sRGB"
+    expected = read_capture(tmp_path / "two.lp", decode)
+    for count in (4, 4):  # pressed again, it finds its own
+        assert_same(created(scene, tmp_path / "two.lp"), expected)
+        assert len(bpy.data.images) == count
+    assert changed[0].colorspace_settings.name == ("sRGB" if change == "paint" else "Non-Color")
+    assert [image.is_dirty for image in changed] == [change == "paint"] * 2
+
+
 def test_one_light_shines_at_a_time_over_its_photograph(scene, tmp_path):
     write_views(tmp_path / "views")
     created(scene, tmp_path / "views")
