@@ -89,7 +89,7 @@ def _colour_space(image, where: str, requested: str) -> str:
 
 def _in_memory(image, where: str, space: str) -> Photograph:
     """Return an image without an up-to-date file. Found again by its session id: an undo invalidates all pointers."""
-    uid, size, turned_by = image.session_uid, tuple(image.size), _turned_by(image, where)
+    uid, size, turned_by = image.session_uid, tuple(image.size), stored_orientation(image)
     if 0 in size:
         raise InputError(f"{where} has no pixels; choose another")
     if turned_by >= 5:
@@ -113,14 +113,14 @@ def _in_memory(image, where: str, space: str) -> Photograph:
     return Photograph(size, where, coarse, turned_by, read, lambda: mask_of_picture(picture()))
 
 
-def _turned_by(image, where: str) -> int:
-    """Return the EXIF orientation of the file of an image, which Blender does not apply; 1 if there is no file."""
+def stored_orientation(image) -> int:
+    """Return the EXIF orientation of an image's file, which Blender does not apply; 1 without an intact file."""
     if image.source != "FILE":
         return 1
     with suppress(InputError):
         if image.packed_file is None:
             return ImageStore().turned_by(ImageRef(file_of(image)))
-        with _unpacked(image, where) as path:
+        with _unpacked(image, image.name) as path:
             return ImageStore().turned_by(ImageRef(path))
     return 1
 

@@ -19,7 +19,7 @@ from ...blender.scenes.file_images import FileImages
 from ...blender.scenes.scene import ASPECT, RESOLUTION
 from ...blender.scenes.scene_capture import CAPTURE, lights_in_order, photographed_lights
 from ...blender.scenes.scene_lights import LIGHT_TYPES
-from ...blender.scenes.scene_objects import set_camera, set_light
+from ...blender.scenes.scene_objects import set_background, set_camera, set_light
 from ...capture.camera import Camera
 from ...capture.card import card_depth, card_middle, card_size
 from ...capture.framing import framed
@@ -122,7 +122,7 @@ def show_observation(scene, number: int) -> None:
     camera = shown.irpso.camera
     if camera is None or CAPTURE not in camera:
         return
-    _set_background(camera.data, shown.irpso.image)
+    set_background(camera, shown.irpso.image)
     if scene.camera is not None and CAPTURE in scene.camera:
         scene.camera = camera
         _set_resolution(scene, camera)
@@ -216,13 +216,6 @@ def _dome(scene, capture: Capture) -> _Dome:
     centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
     radius = float(np.linalg.norm(corners - centre, axis=1).max()) or 1.0
     return _Dome(centre, settings.view.dome_radius or _DOME * radius)
-
-
-def _set_background(data, image) -> None:
-    data.show_background_images = True
-    background = data.background_images[0] if data.background_images else data.background_images.new()
-    if background.image != image:
-        background.image = image
 
 
 def _set_resolution(scene, camera) -> None:

@@ -17,6 +17,7 @@ from irpso_addon.ui.session import scene_capture, session
 from irpso_addon.ui.session.scene_job import make_job
 from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
 from tests.builders.drawn_panels import drawn
+from tests.builders.exif import exif
 from tests.builders.profiles import icc, png_icc, table
 from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, image_of, readers_of, write_views
 
@@ -278,6 +279,23 @@ def test_one_light_shines_at_a_time_over_its_photograph(scene, tmp_path):
         assert scene.camera.data.background_images[0].image == shown[0].irpso.image
     assert (scene.render.resolution_x, scene.render.resolution_y) == (24, 18)
     np.testing.assert_allclose((scene.render.pixel_aspect_x, scene.render.pixel_aspect_y), (1.1, 1.0), rtol=1e-6)
+
+
+def test_a_photograph_that_exif_turns_is_turned_behind_its_camera(scene, tmp_path):
+    """tests/gui/test_background.py looks at what Blender draws."""
+    for name, shape, orientation in (("a", (4, 6, 3), 6), ("b", (6, 4, 3), 2)):
+        write_png(tmp_path / f"{name}.png", np.zeros(shape, int), extra=chunk(b"eXIf", exif(orientation=orientation)))
+    write_png(tmp_path / "c.png", np.zeros((6, 4, 3), int))
+    images = [image_of(tmp_path / f"{name}.png") for name in "abc"]
+    camera = add_camera(scene)
+    scene_setup.set_camera(camera, Camera.from_fov(4, 6, 40.0))
+    turns, flips, scales = (np.pi / 2, 0, 0), (False, True, False), (1.5, 1, 1)
+    for shown, turn, flipped, scale in zip(images, turns, flips, scales, strict=True):
+        scene_setup.set_background(camera, shown)
+        (background,) = camera.data.background_images
+        assert background.image == shown and (background.use_flip_x, background.use_flip_y) == (flipped, False)
+        np.testing.assert_allclose((background.rotation, background.scale), (turn, scale), rtol=1e-6)
+        assert background.frame_method == ("FIT" if turn else "STRETCH")
 
 
 def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scene, tmp_path):
