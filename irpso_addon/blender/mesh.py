@@ -30,19 +30,29 @@ def extract_mesh(obj: Any, slots: Sequence[int] | None = None) -> MeshData:
 
     if obj.type != "MESH":
         raise InputError(f"object '{obj.name}' is of type {obj.type}, not a mesh; name a mesh object")
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    evaluated = obj.evaluated_get(depsgraph)
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     if not evaluated.is_evaluated:
         raise InputError(f"object '{obj.name}' is not in the active view layer or is hidden; show it in the viewport")
     matrix = np.array(evaluated.matrix_world, np.float64)
     _check_matrix(obj.name, matrix)
-    mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    mesh = new_evaluated_mesh(obj)
     try:
         corners = _local_triangles(obj.name, mesh, slot_names(obj), slots)
         corners["copied_by"] = tuple(m.name for m in obj.modifiers if m.type in _COPYING and m.show_viewport)
     finally:
         bpy.data.meshes.remove(mesh)
     return _to_world(obj.name, corners, matrix)
+
+
+def new_evaluated_mesh(obj: Any) -> Any:
+    """Return a new mesh of a mesh object with its modifiers and all its layers, with unfinished edits of Edit Mode."""
+    import bpy
+
+    if obj.data.is_editmode:
+        obj.update_from_editmode()  # all layers come from the stored mesh, which Edit Mode otherwise writes at its end
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    evaluated = obj.evaluated_get(depsgraph)
+    return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
 def _check_matrix(name: str, matrix: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,12 +16,19 @@ WITH_SURFACE = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META"})  # types 
 
 
 def with_occluders(mesh: MeshData, objects: Iterable[Any]) -> MeshData:
-    """Return a mesh with the triangles of other objects in its way, modifiers of the viewport included.
+    """Return a mesh with the triangles of other objects in its way, with modifiers and instances of the viewport.
 
     Raises InputError, with the object's name, where one has no surface or is hidden.
     """
-    triangles = [_triangles(obj) for obj in objects]
+    objects = list(objects)
+    instances = _instances({obj.session_uid for obj in objects})
+    triangles = [_triangles(obj, instances.get(obj.session_uid, [])) for obj in objects]
     return replace(mesh, occluders=np.concatenate(triangles)) if triangles else mesh
+
+
+def can_occlude(obj: Any) -> bool:
+    """Return whether an object may have a surface: its own, or instances of other objects."""
+    return obj.type in WITH_SURFACE or obj.is_instancer
 
 
 def named_occluders(names: Iterable[str], subject: Any, option: str) -> list[Any]:
@@ -43,11 +50,11 @@ def named_occluders(names: Iterable[str], subject: Any, option: str) -> list[Any
     return objects
 
 
-def _triangles(obj: Any) -> np.ndarray:
-    """Return (T, 3, 3) float32 the corners of an object's triangles, in the world."""
+def _triangles(obj: Any, instances: Sequence[np.ndarray]) -> np.ndarray:
+    """Return (T, 3, 3) float32 the corners of an object's triangles, in the world. instances: their corners."""
     import bpy
 
-    if obj.type not in WITH_SURFACE:
+    if not can_occlude(obj):
         raise InputError(f"occluder '{obj.name}' is of type {obj.type}, which has no surface; leave it out")
     depsgraph = bpy.context.evaluated_depsgraph_get()
     evaluated = obj.evaluated_get(depsgraph)
@@ -56,17 +63,51 @@ def _triangles(obj: Any) -> np.ndarray:
             f"occluder '{obj.name}' is not in the active view layer or is hidden; show it in the viewport, or leave it"
             " out"
         )
-    matrix = np.array(evaluated.matrix_world, np.float64)
-    mesh = bpy.data.meshes.new_from_object(evaluated, depsgraph=depsgraph)
-    try:
-        mesh.calc_loop_triangles()
-        corners = read_attribute(mesh.loop_triangles, "vertices", 3 * len(mesh.loop_triangles), np.int32)
-        places = read_attribute(mesh.vertices, "co", 3 * len(mesh.vertices))
-    finally:
-        bpy.data.meshes.remove(mesh)
-    if not len(corners):
+    parts = list(instances)
+    if obj.type in WITH_SURFACE and (obj.show_instancer_for_viewport or not obj.is_instancer):
+        matrix = np.array(evaluated.matrix_world, np.float64)
+        mesh = bpy.data.meshes.new_from_object(evaluated, depsgraph=depsgraph)
+        try:
+            parts.insert(0, _placed(_corners(mesh), matrix))
+        finally:
+            bpy.data.meshes.remove(mesh)
+    world = np.concatenate(parts) if parts else np.empty((0, 3))
+    if not len(world):
         raise InputError(f"occluder '{obj.name}' has no faces; leave it out")
-    world = places.reshape(-1, 3)[corners] @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(world).all():
         raise InputError(f"occluder '{obj.name}' has vertices that are not numbers; repair it, or leave it out")
     return world.reshape(-1, 3, 3).astype(np.float32)
+
+
+def _instances(wanted: set[int]) -> dict[int, list[np.ndarray]]:
+    """Return session number → (3T, 3) corners of each instance that the viewport shows of these objects.
+
+    Instances are of collections, vertices, faces, particles and geometry nodes.
+    """
+    import bpy
+
+    found: dict[int, list[np.ndarray]] = {}
+    shapes: dict[int, np.ndarray] = {}  # by the address of the evaluated data, which instances share
+    for one in bpy.context.evaluated_depsgraph_get().object_instances:
+        if not one.is_instance or not one.show_self or one.object.type not in WITH_SURFACE:
+            continue
+        owner = one.parent.original.session_uid
+        if owner not in wanted:
+            continue
+        address = one.object.data.as_pointer()
+        if address not in shapes:
+            shapes[address] = _corners(one.object.to_mesh())
+            one.object.to_mesh_clear()
+        found.setdefault(owner, []).append(_placed(shapes[address], np.array(one.matrix_world, np.float64)))
+    return found
+
+
+def _corners(mesh: Any) -> np.ndarray:
+    """Return (3T, 3) the corners of a mesh's triangles."""
+    mesh.calc_loop_triangles()
+    corners = read_attribute(mesh.loop_triangles, "vertices", 3 * len(mesh.loop_triangles), np.int32)
+    return read_attribute(mesh.vertices, "co", 3 * len(mesh.vertices)).reshape(-1, 3)[corners]
+
+
+def _placed(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    return corners @ matrix[:3, :3].T + matrix[:3, 3]

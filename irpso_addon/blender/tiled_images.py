@@ -15,7 +15,7 @@ from ..core.udim import ONE_SQUARE, PATTERN, tile_place
 def tile_images(image, tiles: Sequence[int]) -> Iterator[list]:
     """Yield one temporary image for each UDIM tile; for an image that is not tiled, the image itself.
 
-    Raises InputError where the image is not tiled though the maps are, or has no file for a tile.
+    Raises InputError where the image is not tiled though the maps are, or is tiled and unsaved or lacks a tile's file.
     """
     import bpy
 
@@ -27,6 +27,8 @@ def tile_images(image, tiles: Sequence[int]) -> Iterator[list]:
             )
         yield [image]
         return
+    if image.is_dirty:  # only its files can be read
+        raise InputError(f"image '{image.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
     made = []
     try:
         with tempfile.TemporaryDirectory(prefix="irpso-") as folder:

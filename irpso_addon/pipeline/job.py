@@ -94,6 +94,6 @@ class Job:
         return [listed[number] for number in self.numbers]
 
     def fitted_at(self, number: int) -> int:
-        """Return the index of the observation with a number, or of the next fitted one."""
-        numbers = self.numbers[: len(self.fitted)]
+        """Return the index of the observation with a listed number, from 0, or of the next fitted one."""
+        numbers = self.listed_numbers[: len(self.fitted)]
         return min(bisect_left(numbers, number), len(numbers) - 1)

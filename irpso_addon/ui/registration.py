@@ -15,6 +15,7 @@ MODULES = (
     "properties.preferences",
     "properties.schedule_settings",
     "properties.scene_settings",
+    "properties.moved_files",
     "operators.capture_import",
     "operators.video",
     "operators.find_lights",

@@ -21,7 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ...geometry.spaces import unit
 from ..colour_spaces import Use, use_space
-from ..mesh import mesh_of_faces
+from ..mesh import mesh_of_faces, new_evaluated_mesh
 from ..operators import quiet_operator, removed_afterwards
 from .displacement import DIVISION
 from .material import TAG
@@ -239,11 +239,7 @@ def _triangles(
     """
     import bpy
 
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    source = bpy.data.meshes.new_from_object(
-        obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
-    )
-    made.append(source)
+    made.append(source := new_evaluated_mesh(obj))
     layer = source.uv_layers.active if uv_map is None else source.uv_layers.get(uv_map)
     if layer is None:
         missing = "UV map" if uv_map is None else f"UV map '{uv_map}'"

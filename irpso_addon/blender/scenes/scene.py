@@ -12,12 +12,14 @@ import numpy as np
 from ...capture.camera import Camera
 from ...capture.distortion import NAMES
 from ...capture.errors import CaptureError
+from ...capture.poses import upright_camera
 from ...core.errors import InputError
 from ..operators import quiet_operator
 
-# Custom property of a camera object: lens distortion, which Blender's cameras do not have.
-ASPECT = "irpso_pixel_aspect"  # custom property of cameras: pixel aspect (x, y), which Blender has only per scene
-DISTORTION = "irpso_distortion"
+# Custom properties of camera objects: lens distortion, which Blender's cameras do not have; pixel aspect (x, y), which
+# Blender has only per scene; the image's size (width, height); of an imported camera, its image's name in the file.
+DISTORTION, ASPECT, RESOLUTION = "irpso_distortion", "irpso_pixel_aspect", "irpso_resolution"
+FILE_IMAGE = "irpso_camera_image"
 _OTHERS = {".obj", ".ply", ".stl", ".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".dae", ".3ds"}
 
 
@@ -86,7 +88,8 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
     """
     if obj.type != "CAMERA":
         raise InputError(f"object '{obj.name}' is of type {obj.type}, not a camera; name a camera object")
-    data = obj.data
+    data, matrix = obj.data, world_matrix(obj)
+    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     if data.type not in ("PERSP", "ORTHO"):
         raise InputError(f"camera '{obj.name}' is panoramic; make it perspective or orthographic")
     fit = data.sensor_fit
@@ -100,8 +103,6 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
         scale = data.lens / sensor * side
     else:
         scale = side / data.ortho_scale
-    matrix = world_matrix(obj)
-    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     camera = Camera(
         width=width,
         height=height,
@@ -136,6 +137,18 @@ def camera_in_scene(obj: Any, width: int, height: int, scene: Any) -> Camera:
     return camera_from_object(obj, width, height, tuple(aspect))
 
 
+def camera_of_photographs(obj: Any, width: int, height: int, scene: Any, turned_by: int) -> Camera:
+    """Return the camera of an object that took upright photographs of width × height pixels.
+
+    An imported camera is that of the stored pictures. turned_by: the EXIF orientation that turns them upright.
+    Raises InputError where its photographs have other proportions.
+    """
+    if FILE_IMAGE not in obj or RESOLUTION not in obj:
+        return camera_in_scene(obj, width, height, scene)
+    stored = camera_in_scene(obj, *obj[RESOLUTION], scene)
+    return upright_camera(stored, width, height, turned_by, f"camera '{obj.name}'")
+
+
 def _distorting(camera: Camera, obj: Any) -> Camera:
     """Return the camera with the distortion of its object's custom property. Raises InputError."""
     stored = obj.get(DISTORTION, ())
@@ -159,17 +172,48 @@ def world_matrix(obj: Any) -> np.ndarray:
     """Return (4, 4) float64, an object's world matrix, also where it is disabled in viewports.
 
     Blender does not evaluate objects that are disabled in viewports: their matrix_world is outdated, or unset in a file
-    just opened. For them this multiplies the transforms of the object and its parents. Raises InputError where such
-    an object has constraints or a parent type other than object.
+    just opened. For them this multiplies the transforms of the object and its parents. One whose place or data come
+    from constraints, animation or drivers is shown meanwhile, which also brings its data to the current frame. Raises
+    InputError where it is hidden otherwise.
     """
     import bpy
 
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     if evaluated.is_evaluated:
         return np.array(evaluated.matrix_world, np.float64)
-    if obj.constraints or (obj.parent is not None and obj.parent_type != "OBJECT"):
-        raise InputError(f"object '{obj.name}' is disabled in viewports and has constraints; show it, or apply them")
+    if obj.constraints or (obj.parent is not None and obj.parent_type != "OBJECT") or _is_animated(obj, obj.data):
+        return _matrix_shown(obj)
     matrix = np.array(obj.matrix_basis, np.float64)
     if obj.parent is None:
         return matrix
     return world_matrix(obj.parent) @ np.array(obj.matrix_parent_inverse, np.float64) @ matrix
+
+
+def _is_animated(*owners: Any) -> bool:
+    """Return whether a keyframe or a driver may set a value of one of these."""
+    found = [owner.animation_data for owner in owners if owner is not None]
+    return any(data is not None and (data.action or data.drivers or data.nla_tracks) for data in found)
+
+
+def _matrix_shown(obj: Any) -> np.ndarray:
+    """Return the world matrix that an object disabled in viewports has when it is shown. Raises InputError."""
+    import bpy
+
+    disabled = obj.hide_viewport
+    obj.hide_viewport = False
+    try:
+        owner = obj
+        while owner is not None:  # Blender does not bring what is shown again to the current frame
+            owner.update_tag(refresh={"TIME"})
+            owner = owner.parent
+        if obj.data is not None:
+            obj.data.update_tag(refresh={"TIME"})
+        evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        if not evaluated.is_evaluated:
+            raise InputError(
+                f"object '{obj.name}' is hidden and has constraints, animation or drivers; show it in the viewport, or"
+                " apply them"
+            )
+        return np.array(evaluated.matrix_world, np.float64)
+    finally:
+        obj.hide_viewport = disabled

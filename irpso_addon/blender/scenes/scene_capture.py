@@ -16,7 +16,7 @@ from ...core.errors import InputError
 from ...core.files import natural
 from ...core.steps import run_steps
 from ..images import decode
-from .scene import camera_in_scene, middle_of
+from .scene import camera_of_photographs, middle_of
 from .scene_images import Photograph, open_photograph
 from .scene_lights import light_of, too_wide
 
@@ -71,7 +71,8 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
     cameras, masks = [], []
     for camera, pairs in seen_by:
         yield
-        cameras.append(camera_in_scene(camera, *_common_size(pairs, camera.name), scene))
+        size, turned_by = _common_size(pairs, camera.name), _common_turn(pairs, camera.name)
+        cameras.append(camera_of_photographs(camera, *size, scene, turned_by))
         masks.append(_mask(camera, cameras[-1], store))
     observations = tuple(
         Observation(obj.name, lambda p=photograph: p.read().bounds, vectors[obj.session_uid], camera, photograph.coarse)
@@ -146,6 +147,20 @@ def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int,
     for _, error in _odd_sizes(pairs, camera):
         raise error
     return pairs[0][1].size
+
+
+def _common_turn(pairs: list[tuple[Any, Photograph]], camera: str) -> int:
+    """Return the EXIF orientation that turns a camera's photographs upright; a phone that looks down guesses it."""
+    turns = [photograph.turned_by for _, photograph in pairs]
+    usual = max(turns, key=turns.count)
+    for _, photograph in pairs:
+        if photograph.turned_by != usual:
+            raise CaptureError(
+                f"{photograph.where}: its EXIF orientation is {photograph.turned_by} where others of camera '{camera}'"
+                f" have {usual}; the camera stands still, so give all of them the same orientation",
+                "orientation",
+            )
+    return usual
 
 
 def _odd_sizes(pairs: list[tuple[Any, Photograph]], camera: str) -> Iterator[tuple[Any, CaptureError]]:

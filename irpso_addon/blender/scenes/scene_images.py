@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
 
 from ...capture.errors import CaptureError
+from ...capture.images.exif import upright
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Picture, Samples, mask_of_picture, samples_of_picture
 from ...core.errors import InputError
@@ -28,12 +29,14 @@ _NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a s
 class Photograph:
     """An image of the open file for a capture. size: (width, height). where: its name in errors.
 
-    coarse: it holds 8-bit sRGB codes. read: returns its Samples. mask: returns (H, W) bool. Both raise InputError.
+    coarse: it holds 8-bit sRGB codes. turned_by: EXIF orientation by which its pixels are turned as they are read.
+    read: returns its Samples. mask: returns (H, W) bool. Both raise InputError.
     """
 
     size: tuple[int, int]
     where: str
     coarse: bool
+    turned_by: int
     read: Callable[[], Samples]
     mask: Callable[[], np.ndarray]
 
@@ -61,8 +64,8 @@ def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str
         message = f"{where} is missing: {reference.path}; choose it again, or use File > External Data"
         raise CaptureError(message, "missing")
     with _named(where):
-        size, coarse = store.size(reference), store.coarse(reference)
-    return Photograph(size, where, coarse, lambda: store.samples(reference), lambda: store.mask(reference))
+        size, coarse, turned_by = _facts(store, reference)
+    return Photograph(size, where, coarse, turned_by, lambda: store.samples(reference), lambda: store.mask(reference))
 
 
 def file_of(image: Any) -> Path:
@@ -86,9 +89,11 @@ def _colour_space(image, where: str, requested: str) -> str:
 
 def _in_memory(image, where: str, space: str) -> Photograph:
     """Return an image without an up-to-date file. Found again by its session id: an undo invalidates all pointers."""
-    uid, size = image.session_uid, tuple(image.size)
+    uid, size, turned_by = image.session_uid, tuple(image.size), stored_orientation(image)
     if 0 in size:
         raise InputError(f"{where} has no pixels; choose another")
+    if turned_by >= 5:
+        size = size[::-1]
 
     def picture() -> Picture:
         current = _image_of(uid, where)
@@ -98,13 +103,26 @@ def _in_memory(image, where: str, space: str) -> Photograph:
         values = values.reshape(height, width, current.channels)
         if current.is_float and not current.colorspace_settings.is_data and current.channels >= 3:
             values[..., :3] = to_rec_709(values[..., :3])
-        return Picture(values, 32 if current.is_float else 8)
+        return Picture(upright(values, turned_by), 32 if current.is_float else 8)
 
     def read() -> Samples:
         # Blender keeps floats linear, whatever the colour space of their file; "auto" reads floats as linear.
         return samples_of_picture(picture(), space)
 
-    return Photograph(size, where, not image.is_float and space != "linear", read, lambda: mask_of_picture(picture()))
+    coarse = not image.is_float and space != "linear"
+    return Photograph(size, where, coarse, turned_by, read, lambda: mask_of_picture(picture()))
+
+
+def stored_orientation(image) -> int:
+    """Return the EXIF orientation of an image's file, which Blender does not apply; 1 without an intact file."""
+    if image.source != "FILE":
+        return 1
+    with suppress(InputError):
+        if image.packed_file is None:
+            return ImageStore().turned_by(ImageRef(file_of(image)))
+        with _unpacked(image, image.name) as path:
+            return ImageStore().turned_by(ImageRef(path))
+    return 1
 
 
 def _packed(image, where: str, space: str) -> Photograph:
@@ -114,9 +132,14 @@ def _packed(image, where: str, space: str) -> Photograph:
         with _unpacked(_image_of(uid, where), where) as path, _named(where, path):
             return work(ImageStore(decode), ImageRef(path, part, layer, space))
 
-    size, coarse = through_file(lambda store, packed: (store.size(packed), store.coarse(packed)))
+    size, coarse, turned_by = through_file(_facts)
     read, mask = (lambda: through_file(ImageStore.samples)), (lambda: through_file(ImageStore.mask))
-    return Photograph(size, where, coarse, read, mask)
+    return Photograph(size, where, coarse, turned_by, read, mask)
+
+
+def _facts(store: ImageStore, reference: ImageRef) -> tuple[tuple[int, int], bool, int]:
+    """Return size, coarse and turned_by of a Photograph."""
+    return store.size(reference), store.coarse(reference), store.turned_by(reference)
 
 
 @contextmanager
@@ -127,7 +150,8 @@ def _unpacked(image, where: str) -> Iterator[Path]:
     if image.packed_file is None:
         raise InputError(f"{where} was unpacked meanwhile; start again")
     with tempfile.TemporaryDirectory(prefix="irpso-", dir=bpy.app.tempdir) as folder:
-        path = Path(folder) / "packed"
+        # Only its suffix tells a raw file.
+        path = Path(folder) / f"packed{PureWindowsPath(image.filepath).suffix}"
         path.write_bytes(image.packed_file.data)
         yield path
 

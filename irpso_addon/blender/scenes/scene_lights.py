@@ -32,7 +32,8 @@ def light_of(obj: Any) -> Light:
 
     Raises InputError, with the object's name, where it gives no light or its emission pattern is not supported.
     """
-    data, where = obj.data, f"light '{obj.name}'"
+    # The matrix first: it brings the data of a light that is disabled in viewports to the current frame.
+    matrix, data, where = world_matrix(obj), obj.data, f"light '{obj.name}'"
     if not getattr(data, "normalize", True):
         raise InputError(f"{where} is not normalized, so its size changes its strength; turn Normalize on")
     power = data.energy * 2.0 ** getattr(data, "exposure", 0.0)
@@ -43,7 +44,6 @@ def light_of(obj: Any) -> Light:
     intensity = to_rec_709(colour) * _INTENSITY[data.type](power)
     if (intensity < 0).any() or not intensity.any():
         raise InputError(f"{where} gives {'negative' if intensity.any() else 'no'} light; set its strength and colour")
-    matrix = world_matrix(obj)
     vector = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]) if distant else matrix[:3, 3]
     light = Light(tuple(map(float, vector)), tuple(map(float, intensity)), distant)
     return _directed(light, obj, matrix[:3, :3], where) if data.type in ("SPOT", "AREA") else light

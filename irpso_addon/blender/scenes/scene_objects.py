@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...capture.camera import Camera
+from ...capture.images.exif import upright_axes
 from ...capture.types import Light
 from ..colour_spaces import from_rec_709
 from .light_units import area_power, point_power, spot_power, sun_strength
-from .scene import ASPECT, DISTORTION
+from .scene import ASPECT, DISTORTION, RESOLUTION
+from .scene_images import stored_orientation
 from .scene_lights import EMISSION, WIDEST_SPOT
 
-RESOLUTION = "irpso_resolution"  # custom property of a camera: its image's size (width, height)
 _SENSOR = 36.0  # mm, Blender's own default
 _AREA_SIZE = 1e-3  # of an area light, world units: a capture knows its centre alone
 _POWER = {"SUN": sun_strength, "POINT": point_power, "SPOT": spot_power, "AREA": area_power}
@@ -40,6 +41,25 @@ def set_camera(obj, camera: Camera) -> None:
     _store(obj, DISTORTION, camera.distortion)
     obj.rotation_mode = "QUATERNION"  # Euler angles lose half of the digits near a quarter turn
     obj.matrix_world = Matrix(camera.matrix.tolist())
+
+
+def set_background(obj, image) -> None:
+    """Show a photograph behind a camera of ``set_camera``, upright: Blender does not apply the EXIF orientation."""
+    data = obj.data
+    data.show_background_images = True
+    background = data.background_images[0] if data.background_images else data.background_images.new()
+    if background.image == image:
+        return
+    background.image = image
+    orientation = 1 if image is None else stored_orientation(image)
+    turn = upright_axes(orientation)[:2, :2]
+    # Blender flips the stored picture, turns it clockwise, and lays it around the frame's centre.
+    background.use_flip_x, background.use_flip_y = bool(np.linalg.det(turn) < 0), False
+    turn = turn @ np.diag([-1.0 if background.use_flip_x else 1.0, 1.0])
+    background.rotation = math.atan2(turn[0, 1], turn[0, 0])
+    background.frame_method, background.scale = "STRETCH", 1.0  # to the frame, which is the photograph's own
+    if orientation >= 5:  # before a quarter turn the picture fits across the frame
+        background.frame_method, background.scale = "FIT", max(obj[RESOLUTION]) / min(obj[RESOLUTION])
 
 
 def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
 from ..images.image import ImageRef, ImageStore
-from ..images.raw import is_raw
 from ..poses import PoseFile, moved, path_parts, read_poses, similarity, upright_camera
 from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
@@ -74,15 +73,9 @@ class Views:
         camera, where = poses.cameras[name], f"{poses.path}: camera '{name}'"
 
         def make(width: int, height: int) -> Camera:
-            return moved(upright_camera(camera, width, height, _turned_by(image), where), self._world)
+            return moved(upright_camera(camera, width, height, ImageStore().turned_by(image), where), self._world)
 
         return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True)
-
-
-def _turned_by(image: ImageRef) -> int:
-    """Return the EXIF orientation by which reading turns a file as it is stored; other programs see HEIC upright."""
-    store = ImageStore()
-    return (store.tag(image) or 1) if is_raw(image.path) else store.orientation(image)
 
 
 def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:

@@ -148,6 +148,13 @@ class ImageStore:
             return None
         return (self._raw_header(image.path) if is_raw(image.path) else self._header(image.path)).tag
 
+    def turned_by(self, image: ImageRef) -> int:
+        """Return the EXIF orientation by which reading turns a file as it is stored, 1 for none.
+
+        Of HEIC files it is 1, as other programs see them upright.
+        """
+        return (self.tag(image) or 1) if is_raw(image.path) else self.orientation(image)
+
     def exposure(self, image: ImageRef) -> Exposure | None:
         """Return the exposure by EXIF, None without one. Raises CaptureError if the file cannot be read."""
         if is_exr(image.path):

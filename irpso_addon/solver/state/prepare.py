@@ -93,8 +93,8 @@ def prepare_steps(
 ) -> Generator[float, None, Prepared]:
     """Yield the fraction done; return each texel's scale, first guess, and the stack.
 
-    The guess is the defaults, or a Lambertian fit where swarms start near one. Uses numpy only, so it may run in a thread
-    beside a window. pack: also make the arrays for the GPU.
+    The guess is the defaults, or a Lambertian fit where swarms start near one. Uses numpy only, so it may run in a
+    thread beside a window. pack: also make the arrays for the GPU.
     """
     fitted = schedule.swarm.start == "lambert"
     count = 1 + fitted + pack

@@ -22,6 +22,14 @@ def absolute(path: str, setting: str) -> Path:
     return Path(bpy.path.abspath(path))
 
 
+def relative_to(path: str, folder: str) -> str:
+    """Return an absolute path as one from a folder, "//…"; on Windows from another drive unchanged."""
+    try:
+        return bpy.path.relpath(path, start=folder)
+    except ValueError:  # Windows has no relative path from one drive to another
+        return path
+
+
 def first_free(folder: Path, stem: str, suffix: str = "") -> Path:
     """Return the first of the paths STEM, STEM_1, STEM_2, … with ``suffix`` in a folder that does not exist yet."""
     names = (f"{stem}{suffix}", *(f"{stem}_{number}{suffix}" for number in range(1, 10_000)))

@@ -109,4 +109,4 @@ class SlicedOperator:
 
 
 def _capture_in(context) -> tuple[int, str]:
-    return context.scene.session_uid, context.scene.irpso.capture_path
+    return context.scene.session_uid, bpy.path.abspath(context.scene.irpso.capture_path)

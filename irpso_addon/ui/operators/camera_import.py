@@ -8,14 +8,14 @@ import bpy
 import numpy as np
 from bpy.props import EnumProperty, StringProperty
 
+from ...blender.scenes.scene import FILE_IMAGE
 from ...blender.scenes.scene_objects import set_camera
 from ...capture.poses import PoseFile, read_poses
 from ...core.errors import InputError
 from ..common.file_paths import absolute
 from ..common.words import rpt
 
-# Custom properties: the source file, on the collection, its empty and its cameras; the image's name, on a camera.
-_SOURCE, _IMAGE = "irpso_cameras", "irpso_camera_image"
+_SOURCE = "irpso_cameras"  # custom property of the collection, its empty and its cameras: the source file
 _EXTENSIONS = ".xml;.sfm;.json;.txt"
 _SMALL = 0.1  # display size over the cameras' largest distance from their mean position
 _FAR = 10.0  # clip end over the same distance
@@ -49,13 +49,13 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
     places = np.array([camera.position for camera in poses.cameras.values()])
     size = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()) or 1.0
     empty.empty_display_size = _SMALL * size
-    objects = {obj[_IMAGE]: obj for obj in collection.objects if _IMAGE in obj}
+    objects = {obj[FILE_IMAGE]: obj for obj in collection.objects if FILE_IMAGE in obj}
     for image, camera in poses.cameras.items():
         obj = objects.get(image)
         if obj is None:
             name = image.replace("\\", "/").rpartition("/")[2]
             obj = objects[image] = bpy.data.objects.new(name, bpy.data.cameras.new(name))
-            obj[_SOURCE], obj[_IMAGE] = source, image
+            obj[_SOURCE], obj[FILE_IMAGE] = source, image
             collection.objects.link(obj)
         obj.parent = None  # set_camera sets world coordinates, which the parent then transforms
         set_camera(obj, camera)

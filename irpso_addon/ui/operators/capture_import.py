@@ -32,7 +32,7 @@ from ...capture.types import Capture
 from ...core.errors import GpuUnavailableError, InputError
 from ...gpu import probe
 from ..common import drawing, failures
-from ..common.file_paths import absolute
+from ..common.file_paths import absolute, relative_to
 from ..common.polls import NO_CAPTURE, usable
 from ..common.words import n_, rpt
 from ..properties import findings
@@ -53,7 +53,7 @@ CARD_SETTINGS = ("subject", "framing", "crop", "corners", "card_distance", "card
 
 @dataclass
 class _Check:
-    """A running check. scene: its session_uid. path: capture_path of the settings.
+    """A running check. scene: its session_uid. path: the absolute capture_path of the settings.
 
     doing: the current step, in words. slice_end: end of the last slice. redrawn: last redraw of the panel. Both times
     are by ``time.perf_counter``.
@@ -140,7 +140,7 @@ def begin_check(scene) -> None:
         settings.skip_damaged, settings.card_width or None,
         partial(with_card, _card_settings(settings)) if is_marked(settings) else None,
     )  # fmt: skip
-    _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, n_("Checking"))]
+    _running[:] = [_Check(scene.session_uid, _absolute(settings), steps, n_("Checking"))]
     if bpy.app.background:
         _slice(_running[0], math.inf)
     elif not bpy.app.timers.is_registered(_tick):
@@ -170,10 +170,14 @@ def _tick() -> float | None:
     return _PAUSE if more else None
 
 
+def _absolute(settings) -> str:
+    return bpy.path.abspath(settings.capture_path)
+
+
 def _slice(check: _Check, seconds: float) -> bool:
     """Continue a check for about ``seconds``; return whether it is unfinished."""
     scene = next((scene for scene in bpy.data.scenes if scene.session_uid == check.scene), None)
-    if scene is None or scene.irpso.capture_path != check.path:
+    if scene is None or _absolute(scene.irpso) != check.path:
         _running.clear()
         return False
     end = time.perf_counter() + seconds
@@ -258,10 +262,7 @@ def _stored_path(path: Path) -> str:
     relative = bpy.context.preferences.filepaths.use_relative_paths
     if not (relative and bpy.data.filepath):
         return text
-    try:
-        return bpy.path.relpath(text)
-    except ValueError:  # Windows has no relative path from one drive to another
-        return text
+    return relative_to(text, os.path.dirname(bpy.data.filepath))
 
 
 def _warn(operator, settings) -> None:

@@ -6,26 +6,24 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from mathutils import Matrix, Vector
 
-from ...blender.colour_spaces import use_space
 from ...blender.images import decode
 from ...blender.materials import material
-from ...blender.scenes import scene_images
-from ...blender.scenes.scene import ASPECT
+from ...blender.scenes.file_images import FileImages
+from ...blender.scenes.scene import ASPECT, RESOLUTION
 from ...blender.scenes.scene_capture import CAPTURE, lights_in_order, photographed_lights
 from ...blender.scenes.scene_lights import LIGHT_TYPES
-from ...blender.scenes.scene_objects import RESOLUTION, set_camera, set_light
+from ...blender.scenes.scene_objects import set_background, set_camera, set_light
 from ...capture.camera import Camera
 from ...capture.card import card_depth, card_middle, card_size
 from ...capture.framing import framed
-from ...capture.images.headers import read_header
 from ...capture.images.image import ImageRef, ImageStore
-from ...capture.images.raw import is_raw
 from ...capture.inspect.damage import with_skip_remedy
 from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
@@ -42,7 +40,7 @@ from ..session.card_place import is_automatic, show_card
 from ..session.scene_capture import spec_steps
 from ..session.scene_job import subject_object
 
-_ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12"
+_ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12", by its number in the list
 _FILES = "irpso_capture_files"  # custom property beside CAPTURE: the capture's source, as its name may be another's
 _DOME = 2.0  # the dome's radius over the subject's
 _SMALL = 0.3  # the cameras' display size over the dome's radius
@@ -65,7 +63,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     existing = {obj[_ROLE]: obj for obj in _of_capture(_created(scene), capture)}
     made: list = []
     collection = _collection(scene, capture)
-    images = _Images()
+    images = FileImages()
     dome = _dome(scene, capture)
     views = []
     for index, (view, camera, mask) in enumerate(zip(spec.views, capture.cameras, capture.masks, strict=True)):
@@ -76,7 +74,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
         obj.irpso.image = None if view.mask is None or mask.all() else images.of(view.mask, mask=True)
         views.append(obj)
     lights = []
-    for index, (listed, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
+    for index, listed, observation in zip(capture.listed_numbers, spec.observations, capture.observations, strict=True):
         name = f"Light {index:03d} {observation.name}"
         obj = _object(existing, made, f"light {index}", name, "SUN", collection, capture)
         set_light(obj, observation.light, dome.centre, dome.radius)
@@ -91,9 +89,9 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
 
 
 def observation_count(scene) -> int:
-    """Return the number of observations: those of the recovery, else the capture's lights in the scene."""
+    """Return the number of listed observations: of the recovery, else up to the capture's last light in the scene."""
     running = session.current()
-    return len(capture_lights(scene)) if running is None else len(running.job.capture.observations)
+    return 1 + max(numbered_lights(scene), default=-1) if running is None else running.job.capture.listed
 
 
 def _observation_changed(view) -> None:
@@ -106,15 +104,16 @@ def _observation_changed(view) -> None:
 def show_observation(scene, number: int) -> None:
     """Switch on only one observation's light, and show its photograph as its camera's background.
 
-    number: of the observation, from 1. Lights without a photograph do not change, nor do cameras that ``create_scene``
-    did not make. The scene's camera changes only if ``create_scene`` made it.
+    number: of the observation in the capture's list, from 1; one without a light counts as the next. Lights without a
+    photograph do not change, nor do cameras that ``create_scene`` did not make. The scene's camera changes only if
+    ``create_scene`` made it.
     """
     bpy.context.view_layer.update()  # for objects that were added or removed just now
-    lights = capture_lights(scene)
+    lights = numbered_lights(scene)
     if not lights:
         return
-    shown = lights[min(number, len(lights)) - 1]
-    for obj in {*lights, *_created_lights(scene)}:
+    shown = of_number(lights, number)
+    for obj in {*lights.values(), *_created_lights(scene)}:
         # Written only on change: each write makes Blender rebuild its dependency graph.
         if obj.hide_render != (obj != shown):
             obj.hide_render = obj != shown
@@ -123,24 +122,29 @@ def show_observation(scene, number: int) -> None:
     camera = shown.irpso.camera
     if camera is None or CAPTURE not in camera:
         return
-    _set_background(camera.data, shown.irpso.image)
+    set_background(camera, shown.irpso.image)
     if scene.camera is not None and CAPTURE in scene.camera:
         scene.camera = camera
         _set_resolution(scene, camera)
 
 
-def capture_lights(scene) -> list:
-    """Return the scene's lights of the observations, in their order; [] if there are none.
+def of_number(lights: dict[int, Any], number: int) -> Any:
+    """Return the light of a number from 1; without one the next light, or the last. lights: ``numbered_lights``."""
+    return lights[min((n for n in lights if n >= number - 1), default=max(lights))]
+
+
+def numbered_lights(scene) -> dict[int, Any]:
+    """Return the scene's lights of the observations by their number in the capture's list, from 0, in its order.
 
     For a capture of files these are the lights that ``create_scene`` made, for This Scene all lights with a
     photograph.
     """
     if scene.irpso.source == "SCENE":
-        return photographed_lights(scene)
+        return dict(enumerate(photographed_lights(scene)))
     lights = _created_lights(scene)
     wanted = scene.get(CAPTURE), scene.get(_FILES)
     current = {obj[_ROLE]: obj for obj in lights if (obj[CAPTURE], obj.get(_FILES)) == wanted}  # copies have one role
-    return [current[role] for role in sorted(current, key=natural)]
+    return {int(role.split()[1]): current[role] for role in sorted(current, key=natural)}
 
 
 def place_card(card, camera: Camera, distance: float) -> None:
@@ -214,67 +218,12 @@ def _dome(scene, capture: Capture) -> _Dome:
     return _Dome(centre, settings.view.dome_radius or _DOME * radius)
 
 
-def _set_background(data, image) -> None:
-    data.show_background_images = True
-    background = data.background_images[0] if data.background_images else data.background_images.new()
-    if background.image != image:
-        background.image = image
-
-
 def _set_resolution(scene, camera) -> None:
     """Set the scene's resolution and pixel aspect to those of a camera's photographs."""
     render = scene.render
     render.resolution_x, render.resolution_y = camera[RESOLUTION]
     render.resolution_percentage = 100
     render.pixel_aspect_x, render.pixel_aspect_y = camera[ASPECT]
-
-
-class _Images:
-    """The open file's images by file, EXR part, layer and color space. Missing ones are loaded, without pixels."""
-
-    def __init__(self):
-        own = [image for image in bpy.data.images if image.source == "FILE" and image.filepath and not image.library]
-        self._images = {self._key_of(image): image for image in own}
-
-    @staticmethod
-    def _key_of(image) -> tuple:
-        path = scene_images.file_of(image).resolve()
-        return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
-
-    def of(self, reference: ImageRef, mask: bool = False):
-        """Return the image of a file. Raises CaptureError and loads nothing if the header is unreadable."""
-        path = reference.path.resolve()
-        exr = path.suffix.lower() == ".exr"
-        # What an EXR is read as anyway is not stored: an image that an earlier version loaded is found again.
-        usual = "linear" if exr else "auto"
-        space = None if mask or reference.colour_space in ("auto", usual) else reference.colour_space
-        key = path, reference.part, reference.layer, space
-        if key not in self._images:
-            deep = space is None and not (exr or mask) and _is_linear_by_depth(reference)
-            image = bpy.data.images.load(str(path), check_existing=False)
-            names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
-            for name, value in zip(names, key[1:], strict=True):
-                if value is not None:
-                    image[name] = value
-            if mask:
-                use_space(image, "data")
-            elif deep or space == "linear":
-                use_space(image, "linear")
-            self._images[key] = image
-        return self._images[key]
-
-
-def _is_linear_by_depth(reference: ImageRef) -> bool:
-    """Return whether a file without a colour space is linear, as Blender, which reads its codes as sRGB, cannot tell.
-
-    Raises CaptureError if its header is unreadable.
-    """
-    if is_raw(reference.path):
-        return True
-    store = ImageStore()
-    # A profile applies only in the colour space "auto".
-    deep = read_header(reference.path).bits == 16 and store.profile(reference) is None
-    return deep and store.encoding(reference)[0] == "linear"
 
 
 class CreateScene(bpy.types.Operator):
@@ -335,7 +284,7 @@ class ShowObservation(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether the scene has lights of a capture."""
-        there = capture_lights(context.scene)
+        there = numbered_lights(context.scene)
         return usable(cls, there, "No lights of a capture: press Create Cameras and Lights, or assign images to lights")
 
     def execute(self, context):
@@ -377,7 +326,7 @@ class AssignImages(bpy.types.Operator):
         if not names:
             self.report({"ERROR"}, "No image was chosen: select the photographs of the lights in the file browser")
             return {"CANCELLED"}
-        store, images = ImageStore(decode), _Images()
+        store, images = ImageStore(decode), FileImages(with_own_spaces=True)
         try:
             references = [ImageRef(absolute(self.directory, "Folder") / name) for name in names]
             for reference in references:

@@ -34,7 +34,7 @@ class Scale:
 
 
 def caption(shown: Shown, names: Sequence[str], numbers: Sequence[int]) -> str:
-    """Return a picture's caption. names: of the observations. numbers: of the observations, from 0."""
+    """Return a picture's caption. names: of the observations. numbers: of the observations, listed, from 0."""
     if shown.kind == "parameter":
         return _title_of(shown.parameter)
     if shown.kind == "error":

@@ -287,7 +287,7 @@ class SessionOverlay:
         if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has its own labels
             return None
         names = [one.name for one in job.capture.observations]
-        text = legend.caption(item, names, job.numbers)
+        text = legend.caption(item, names, job.listed_numbers)
         area = free.corner(*painter.chip_size(text))
         painter.chip(text, area.x, area.y)
         return area
@@ -342,7 +342,7 @@ class SessionOverlay:
         place = self._dome(view, self._placement(subject)).places[index][None]
         (pixel,), (in_front,) = to_pixels(perspective, place, size)
         job = self.running.job
-        text = f"{job.numbers[index] + 1}  {job.capture.observations[index].name}"
+        text = f"{job.listed_numbers[index] + 1}  {job.capture.observations[index].name}"
         area = beside(pixel, painter.chip_size(text), 12 * painter.scale, free, occupied)
         if in_front and area is not None:
             painter.chip(text, area.x, area.y)

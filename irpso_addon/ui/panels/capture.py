@@ -9,7 +9,7 @@ from ...core.errors import InputError
 from ..common import drawing, failures
 from ..common.words import iface, n_
 from ..operators.capture_import import checking
-from ..operators.scene_setup import capture_lights
+from ..operators.scene_setup import numbered_lights, of_number
 from ..properties import findings, upkeep
 from ..properties.scene_settings import CUSTOM
 from ..session.scene_capture import has_capture, wants_distance
@@ -70,13 +70,14 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
 
 def draw_observation(layout, context) -> None:
     """Draw the choice of the observation, if the capture has lights in the scene."""
-    lights, view = capture_lights(context.scene), context.scene.irpso.view
+    lights, view = numbered_lights(context.scene), context.scene.irpso.view
     if not lights:
         return
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(view, "observation")
-    drawing.fact(column, context, iface("of {count}", count=len(lights)), lights[view.index(len(lights))].name)
+    shown = of_number(lights, view.observation)
+    drawing.fact(column, context, iface("of {count}", count=max(lights) + 1), shown.name)
 
 
 def _draw_light(layout, context) -> None:

@@ -146,7 +146,7 @@ def draw_result(layout, context, running: session.Session) -> list[str]:
         layout.operator("irpso.save_asset", text="Save to Asset Library…", icon="ASSET_MANAGER")
         layout.operator("irpso.mix_captures", text="Mix Captures…", icon="NODE_MATERIAL")
     if kept and not is_standard_view(context.scene):
-        text = iface("The scene's view transform changes colors. To compare with the photographs:")
+        text = iface("The scene's Color Management changes colors. To compare with the photographs:")
         drawing.wrapped(layout, context, text, "INFO")
         layout.operator("irpso.standard_view", icon="COLOR")
     return warnings

@@ -39,13 +39,15 @@ def draw_shown(layout, context, running: session.Session) -> None:
     if view.shown in _IN_FALSE_COLORS:
         column.prop(view, _red_of(view, running))
     if view.shown in _OF_A_LIGHT:
-        observations = running.job.capture.observations
+        capture = running.job.capture
         column.prop(view, "observation")
         index = running.observation(view)
-        drawing.fact(column, context, iface("of {count}", count=len(observations)), observations[index].name)
-        chosen, number = view.index(len(observations)), running.job.numbers[index]
+        drawing.fact(column, context, iface("of {count}", count=capture.listed), capture.observations[index].name)
+        chosen, number = view.index(capture.listed), running.job.listed_numbers[index]
         if chosen != number:
             text = iface("Photograph {chosen} is held out: {shown} is shown", chosen=chosen + 1, shown=number + 1)
+            if chosen not in capture.listed_numbers:
+                text = iface("Photograph {chosen} is left out: {shown} is shown", chosen=chosen + 1, shown=number + 1)
             drawing.wrapped(column, context, text, "INFO")
         column.prop(view, "exposure")
     if view.shown in _OF_A_PHOTOGRAPH:

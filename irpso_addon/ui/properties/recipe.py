@@ -15,7 +15,7 @@ from ..common.file_paths import absolute
 from .scene_settings import CUSTOM
 
 _TYPES = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of properties that are numbers, texts or choices
-_LEFT_OUT = {"name", "checked_path", "summary", "slots", "slot_list"}
+_LEFT_OUT = {"name", "checked_path", "paths_base", "summary", "slots", "slot_list"}
 _SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it overwrites the others
 _PARAMETER = ("recover", "value")
 
@@ -29,6 +29,7 @@ def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str,
     recipe["settings"] |= {
         "capture_path": str(absolute(settings.capture_path, "Capture")) if settings.source == "FILES" else "",
         "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
+        "chart_photograph": bpy.path.abspath(settings.chart_photograph),
     }
     return recipe
 

@@ -288,6 +288,7 @@ class Settings(bpy.types.PropertyGroup):
         " recovery. When it ends, renders of its maps are compared with them", items=_HOLD_OUT, default="OFF",
     )  # fmt: skip
     checked_path: StringProperty(description="The capture of the findings")
+    paths_base: StringProperty(description="Folder that relative paths of these settings start from")
     summary: StringProperty(description="Facts about the capture")
     checked_images: IntProperty(description="Number of images of the checked capture")
     checked_texels: IntProperty(description="Texels of the checked capture as a card")

@@ -29,6 +29,8 @@ from .card_place import put_card
 _NO_EXTRAS = DerivedMaps()
 NOTHING = n_("Nothing has been recovered yet: press Recover")
 _STANDARD = "Standard"
+# Other settings of a view that change no colour; the white balance is absent before Blender 4.3.
+_NEUTRAL = {"look": "None", "exposure": 0.0, "gamma": 1.0, "use_curve_mapping": False, "use_white_balance": False}
 
 
 def current_maps(running: session.Session, confidence: bool, extras: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
@@ -169,9 +171,8 @@ def _show(context, card, new: bool) -> None:
 
 
 class IRPSO_OT_standard_view(bpy.types.Operator):
-    """Show colors as they are: the Standard view transform, without the film look that AgX and Filmic add.
-
-    A render can be compared with the photographs only in this view
+    """Show colors as they are: the Standard view transform, without the film look that AgX and Filmic add, and without
+    exposure, gamma, curves and white balance. A render can be compared with the photographs only in this view
     """
 
     bl_idname = "irpso.standard_view"
@@ -180,19 +181,32 @@ class IRPSO_OT_standard_view(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether another view transform is set."""
+        """Whether something else is set."""
         return usable(cls, not is_standard_view(context.scene), "The scene has the Standard view transform already")
 
     def execute(self, context):
-        """Set view transform and look."""
-        context.scene.view_settings.view_transform = _STANDARD
-        context.scene.view_settings.look = "None"
+        """Set the view transform, and the other settings to their defaults."""
+        view = context.scene.view_settings
+        try:
+            view.view_transform = _STANDARD
+        except TypeError:
+            self.report(
+                {"ERROR"},
+                "The OpenColorIO configuration has no view transform Standard: choose one without a tone curve under"
+                " Color Management",
+            )
+            return {"CANCELLED"}
+        for name, value in _NEUTRAL.items():
+            if hasattr(view, name):
+                setattr(view, name, value)
         return {"FINISHED"}
 
 
 def is_standard_view(scene) -> bool:
-    """Return whether the scene has the Standard view transform without a look."""
-    return scene.view_settings.view_transform == _STANDARD and scene.view_settings.look == "None"
+    """Return whether the scene shows colours by the Standard view transform, and changes them no further."""
+    view = scene.view_settings
+    neutral = all(getattr(view, name, value) == value for name, value in _NEUTRAL.items())
+    return neutral and view.view_transform == _STANDARD
 
 
 CLASSES = (IRPSO_OT_keep, IRPSO_OT_standard_view)

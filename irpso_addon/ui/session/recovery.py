@@ -155,7 +155,7 @@ class Session:
 
     def observation(self, view: Any) -> int:
         """Return the index, in the job's capture, of the fitted observation that ViewSettings ``view`` choose."""
-        return self.job.fitted_at(view.index(len(self.job.capture.observations)))
+        return self.job.fitted_at(view.index(self.job.capture.listed))
 
     @property
     def restoring(self) -> bool:

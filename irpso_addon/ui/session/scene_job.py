@@ -12,7 +12,7 @@ import numpy as np
 from ...blender.colour_spaces import to_rec_709, use_of
 from ...blender.materials import material
 from ...blender.mesh import extract_mesh
-from ...blender.occluders import WITH_SURFACE, with_occluders
+from ...blender.occluders import can_occlude, with_occluders
 from ...blender.tiled_images import tile_images
 from ...capture.inspect.sufficiency import MIN_LIGHTS, check_normal, no_normal
 from ...capture.read import read_spec
@@ -160,9 +160,9 @@ def mesh_of(settings, obj) -> MeshData:
 
 
 def _occluders(settings, obj) -> list[Any]:
-    """Return the objects with a surface in the collection of occluders, without the subject."""
+    """Return the objects with a surface or instances in the collection of occluders, without the subject."""
     members = settings.occluders.all_objects if settings.occluders is not None else ()
-    return [other for other in members if other != obj and other.type in WITH_SURFACE]
+    return [other for other in members if other != obj and can_occlude(other)]
 
 
 def _fixed(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:

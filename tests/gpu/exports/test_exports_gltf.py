@@ -256,3 +256,21 @@ def test_the_maps_of_a_session_or_folder_go_on_its_slots_in_its_uv_map(tmp_path)
     bpy.context.view_layer.update()
     with pytest.raises(InputError, match="has no UV map 'UVMap'"):
         gltf.write_gltf(replace(result, card=False, mesh=mesh), tmp_path / "again.glb", obj)
+
+
+def test_a_mesh_in_edit_mode_is_exported_as_it_is_edited(tmp_path):
+    result, obj = on_a_sheet("principled", texels=32)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(5, 0, 0), orient_type="LOCAL")
+    gltf.write_gltf(replace(result, card=False), tmp_path / "leaf.glb", obj)
+    assert obj.mode == "EDIT"
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    (part,) = table["meshes"][0]["primitives"]
+    written = accessor(table, binary, part["attributes"]["POSITION"])
+    bpy.ops.object.mode_set(mode="OBJECT")
+    edited = np.array([vertex.co[:] for vertex in obj.data.vertices])
+    assert edited[:, 0].min() > 2
+    for pick in (np.min, np.max):
+        np.testing.assert_allclose(pick(written[:, 0]), pick(edited[:, 0]), atol=1e-5)

@@ -125,6 +125,24 @@ def test_the_active_uv_map_is_used():
     assert extract_mesh(obj).uv_map == "other"
 
 
+@pytest.mark.parametrize("levels", [0, 1])
+def test_a_mesh_in_edit_mode_is_read_as_it_is_edited(levels):
+    obj = monkey(levels)
+    without_uv(obj)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.uv.smart_project()
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(5, 0, 0))
+    edited = extract_mesh(obj)
+    assert obj.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.view_layer.update()
+    finished = extract_mesh(obj)
+    assert finished.positions[..., 0].min() > 3
+    for name in ("positions", "uvs", "normals", "tangents"):
+        np.testing.assert_array_equal(getattr(edited, name), getattr(finished, name))
+
+
 def without_uv(obj):
     while obj.data.uv_layers:
         obj.data.uv_layers.remove(obj.data.uv_layers[0])

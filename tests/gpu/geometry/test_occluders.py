@@ -1,5 +1,6 @@
 """Objects that stand beside a mesh: what they hide from lights, cameras and the mesh itself, against geometry."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -129,6 +130,73 @@ def test_occluders_are_evaluated_objects_in_the_world():
     ring = mesh.occluders[48:].reshape(-1, 3)
     np.testing.assert_allclose((ring[:, 2].min(), ring[:, 2].max()), (-5.25, -4.75), atol=1e-3)
     assert len(mesh.occluders) > 48 and mesh.occluders.dtype == np.float32
+
+
+def block(name, collection):
+    """Return a new cube of side 2 in a collection."""
+    bpy.ops.mesh.primitive_cube_add(size=2)
+    obj = bpy.context.object
+    obj.name = name
+    obj.users_collection[0].objects.unlink(obj)
+    collection.objects.link(obj)
+    return obj
+
+
+def collection_instance(block_of, collection):
+    """An empty that shows a collection, which shows another, which has the block 10 along x."""
+    inner, outer = bpy.data.collections.new("inner"), bpy.data.collections.new("outer")
+    block_of(inner).location.x = 10
+    for shown, holder in ((inner, outer), (outer, collection)):
+        empty = bpy.data.objects.new("Shows", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", shown
+        holder.objects.link(empty)
+
+
+def vertex_instances(block_of, collection):
+    """Two vertices 9 and 11 along x, with a block on each."""
+    mesh = bpy.data.meshes.new("points")
+    mesh.from_pydata([(9, 0, 0), (11, 0, 0)], [], [])
+    holder = bpy.data.objects.new("Holder", mesh)
+    collection.objects.link(holder)
+    block_of(bpy.context.scene.collection).parent = holder
+    holder.instance_type = "VERTS"
+
+
+def node_instances(block_of, collection):
+    """The same by geometry nodes."""
+    mesh = bpy.data.meshes.new("points")
+    mesh.from_pydata([(9, 0, 0), (11, 0, 0)], [], [])
+    holder = bpy.data.objects.new("Holder", mesh)
+    collection.objects.link(holder)
+    tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodeInstanceOnPoints", "NodeGroupOutput")
+    nodes = [tree.nodes.new(kind) for kind in kinds]
+    for first, second in itertools.pairwise(nodes):
+        tree.links.new(first.outputs[0], second.inputs[0])
+    source = tree.nodes.new("GeometryNodeObjectInfo")
+    source.inputs["Object"].default_value = block_of(bpy.context.scene.collection)
+    tree.links.new(source.outputs["Geometry"], nodes[2].inputs["Instance"])
+    holder.modifiers.new("scatter", "NODES").node_group = tree
+
+
+@pytest.mark.parametrize(
+    ("instance", "blocks", "reach"),
+    [(collection_instance, 1, (9, 11)), (vertex_instances, 2, (8, 12)), (node_instances, 2, (8, 12))],
+)
+def test_instances_occlude_where_the_viewport_shows_them(instance, blocks, reach):
+    bpy.ops.mesh.primitive_plane_add()
+    subject, collection = bpy.context.object, bpy.data.collections.new("around")
+    bpy.context.scene.collection.children.link(collection)
+    instance(lambda holder: block("Block", holder), collection)
+    bpy.context.view_layer.update()
+    before = len(bpy.data.meshes)
+    names = [obj.name for obj in collection.objects]
+    found = with_occluders(extract_mesh(subject), named_occluders(names, subject, "--occluder")).occluders
+    assert found.shape == (12 * blocks, 3, 3) and len(bpy.data.meshes) == before
+    np.testing.assert_allclose((found[..., 0].min(), found[..., 0].max()), reach, atol=1e-6)
+    np.testing.assert_allclose((found[..., 1:].min(), found[..., 1:].max()), (-1, 1), atol=1e-6)
 
 
 def test_what_cannot_occlude_is_refused_by_name():

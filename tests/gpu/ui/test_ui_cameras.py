@@ -7,7 +7,8 @@ import pytest
 from irpso_addon.blender.scenes.scene import DISTORTION, camera_from_object
 from irpso_addon.core.errors import InputError
 from irpso_addon.ui.session import scene_capture
-from tests.builders.captures import write_png
+from tests.builders.captures import chunk, write_png
+from tests.builders.exif import exif
 from tests.builders.poses import (
     CENTRE,
     COLMAP_LENSES,
@@ -23,9 +24,11 @@ from tests.builders.poses import (
     metashape_pixels,
     row,
 )
+from tests.builders.scene_captures import add_light
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up
+RNG = np.random.default_rng(5)
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
@@ -95,6 +98,51 @@ def test_a_light_seen_by_an_imported_camera_has_all_of_its_lens(scene, tmp_path)
     found, _ = camera.project(POINTS)
     expected = np.array(colmap_pixels("OPENCV", COLMAP_LENSES["OPENCV"])) / 4
     np.testing.assert_allclose(np.c_[found[:, 0], HEIGHT / 4 - found[:, 1]], expected, atol=1e-3)
+
+
+def lit_by(scene, path, codes, orientation=1):
+    """Give the imported camera a lamp with a photograph of this EXIF orientation; return the lamp."""
+    write_png(path, codes, extra=chunk(b"eXIf", exif(orientation=orientation)))
+    lamp = add_light(scene, f"Lamp of {path.stem}", bpy.data.images.load(str(path)))
+    lamp.irpso.camera = bpy.data.objects["IMG_0001.JPG"]
+    return lamp
+
+
+@pytest.mark.parametrize("state", ["file", "packed", "painted"])
+def test_a_photograph_that_exif_turns_is_seen_by_the_imported_camera_turned(scene, tmp_path, state):
+    bpy.ops.irpso.import_cameras(directory=str(colmap(tmp_path / "model")))
+    codes = RNG.integers(0, 255, (HEIGHT // 4, WIDTH // 4, 3))
+    image = lit_by(scene, tmp_path / "lit.png", codes, 6).irpso.image
+    if state == "packed":
+        image.pack()
+        (tmp_path / "lit.png").unlink()
+    elif state == "painted":
+        image.pixels[0] = image.pixels[0]
+        assert image.is_dirty
+    capture = scene_capture.capture_from_scene(scene)
+    (camera,) = capture.cameras
+    found, _ = camera.project(POINTS)
+    x, y = np.array(colmap_pixels("PINHOLE", COLMAP_LENSES["PINHOLE"])).T / 4
+    # 90° clockwise: the stored picture's lower left corner becomes the upper left one.
+    expected = np.c_[HEIGHT / 4 - y, x]
+    np.testing.assert_allclose(np.c_[found[:, 0], WIDTH / 4 - found[:, 1]], expected, atol=1e-3)
+    upright = np.rot90(codes, -1)[::-1] / 255
+    linear = np.where(upright <= 0.04045, upright / 12.92, ((upright + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(capture.observations[0].read()[..., :3], linear, atol=1e-5)
+
+
+def test_photographs_that_an_imported_camera_cannot_have_taken_are_refused(scene, tmp_path):
+    bpy.ops.irpso.import_cameras(directory=str(colmap(tmp_path / "model")))
+    codes = np.full((HEIGHT // 4, WIDTH // 4, 3), 100)
+    lamp = lit_by(scene, tmp_path / "cropped.png", codes[:, 20:])
+    with pytest.raises(InputError, match="camera 'IMG_0001.JPG': the picture is 140×120 pixels, its camera 640×480; "):
+        scene_capture.capture_from_scene(scene)
+    bpy.data.objects.remove(lamp)
+    lit_by(scene, tmp_path / "a.png", codes), lit_by(scene, tmp_path / "b.png", codes)
+    assert len(scene_capture.capture_from_scene(scene).observations) == 2
+    lit_by(scene, tmp_path / "odd.png", codes, 3)
+    with pytest.raises(InputError, match="image 'odd.png' of .*: its EXIF orientation is 3 where others .* have 1; "):
+        scene_capture.capture_from_scene(scene)
 
 
 def test_importing_again_updates_cameras_and_keeps_their_empty(scene, tmp_path):

@@ -1,5 +1,7 @@
 """Captures of files and of the scene in the window's settings: import, check, what bars Recover."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -236,3 +238,81 @@ def scene_images_file(image):
     from irpso_addon.blender.scenes import scene_images
 
     return scene_images.file_of(image)
+
+
+# ---- the open file in another folder
+
+
+def write_grey(folder, code):
+    """Write a capture of four grey photographs of one code, its chart and a model; return its list of lights."""
+    for k in range(4):
+        write_png(folder / f"p{k}.png", np.full((16, 16, 3), code))
+    places = [(0.6, 0), (0, 0.6), (-0.6, 0), (0, -0.6)]
+    (folder / "lights.lp").write_text("4\n" + "".join(f"p{k}.png {x} {y} 0.8\n" for k, (x, y) in enumerate(places)))
+    return folder / "lights.lp"
+
+
+@pytest.fixture
+def two_jobs(scene, tmp_path):
+    """Two folders with photographs of the same names; the first one's are the capture of the file saved in it."""
+    jobs = [tmp_path / name for name in ("first", "second")]
+    for job, code in zip(jobs, (50, 220), strict=True):
+        (job / "photos").mkdir(parents=True)
+        write_grey(job / "photos", code)
+    bpy.ops.wm.save_as_mainfile(filepath=str(jobs[0] / "card.blend"))
+    bpy.context.preferences.filepaths.use_relative_paths = True
+    bpy.ops.irpso.import_capture(filepath=str(jobs[0] / "photos" / "lights.lp"))
+    settings = bpy.context.scene.irpso
+    settings.chart_photograph, settings.model_path = "//photos/p0.png", "//photos/own.toml"
+    settings.chart_corners[0] = 3.0
+    assert settings.capture_path == "//photos/lights.lp" == settings.checked_path
+    return jobs
+
+
+def assert_first_job(folder):
+    settings = bpy.context.scene.irpso
+    photos = folder / "photos"
+    assert scene_capture.capture_path(settings).resolve() == photos / "lights.lp"
+    for name, path in (("chart_photograph", "p0.png"), ("model_path", "own.toml")):
+        assert getattr(settings, name).startswith("//")
+        assert Path(bpy.path.abspath(getattr(settings, name))).resolve() == photos / path
+    assert findings.is_checked(settings) and settings.chart_corners[0] == 3.0  # unlike with another capture
+    assert scene_capture.capture_of(bpy.context.scene).observations[0].read()[..., :3].max() < 0.1
+
+
+def test_a_file_saved_in_another_folder_keeps_its_capture(two_jobs):
+    first, second = two_jobs
+    bpy.ops.wm.save_as_mainfile(filepath=str(second / "card.blend"))
+    assert_first_job(first)
+    bpy.ops.wm.open_mainfile(filepath=str(second / "card.blend"))
+    assert_first_job(first)
+
+
+def test_a_saved_copy_has_the_capture_and_the_open_file_keeps_its_paths(two_jobs):
+    first, second = two_jobs
+    bpy.ops.wm.save_as_mainfile(filepath=str(second / "copy.blend"), copy=True)
+    assert bpy.context.scene.irpso.capture_path == "//photos/lights.lp"
+    bpy.ops.wm.open_mainfile(filepath=str(second / "copy.blend"))
+    assert_first_job(first)
+
+
+def test_an_undo_past_saving_in_another_folder_keeps_the_capture(two_jobs):
+    first, second = two_jobs
+    bpy.ops.ed.undo_push(message="before")
+    bpy.context.scene.irpso.seed = 5
+    bpy.ops.ed.undo_push(message="seed")
+    bpy.ops.wm.save_as_mainfile(filepath=str(second / "card.blend"))
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.irpso.seed == 0
+    assert_first_job(first)
+    bpy.ops.ed.redo()
+    assert bpy.context.scene.irpso.seed == 5
+    assert_first_job(first)
+
+
+def test_a_folder_moved_with_file_and_photographs_has_its_own(two_jobs, tmp_path):
+    first, _ = two_jobs
+    bpy.ops.wm.save_mainfile()
+    first.rename(tmp_path / "moved")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "moved" / "card.blend"))
+    assert_first_job(tmp_path / "moved")

@@ -292,6 +292,33 @@ def test_the_standard_view_is_set_only_when_asked_for(recovered):
     assert "has the Standard view" in refusal(bpy.ops.irpso.standard_view)
 
 
+CHANGES = {"look": "High Contrast", "exposure": 3.0, "gamma": 2.0, "use_curve_mapping": True, "use_white_balance": True}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_the_standard_view_is_one_without_other_changes_of_colors(registered, name):
+    from irpso_addon.ui.session import keep
+
+    view = bpy.context.scene.view_settings
+    view.view_transform, view.look = "Standard", "None"
+    assert keep.is_standard_view(bpy.context.scene)
+    neutral = getattr(view, name)
+    setattr(view, name, CHANGES[name])
+    assert not keep.is_standard_view(bpy.context.scene)
+    assert bpy.ops.irpso.standard_view() == {"FINISHED"}
+    assert keep.is_standard_view(bpy.context.scene) and getattr(view, name) == neutral
+
+
+def test_a_configuration_without_the_standard_view_is_reported(registered, monkeypatch):
+    from irpso_addon.ui.session import keep
+
+    view = bpy.context.scene.view_settings
+    view.view_transform = "Raw"
+    monkeypatch.setattr(keep, "_STANDARD", "Un-tone-mapped")
+    assert "has no view transform Standard: choose one" in refusal(bpy.ops.irpso.standard_view)
+    assert view.view_transform == "Raw"
+
+
 def test_a_folder_beside_the_saved_file_gives_the_images_relative_paths(recovered, tmp_path, monkeypatch):
     from irpso_addon.ui.properties import preferences
 

@@ -11,6 +11,7 @@ from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.ui.properties.scene_settings import model_of
 from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import write_png
+from tests.builders.exif import dng
 from tests.builders.scene_captures import add_camera, add_light, image_of, write_views
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -39,6 +40,17 @@ def test_packing_an_image_changes_nothing(scene, tmp_path):
     np.testing.assert_allclose(before[::-1, :, :3], codes / 65535, atol=1e-7)
     image.pack()
     (tmp_path / "a.png").unlink()
+    (packed,) = scene_capture.capture_from_scene(scene).observations
+    np.testing.assert_array_equal(packed.read(), before)
+
+
+def test_packing_a_raw_photograph_changes_nothing(scene, tmp_path):
+    pytest.importorskip("rawpy")
+    (tmp_path / "a.dng").write_bytes(dng(RNG.integers(1000, 60000, (32, 48)).astype(np.uint16)))
+    image = image_of(tmp_path / "a.dng")
+    before = photographed(scene, image).read()
+    assert np.ptp(before[..., :3].mean(axis=(0, 1))) > 0.01  # demosaiced: no grey
+    image.pack()
     (packed,) = scene_capture.capture_from_scene(scene).observations
     np.testing.assert_array_equal(packed.read(), before)
 

@@ -11,9 +11,13 @@ from irpso_addon.blender.materials import material
 from irpso_addon.blender.scenes import scene_lights
 from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
+from irpso_addon.core.errors import InputError
 from irpso_addon.ui.operators import scene_setup
-from irpso_addon.ui.session import scene_capture
+from irpso_addon.ui.session import scene_capture, session
+from irpso_addon.ui.session.scene_job import make_job
 from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
+from tests.builders.drawn_panels import drawn
+from tests.builders.exif import exif
 from tests.builders.profiles import icc, png_icc, table
 from tests.builders.scene_captures import ANYWHERE, add_camera, add_light, created, image_of, readers_of, write_views
 
@@ -103,6 +107,63 @@ def test_lights_are_read_at_world_positions_even_parented_or_hidden(scene, hidde
     np.testing.assert_allclose(world_matrix(light)[:3, 3], (-place[1], place[0], place[2]), atol=1e-5)
 
 
+def keyed(light, scene):
+    for frame, x, energy in ((1, 1, 10.0), (10, 9, 50.0)):
+        light.location.x, light.data.energy = x, energy
+        light.keyframe_insert("location", frame=frame)
+        light.data.keyframe_insert("energy", frame=frame)
+
+
+def driven(light, scene):
+    for owner, path, index in ((light, "location", 0), (light.data, "energy", None)):
+        curve = owner.driver_add(path, index) if index is not None else owner.driver_add(path)
+        curve.driver.expression = "frame - 1" if owner == light else "5 * frame"
+
+
+def constrained(light, scene):
+    target = bpy.data.objects.new("Target", None)
+    scene.collection.objects.link(target)
+    target.location.x, light.data.energy = 9, 50
+    light.constraints.new("COPY_LOCATION").target = target
+
+
+def on_a_keyed_parent(light, scene):
+    parent = bpy.data.objects.new("Slider", None)
+    scene.collection.objects.link(parent)
+    parent.hide_viewport = True
+    light.parent, light.data.energy = parent, 50
+    for frame, x in ((1, 1), (10, 9)):
+        parent.location.x = x
+        parent.keyframe_insert("location", frame=frame)
+
+
+@pytest.mark.parametrize("place", [keyed, driven, constrained, on_a_keyed_parent])
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_light_is_read_where_the_current_frame_has_it_even_disabled_in_viewports(scene, place, hidden):
+    light = add_light(scene, "Key", kind="POINT")
+    place(light, scene)
+    scene.frame_set(1)
+    light.hide_viewport = hidden
+    bpy.context.view_layer.update()
+    scene.frame_set(10)
+    found = scene_lights.light_of(light)
+    np.testing.assert_allclose(found.vector, (9, 0, 0), atol=1e-6)
+    np.testing.assert_allclose(found.intensity, 50 / (4 * np.pi**2), rtol=1e-6)
+    assert light.hide_viewport == hidden
+
+
+def test_an_animated_light_of_a_hidden_collection_is_refused(scene):
+    light = add_light(scene, "Key", kind="POINT")
+    keyed(light, scene)
+    collection = bpy.data.collections.new("off")
+    scene.collection.children.link(collection)
+    scene.collection.objects.unlink(light), collection.objects.link(light)
+    collection.hide_viewport = True
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="object 'Key' is hidden and has constraints, animation or drivers; show it"):
+        scene_lights.light_of(light)
+
+
 def test_strength_exposure_and_nodes_of_a_light_multiply(scene):
     light = add_light(scene, "Lamp", kind="POINT")
     light.data.energy, light.data.color, light.location = 4 * np.pi**2, (1.0, 0.5, 0.25), (1, 2, 3)
@@ -185,6 +246,25 @@ def test_setup_again_keeps_the_users_objects_and_removes_stale_ones(scene, tmp_p
     assert len([light for light in bpy.data.lights if light.name.startswith("Light")]) == 4
 
 
+@pytest.mark.parametrize("change", ["colour space", "paint"])
+def test_an_image_that_the_user_has_changed_is_loaded_again_as_the_capture_reads_it(scene, tmp_path, change):
+    write_png(tmp_path / "a.png", RNG.integers(0, 255, (6, 8, 3)))
+    write_png(tmp_path / "deep.png", RNG.integers(0, 2**16, (6, 8, 3)), 16)
+    (tmp_path / "two.lp").write_text("2\na.png 0 0.6 0.8\ndeep.png 0.6 0 0.8\n")
+    changed = [image_of(tmp_path / name) for name in ("a.png", "deep.png")]
+    for image in changed:
+        if change == "paint":
+            image.pixels[0] = 0.25
+        else:
+            image.colorspace_settings.name = "Non-Color" if image.name == "a.png" else "sRGB"
+    expected = read_capture(tmp_path / "two.lp", decode)
+    for count in (4, 4):  # pressed again, it finds its own
+        assert_same(created(scene, tmp_path / "two.lp"), expected)
+        assert len(bpy.data.images) == count
+    assert changed[0].colorspace_settings.name == ("sRGB" if change == "paint" else "Non-Color")
+    assert [image.is_dirty for image in changed] == [change == "paint"] * 2
+
+
 def test_one_light_shines_at_a_time_over_its_photograph(scene, tmp_path):
     write_views(tmp_path / "views")
     created(scene, tmp_path / "views")
@@ -201,6 +281,23 @@ def test_one_light_shines_at_a_time_over_its_photograph(scene, tmp_path):
     np.testing.assert_allclose((scene.render.pixel_aspect_x, scene.render.pixel_aspect_y), (1.1, 1.0), rtol=1e-6)
 
 
+def test_a_photograph_that_exif_turns_is_turned_behind_its_camera(scene, tmp_path):
+    """tests/gui/test_background.py looks at what Blender draws."""
+    for name, shape, orientation in (("a", (4, 6, 3), 6), ("b", (6, 4, 3), 2)):
+        write_png(tmp_path / f"{name}.png", np.zeros(shape, int), extra=chunk(b"eXIf", exif(orientation=orientation)))
+    write_png(tmp_path / "c.png", np.zeros((6, 4, 3), int))
+    images = [image_of(tmp_path / f"{name}.png") for name in "abc"]
+    camera = add_camera(scene)
+    scene_setup.set_camera(camera, Camera.from_fov(4, 6, 40.0))
+    turns, flips, scales = (np.pi / 2, 0, 0), (False, True, False), (1.5, 1, 1)
+    for shown, turn, flipped, scale in zip(images, turns, flips, scales, strict=True):
+        scene_setup.set_background(camera, shown)
+        (background,) = camera.data.background_images
+        assert background.image == shown and (background.use_flip_x, background.use_flip_y) == (flipped, False)
+        np.testing.assert_allclose((background.rotation, background.scale), (turn, scale), rtol=1e-6)
+        assert background.frame_method == ("FIT" if turn else "STRETCH")
+
+
 def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scene, tmp_path):
     add_camera(scene)
     image = image_of(tmp_path / "a.png", np.zeros((4, 4, 3)))
@@ -213,6 +310,35 @@ def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scen
         bpy.ops.irpso.show_observation(number=index + 1)
         assert [obj for obj in [room, *lamps] if not obj.hide_render] == [room, lamps[index]]
         assert [obj for obj in [room, *lamps] if not obj.hide_viewport] == [room, lamps[index]]
+
+
+@pytest.mark.parametrize("source", ["FILES", "SCENE"])
+def test_a_photograph_has_one_number_in_scene_and_recovery_also_beside_left_out_ones(scene, tmp_path, source):
+    settings, damaged = scene.irpso, write_diligent(tmp_path / "ball") / "002.exr"
+    settings.capture_path, settings.subject, settings.model = str(tmp_path / "ball"), "CARD", "lambert"
+    settings.skip_damaged = True
+    if source == "FILES":
+        damaged.write_bytes(b"")
+    bpy.ops.irpso.create_scene()
+    damaged.write_bytes(b"")
+    settings.source, settings.view.shown = source, "RENDER"
+    running = session.begin(make_job(bpy.context))
+    try:
+        while running.display is None:
+            running.tick(0.05)
+        for number, recovered in ((1, 1), (2, 2), (3, 4), (4, 4), (5, 5)):
+            bpy.ops.irpso.show_observation(number=number)
+            (on,) = (obj for obj in scene.objects if obj.type == "LIGHT" and not obj.hide_render)
+            shown = running.job.capture.observations[running.observation(settings.view)].name
+            assert shown.endswith(f"{recovered - 1:03d}.exr")
+            if number == recovered:
+                assert on.name.endswith(shown)
+            texts = " ".join(drawn().texts)  # wrapped
+            assert ("Photograph 3 is left out: 4 is shown" in texts) == (number == 3)
+            assert "of 5" in texts and "of 4" not in texts
+        assert scene_setup.observation_count(scene) == 5
+    finally:
+        session.end()
 
 
 def rendered(scene, path):
@@ -304,7 +430,7 @@ def test_a_capture_of_the_same_name_gets_its_own_lights_and_one_that_was_moved_k
     assert {obj.users_collection[0] for obj in first.values()}.isdisjoint(
         obj.users_collection[0] for obj in second.values()
     )
-    assert scene_setup.capture_lights(scene) == [second[name] for name in sorted(second)]
+    assert scene_setup.numbered_lights(scene) == dict(enumerate(second[name] for name in sorted(second)))
     (tmp_path / "second").rename(tmp_path / "third")
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "third" / "photos"))
     bpy.ops.irpso.create_scene()
@@ -312,4 +438,5 @@ def test_a_capture_of_the_same_name_gets_its_own_lights_and_one_that_was_moved_k
     assert {str(tmp_path / "third") in obj.irpso.image.filepath for obj in second.values()} == {True}
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "first" / "photos"))
     bpy.ops.irpso.create_scene()
-    assert lights() == first | second and scene_setup.capture_lights(scene) == [first[name] for name in sorted(first)]
+    assert lights() == first | second
+    assert scene_setup.numbered_lights(scene) == dict(enumerate(first[name] for name in sorted(first)))

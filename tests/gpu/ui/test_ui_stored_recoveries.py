@@ -99,6 +99,20 @@ def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, pl
     session.end()
 
 
+def test_a_collection_that_an_empty_shows_is_among_the_occluders(plane):
+    from irpso_addon.ui.session.scene_job import make_job
+
+    around, hidden = bpy.data.collections.new("Around"), bpy.data.collections.new("Hidden")
+    bpy.context.scene.collection.children.link(around)
+    bpy.ops.mesh.primitive_cube_add(location=(9, 0, 0))
+    cube, empty = bpy.context.object, bpy.data.objects.new("Shows", None)
+    bpy.context.scene.collection.objects.unlink(cube)
+    hidden.objects.link(cube), around.objects.link(empty)
+    empty.instance_type, empty.instance_collection = "COLLECTION", hidden
+    plane.occluders, plane.object = around, bpy.data.objects["Plane"]
+    assert make_job(bpy.context).mesh.occluders.shape == (12, 3, 3)
+
+
 def test_occluders_come_back_with_their_recovery(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.scene_job import make_job

@@ -247,6 +247,9 @@ def test_given_maps_come_from_the_tiles_of_a_tiled_image(settings, tmp_path, pac
     plain = bpy.data.images.load(str(tmp_path / "plain.exr"))
     with pytest.raises(InputError, match="is one picture, the UV map has the UDIM tiles 1001, 1012"):
         image_map(plain, model.parameter("base_color"), color.shape[:2], TILES)
+    image.pixels[0] = 0.5
+    with pytest.raises(InputError, match="image 'given' has unsaved changes; save it in the Image Editor"):
+        image_map(image, model.parameter("base_color"), color.shape[:2], TILES)
 
 
 def region(scale=100.0, left=20.0, bottom=10.0):
