@@ -106,7 +106,7 @@ def cells(base: Schedule) -> list[tuple[str, int | None, float, Schedule]]:
     for kind, until in (("fading", 0.3), ("constant", 0.0)):
         for window in WINDOWS:
             for c3 in CONSTANTS:
-                rows.append((kind, window, c3, base.replaced(neighbourhood=window, c3=c3, c3_until=until)))
+                rows.append((kind, window, c3, base.replaced(neighbourhood=window, c3=c3, c3_fade=until)))
     return rows
 
 
@@ -120,7 +120,7 @@ def main() -> None:
     options = parser.parse_args()
     context.ensure()
     subject = make_subject(options.size)
-    base = load_schedule(options.preset).replaced(search=["all"], iterations=options.iterations, seed="random")
+    base = load_schedule(options.preset).replaced(search=["all"], iterations=options.iterations, start="random")
     start = time.perf_counter()
     print(
         f"{options.size}² texels, {LIGHTS} lights, noise {NOISE}, preset {options.preset},"

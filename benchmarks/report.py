@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -248,6 +249,17 @@ def _without_bare_groups(svg: str) -> str:
     return re.sub(r"<g>|<g [^>]*[^/>]>|</g>", tag, svg)
 
 
+def _with_classes(svg: str) -> str:
+    """Return a picture whose repeated styles are classes."""
+    counts = Counter(re.findall(r' style="([^"]*)"', svg))
+    names = {style: f"s{number}" for number, (style, count) in enumerate(counts.most_common()) if count > 2}
+    svg = re.sub(
+        r' style="([^"]*)"', lambda match: f' class="{names[match[1]]}"' if match[1] in names else match[0], svg
+    )
+    rules = "".join(f".{name}{{{style}}}" for style, name in names.items())
+    return svg.replace("</style>", f"{rules}</style>", 1)
+
+
 _FONT = "font-family: 'DejaVu Sans'"  # of all text
 _ID = re.compile(r"\b[mp][0-9a-f]{10}\b")  # matplotlib's names of markers and clip paths
 
@@ -265,7 +277,7 @@ def _minified(svg: str) -> str:
     svg = re.sub(r'(?<= )style="[^"]*"', lambda match: re.sub(r"([:;]) ", r"\1", match[0]), svg)
     svg = re.sub(r'(?<= )d="[^"]*"', lambda match: re.sub(r" ?([A-Zz\"]) ?", r"\1", match[0]), svg)
     svg = re.sub(r'(?<= )(?:d|transform)="[^"]*"', lambda match: re.sub(r"(\d)\.0\b", r"\1", match[0]), svg)
-    svg = re.sub(r"\s*\n\s*", " ", svg)
+    svg = _with_classes(re.sub(r"\s*\n\s*", " ", svg))
     return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
 
 

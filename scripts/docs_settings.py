@@ -1,4 +1,4 @@
-"""Writes the table of all settings into docs/presets.md, from their declarations (solver/settings/)."""
+"""Writes the tables of all settings, and of their former names, into docs/presets.md, from solver/settings/."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from irpso_addon.solver.settings.renamed import FORMER, FORMER_VALUES  # noqa: E402
 from irpso_addon.solver.settings.schedule import GROUPS, SETTINGS  # noqa: E402
 from irpso_addon.solver.settings.setting import Setting  # noqa: E402
 
@@ -17,7 +18,7 @@ _UNITS = {"PIXEL": "texels", "FACTOR": "part", "PERCENTAGE": "%"}
 
 
 def tables() -> str:
-    """Return the tables of all settings, one for each panel."""
+    """Return the tables of all settings, one for each panel, and that of former names."""
     lines = []
     for group, names in GROUPS.items():
         head = "| setting | in files and `--set` | values | default | meaning |"
@@ -26,6 +27,12 @@ def tables() -> str:
             one = SETTINGS[name]
             lines.append(f"| {one.label} | `{name}` | {_values(one)} | {_default(one)} | {_meaning(one)} |")
         lines.append("")
+    lines += ["## Former names", "", "| table | before | now |", "|---|---|---|"]
+    for table, names in FORMER.items():
+        place, shape = (f" `[{table}]`", "`{}`") if table else ("", "`[{}]`")
+        lines += [f"|{place} | {shape.format(old)} | {shape.format(now)} |" for old, now in names.items()]
+    lines += [f'| | `{name} = "{old}"` | `{name} = "{now}"` |' for (name, old), now in FORMER_VALUES.items()]
+    lines.append("")
     return "\n".join(lines)
 
 

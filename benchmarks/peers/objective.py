@@ -1,4 +1,4 @@
-"""Objective and starts of every iterative peer: the program's robust fitness and seed."""
+"""Objective and starts of every iterative peer: the program's robust fitness and first guess."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ class Objective:
 
     def starts(self, restarts: bool) -> list[np.ndarray]:
         """Return starts, (T, size) each: the trimmed Lambertian fit with default roughness, and with each of STARTS."""
-        seed = lambertian.trimmed(self.problem).values
+        guess = lambertian.trimmed(self.problem).values
         rows = ({}, *(STARTS[self.problem.model] if restarts else ()))
-        return [self.box.numbers(self._start(seed, row)) for row in rows]
+        return [self.box.numbers(self._start(guess, row)) for row in rows]
 
-    def _start(self, seed: Values, row: dict[str, float]) -> Values:
+    def _start(self, guess: Values, row: dict[str, float]) -> Values:
         values = {}
         for p in self.box.model.parameters:
             default = np.broadcast_to(np.asarray(p.default), (self.problem.count, p.components))
-            value = seed.get(p.name, default) if p.name not in row else np.full_like(default, row[p.name])
+            value = guess.get(p.name, default) if p.name not in row else np.full_like(default, row[p.name])
             values[p.name] = value if p.is_normal else np.clip(value, *p.range)
         return values

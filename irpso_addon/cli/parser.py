@@ -137,7 +137,7 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
         "--preset", default="standard", metavar="P", help="shipped preset, or your own .toml (default standard)"
     )
     add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                     help="change one setting of the preset, as in --set particles=24 --set seed=random")  # fmt: skip
+                     help="change one setting of the preset, as in --set particles=24 --set start=random")  # fmt: skip
     add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
     add.add_argument("--iterations", type=int, metavar="N", help="iterations of every stage (default: the preset's)")
     add.add_argument("--seed", type=seed, default=0, metavar="S", help="seed of the random numbers (default 0)")

@@ -104,7 +104,7 @@ def recover_stage(
     """Recover one stage from a random start with the other maps fixed, by the paper's fitness, mean |e|."""
     searched = {p.name for p in subject.model.parameters if p.stage == stage}
     fixed = {name: value for name, value in subject.truth.items() if name not in searched}
-    changed = schedule.replaced(search=[stage], iterations=iterations, cycles=1, seed="random", loss="l1")
+    changed = schedule.replaced(search=[stage], iterations=iterations, cycles=1, start="random", loss="l1")
     return _recover(subject, changed, fixed, stage, seed, entry, report, **more)
 
 

@@ -278,7 +278,7 @@ class Run:
     def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
         """Return the preparation, or the cached one of an equal job. pack: as for ``prepare``."""
         schedule, kept = self.job.schedule, self._kept
-        key = self.job.model, schedule.swarm.seed, schedule.fitness, pack
+        key = self.job.model, schedule.swarm.start, schedule.fitness, pack
         cacheable = kept.domain is self.domain
         if cacheable and kept.prepared is not None and kept.prepared_key == key:
             return kept.prepared

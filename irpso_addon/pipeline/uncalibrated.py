@@ -25,7 +25,7 @@ from ..geometry.relief.relief import card_height
 from ..reflectance.model import ReflectanceModel
 from ..solver.lights.light_texels import draw_texels
 from ..solver.lights.refine import Lights, light_steps
-from ..solver.state.prepare import lambert_seed
+from ..solver.state.prepare import lambert_fit
 
 _TEXELS = 15_000  # of the reduced capture, about: lights need no more
 _MIN_SCALE = 0.05
@@ -245,7 +245,7 @@ def open_texels(domain: Domain, camera: Camera) -> Domain:
     Interreflection in hollows biases the shading of all parts alike: lights of terracotta fruits in a bowl are off by
     4.2° with the texels in it, by 1.3° without them. About a third of all is left out at most.
     """
-    normals, _ = lambert_seed(domain)
+    normals, _ = lambert_fit(domain)
     sky = open_sky(card_height(camera, normals, domain.solvable))
     least = min(_OPEN, float(np.quantile(sky[domain.solvable], 1 - _MIN_OPEN)))
     return replace(domain, solvable=domain.solvable & (sky >= least))

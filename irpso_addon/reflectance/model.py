@@ -93,7 +93,7 @@ class Parameter:
 
     @property
     def is_albedo(self) -> bool:
-        """Whether it is a colour to which radiance is proportional: brightness bounds it, a seed starts it."""
+        """Whether it is a colour to which radiance is proportional: brightness limits it, a Lambert fit begins it."""
         return self.kind == "linear" and self.components == 3
 
 

@@ -49,5 +49,5 @@ float degrees_of_freedom(float weights)
 // priors.
 float deviance_of(float freedom, float fitness, float support)
 {
-    return freedom * log(fitness + NOISE_FLOOR) - 2.0 * SUPPORT_WEIGHT * log(1.0 + support);
+    return freedom * log(fitness + NOISE_FLOOR) - 2.0 * NEIGHBOUR_WEIGHT * log(1.0 + support);
 }

@@ -78,7 +78,7 @@ bool texel_kernel(ivec2 texel)
     }
     o_status.w += float(PROPOSALS);
     float freedom = degrees_of_freedom(weights);
-    bool support_counts = SEARCHED > 0 && SUPPORT_WEIGHT > 0.0 && freedom > 0.0;
+    bool support_counts = SEARCHED > 0 && NEIGHBOUR_WEIGHT > 0.0 && freedom > 0.0;
     float own_support = support_counts ? neighbour_support_of(place, c) : 0.0;
     float lowest = 0.0;
     int chosen = -1;

@@ -1,6 +1,6 @@
 // Over W×H texels: starts the fit with a spatial prior. Every colour and scalar becomes the mean of the texel's
 // estimate and the prior, weighted by precision. A texel keeps its estimate if the weight of the prior is below
-// MIN_SHARE in every number. Reads the estimates, their deviations, the prior in u_mean and u_deviation, and u_noise.
+// MIN_INFLUENCE in every number. Reads the estimates, their deviations, the prior in u_mean and u_deviation, u_noise.
 // Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates before the change.
 
 #include "common/frame.glsl"
@@ -14,7 +14,7 @@ bool texel_kernel(ivec2 texel)
     material_to(estimate_at(texel), c);
     o_status = fresh_status(0.0);
     o_penalty = 0.0;
-    float max_share = 0.0;
+    float max_influence = 0.0;
     if (state_at(texel) == TEXEL_SOLVED) {
         o_penalty = penalty_of(texel, c);
         float own_sigma[12];
@@ -28,13 +28,14 @@ bool texel_kernel(ivec2 texel)
             int kind;
             component_at(i, width, kind);
             if (kind != COMPONENT_OTHER && deviation[i] > 0.0) {
-                float share = own_sigma[i] * own_sigma[i] / (own_sigma[i] * own_sigma[i] + deviation[i] * deviation[i]);
-                c[i] += share * (mean[i] - c[i]);
-                max_share = max(max_share, share);
+                float own = own_sigma[i] * own_sigma[i];
+                float influence = own / (own + deviation[i] * deviation[i]);
+                c[i] += influence * (mean[i] - c[i]);
+                max_influence = max(max_influence, influence);
             }
         }
     }
-    if (!(max_share >= MIN_SHARE)) {
+    if (!(max_influence >= MIN_INFLUENCE)) {
         material_to(estimate_at(texel), c);
         o_status.z = CONVERGED_AFTER;
     }

@@ -17,7 +17,7 @@
 // A number is not used if its deviation exceeds this fraction of its range: noise is not linear over such distances.
 #define MAX_DEVIATION 0.25
 // Smallest deviation, as a fraction of the range: the step of the finite differences from which it is computed.
-#define MIN_DEVIATION (1.0 / 1024.0)
+#define FINEST_DEVIATION (1.0 / 1024.0)
 
 struct Pooled {
     float weight[12];
@@ -38,8 +38,8 @@ float similarity(inout float x[12], inout float sigma_x[12], inout float y[12], 
         if (kind == COMPONENT_OTHER) {
             continue;
         }
-        float h = kind == COMPONENT_COLOR ? COLOR_BANDWIDTH * max(abs(x[i]), abs(y[i])) + MIN_DEVIATION * width
-                                          : SCALAR_BANDWIDTH * width;
+        float h = kind == COMPONENT_COLOR ? COLOR_BANDWIDTH * max(abs(x[i]), abs(y[i])) + FINEST_DEVIATION * width
+                                          : BANDWIDTH * width;
         float d = x[i] - y[i];
         squared_distance += d * d / (h * h + sigma_x[i] * sigma_x[i] + sigma_y[i] * sigma_y[i]);
     }
@@ -74,7 +74,7 @@ void pool(ivec2 texel, inout float x[12], inout float sigma_x[12], inout float t
             if (kind == COMPONENT_OTHER || !(sigma_y[i] < MAX_DEVIATION * width)) {
                 continue;
             }
-            float sigma = max(sigma_y[i], MIN_DEVIATION * width);
+            float sigma = max(sigma_y[i], FINEST_DEVIATION * width);
             float w = 1.0 / (sigma * sigma + t2[i]);
             // Relative to the texel's own number: keeps precision in the difference of squares.
             float d = y[i] - x[i];
@@ -108,7 +108,7 @@ bool texel_kernel(ivec2 texel)
             float width;
             int kind;
             component_at(i, width, kind);
-            float min_t2 = SPREAD * width * SPREAD * width;
+            float min_t2 = MIN_DEVIATION * width * MIN_DEVIATION * width;
             float denominator = p.weight[i] > 0.0 ? p.weight[i] - p.weights_squared[i] / p.weight[i] : 0.0;
             float q = p.weight[i] > 0.0 ? p.squares[i] - p.sum[i] * p.sum[i] / p.weight[i] : 0.0;
             t2[i] = max(min_t2, denominator > 0.0 ? (q - (p.count[i] - 1.0)) / denominator : 0.0);

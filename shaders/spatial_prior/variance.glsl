@@ -30,7 +30,7 @@ bool texel_kernel(ivec2 texel)
             }
         }
         float mean_noise = freedom > 0.0 ? sum / freedom : 0.0;
-        float weight = freedom > 0.0 ? NOISE_FREEDOM : 0.0;
+        float weight = freedom > 0.0 ? NOISE_SAMPLES : 0.0;
         float n = degrees_of_freedom(own);
         float noise = n + weight > 0.0 ? ((n > 0.0 ? own.x : 0.0) + weight * mean_noise) / (n + weight) : 0.0;
 #if LOSS == LOSS_L1

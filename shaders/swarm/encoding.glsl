@@ -28,11 +28,11 @@ vec2 hemisphere_from_normal(vec3 n)
 }
 
 // Returns the searched fraction of a linear parameter's range. Radiance is proportional to it, so the brightness bounds
-// it. ALBEDO_BOUND_FACTOR times the brightness includes saturated colours under grazing light; 0 searches the whole
+// it. ALBEDO_LIMIT times the brightness includes saturated colours under grazing light; 0 searches the whole
 // range.
 float albedo_bound_of(float radiance_scale)
 {
-    return ALBEDO_BOUND_FACTOR > 0.0 ? min(1.0, ALBEDO_BOUND_FACTOR * radiance_scale) : 1.0;
+    return ALBEDO_LIMIT > 0.0 ? min(1.0, ALBEDO_LIMIT * radiance_scale) : 1.0;
 }
 
 // The paper's encoding: three numbers, normalised. A negative z is mirrored, so that the normal lies in the hemisphere.

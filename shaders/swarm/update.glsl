@@ -18,21 +18,21 @@ ivec2 global_texel(ivec2 texel)
 
 #ifdef START
 
-// Initial position and velocity. In a seeded swarm particle 0 starts at the estimate. Particles 1 … u_seeded − 1 start
-// near it in the dimensions whose bit is set in u_seeded_dimensions. All other coordinates are random.
+// Initial position and velocity. If u_start_count > 0, particle 0 starts at the estimate, and particles up to
+// u_start_count − 1 near it in the dimensions whose bit is set in u_start_dimensions. All other coordinates are random.
 void initialise_particle(ivec2 texel, int particle, out float x[8], out float v[8])
 {
-    float seed[8];
-    encode(estimate_at(texel), albedo_bound_of(radiance_scale_at(texel)), seed);
+    float start[8];
+    encode(estimate_at(texel), albedo_bound_of(radiance_scale_at(texel)), start);
     for (int block = 0; block < BLOCKS; block++) {
         ivec2 coord = global_texel(texel);
         vec4 position = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_POSITION + block);
         vec4 velocity = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_VELOCITY + block);
         for (int i = 0; i < 4; i++) {
             int d = 4 * block + i;
-            float spread = particle == 0 ? 0.0 : u_seed_spread;
-            bool seeded = particle < u_seeded && (particle == 0 || ((u_seeded_dimensions >> d) & 1) == 1);
-            x[d] = seeded ? clamp(seed[d] + spread * (2.0 * position[i] - 1.0), 0.0, 1.0) : position[i];
+            float spread = particle == 0 ? 0.0 : u_start_spread;
+            bool starts_near = particle < u_start_count && (particle == 0 || ((u_start_dimensions >> d) & 1) == 1);
+            x[d] = starts_near ? clamp(start[d] + spread * (2.0 * position[i] - 1.0), 0.0, 1.0) : position[i];
             v[d] = u_start_speed * (2.0 * velocity[i] - 1.0);
         }
     }

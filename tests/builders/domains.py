@@ -14,7 +14,7 @@ from tests.oracles.reflectance import unit
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
 
 # Few iterations, and a neighbour term strong enough to show.
-SHORT = load_schedule("swarm").replaced(iterations=12, seed="random", c3=0.3, particles=6, particles_per_dimension=0.0)
+SHORT = load_schedule("swarm").replaced(iterations=12, start="random", c3=0.3, particles=6, particles_per_dimension=0.0)
 
 
 def pack_layers(packing: Packing, layers: np.ndarray) -> np.ndarray:

@@ -46,13 +46,13 @@ PLAN = {  # case → numbers of ranks, and the iteration of the checkpoint that 
     "indirect light separated by its colour": ((4,), 9),  # after the separation, before the second prefit
 }
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
-WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
+WIDE = SHORT.replaced(neighbourhood=9, c3_fade=0.0, neighbour_interval=3, start="lambert")
 STANDARD = load_schedule("standard").replaced(
-    iterations=3, prefit_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_every=2,
+    iterations=3, prefit_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_interval=2,
     refinement=Refinement(iterations=2, start_iterations=1, race_iterations=1, rounds=1, round_iterations=1),
 )  # fmt: skip
 ROUNDS = STANDARD.replaced(materials_rounds=1, materials_iterations=2, interreflection_rounds=2)
-THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, neighbour_every=30)
+THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, neighbour_interval=30)
 
 
 def cases():
@@ -73,7 +73,7 @@ def cases():
         "prime sizes, near lights, a window of 9": (near, LAMBERT, WIDE),
         "prefit, refinement and prior": (glossy, TWO_LOBES, STANDARD),
         "a threshold": (level, LAMBERT, THRESHOLD),
-        "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_every=2, neighbourhood=5)),
+        "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_interval=2, neighbourhood=5)),
         "fewer texels than ranks want": (subject(5, 7)[0], LAMBERT, SHORT),
         "rounds of interreflection": (
             hollow,

@@ -17,11 +17,11 @@ from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import make_domain, makers, pack_layers, unit
 from tests.oracles import confidence as confidence_oracle
 
-SETTINGS = Refinement(iterations=1, starts=False, rounds=0, central=True)
+SETTINGS = Refinement(iterations=1, starts=False, rounds=0, central_differences=True)
 DELTA = 0.05
 
 
-def schedule_of(loss="robust", **settings):
+def schedule_of(loss="cauchy", **settings):
     """Return a schedule of a refinement alone."""
     refinement = replace(SETTINGS, **settings)
     return load_schedule("swarm").replaced(iterations=0, loss=loss, delta=DELTA, shadow=0.0, refinement=refinement)

@@ -29,9 +29,9 @@ class Texel:
         self.lights, self.views = (a[:, :3].astype(np.float64) for a in (domain.lights, domain.views))
         self.intensities = domain.intensities.astype(np.float64)
         level = self.intensities.mean() * scale
-        self.unit = 1 / (delta * level) if loss == "robust" else 1.0
+        self.unit = 1 / (delta * level) if loss == "cauchy" else 1.0
         brightest = np.maximum(self.radiance.max(axis=-1, keepdims=True), level)
-        self.relative = (level / brightest) ** power if loss == "robust" else np.ones_like(self.weight)
+        self.relative = (level / brightest) ** power if loss == "cauchy" else np.ones_like(self.weight)
         self.unknowns = [(p, i) for p in model.parameters for i in range(2 if p.is_normal else p.components)]
 
     def error(self, values):

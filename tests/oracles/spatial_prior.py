@@ -29,7 +29,7 @@ def components(model):
     return [(at + i, p.range[1] - p.range[0]) for p, at in of for i in range(p.components)]
 
 
-def likeness(prior, model, x, own, y, theirs):
+def similarity(prior, model, x, own, y, theirs):
     """Return (n,) similarity to a texel with values x and deviations own (C,) of neighbours with y, theirs (n, C)."""
     squared_distance = np.zeros(len(y))
     for p in model.parameters:
@@ -37,9 +37,9 @@ def likeness(prior, model, x, own, y, theirs):
             continue
         at, width = model.offset(p.name), p.range[1] - p.range[0]
         for c in range(at, at + p.components):
-            h = prior.likeness * width
+            h = prior.bandwidth * width
             if p.components > 1:
-                h = prior.likeness_color * np.maximum(abs(x[c]), abs(y[:, c])) + FINEST * width
+                h = prior.color_bandwidth * np.maximum(abs(x[c]), abs(y[:, c])) + FINEST * width
             squared_distance += (x[c] - y[:, c]) ** 2 / (h**2 + own[c] ** 2 + theirs[:, c] ** 2)
     return np.exp(-squared_distance / 2)
 
@@ -68,14 +68,14 @@ def pooled(prior, model, covered, estimates, own):
             x, sigma = estimates[row, column], own[row, column]
             rows, columns = around(covered.shape, covered, row, column, prior.scales)
             y, theirs = belief[rows, columns], deviation[rows, columns]
-            s = likeness(prior, model, x, sigma, y, theirs)
+            s = similarity(prior, model, x, sigma, y, theirs)
             for c, width in components(model):
                 determined = theirs[:, c] < DETERMINED * width
                 if s[determined].sum() <= 1e-6 or (not last and sigma[c] < DETERMINED * width):
                     continue
                 fixed = np.maximum(theirs[determined, c], FINEST * width)
                 mean[row, column, c], spread[row, column, c] = random_effects(
-                    s[determined], y[determined, c], fixed, (prior.spread * width) ** 2
+                    s[determined], y[determined, c], fixed, (prior.min_deviation * width) ** 2
                 )
         belief, deviation = mean, spread
     return belief, deviation

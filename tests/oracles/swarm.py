@@ -119,7 +119,7 @@ class Problem:
 
     def width_of(self, p: Parameter) -> np.ndarray | float:
         """Return the searched part of a parameter's range: for a linear colour up to its brightness."""
-        factor = self.schedule.swarm.linear_reach
+        factor = self.schedule.swarm.linear_limit
         share = (
             np.minimum(1, factor * self.scale[..., None])
             if p.kind == "linear" and p.components == 3 and factor
@@ -202,7 +202,7 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
     s = problem.decode(x)
     total, weights = np.zeros(domain.shape), np.zeros(domain.shape)
-    unit = problem.delta if settings.loss == "robust" else np.ones(domain.observations)
+    unit = problem.delta if settings.loss == "cauchy" else np.ones(domain.observations)
     for k in range(domain.observations):
         light, squared = direction_to(domain.lights[k], position)
         view, _ = direction_to(domain.views[k], position)
@@ -287,8 +287,8 @@ def _in_frame(problem: Problem, g: np.ndarray, source: np.ndarray, target: np.nd
 
 
 def c3_at(schedule: Schedule, iteration: int, iterations: int) -> float:
-    """Return the neighbour constant: constant, or falling linearly to 0 over the fraction c3_until."""
-    until = schedule.swarm.c3_until
+    """Return the neighbour constant: constant, or falling linearly to 0 over the fraction c3_fade."""
+    until = schedule.swarm.c3_fade
     return schedule.swarm.c3 * (max(0.0, 1 - max(iteration, 0) / (until * iterations)) if until else 1.0)
 
 
@@ -313,11 +313,11 @@ def uniforms(problem: Problem, iteration: int, particle, purpose: int) -> np.nda
 def place(problem: Problem, state: State, index: int) -> Step:
     """Return the state after particle ``index`` of every swarm gets its first position."""
     swarm, iteration = problem.schedule.swarm, index - problem.particles
-    seeded = int(np.ceil(swarm.seeded * problem.particles)) if swarm.seed != "random" else 0
-    seeded = max(1, seeded) if problem.stage.cycle else seeded
+    starting = int(np.ceil(swarm.start_fraction * problem.particles)) if swarm.start != "random" else 0
+    starting = max(1, starting) if problem.stage.cycle else starting
     x = uniforms(problem, iteration, index, POSITION)
-    if index < seeded:
-        spread = swarm.seed_spread if index else 0.0
+    if index < starting:
+        spread = swarm.start_spread if index else 0.0
         x = np.clip(problem.encode(problem.estimates) + spread * (2 * x - 1), 0, 1)
     v = swarm.start_speed * (2 * uniforms(problem, iteration, index, VELOCITY) - 1)
     which = np.full(problem.domain.shape, index)
@@ -353,7 +353,7 @@ def move(problem: Problem, state: State, iteration: int) -> Step:
     swarm = problem.schedule.swarm
     which = choice(problem, iteration)
     x, v = stepped(problem, state, which, mean_at(problem, state, iteration), iteration)
-    if swarm.neighbour_every and (iteration + 1) % swarm.neighbour_every == 0:
+    if swarm.neighbour_interval and (iteration + 1) % swarm.neighbour_interval == 0:
         x = neighbours_best(problem, state.g, x, chance_direction(problem, iteration))
     return _committed(problem, state, which, x, v, iteration)
 

@@ -73,7 +73,7 @@ def error(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
         np.where(domain.stack.values[..., 3:] > 0, domain.stack.values[..., :3], 0).astype(np.float64), s["normal"]
     )
     result = np.where(seen, radiance(problem, s) - reference, 0)
-    if problem.schedule.fitness.loss == "robust":
+    if problem.schedule.fitness.loss == "cauchy":
         result = result / _expanded(problem.delta, s["normal"])
     return result
 
@@ -95,7 +95,7 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
     """Return (K, H, W, 3): weight of each sample in the least squares, from the incumbent's error."""
     e = error(problem, incumbent)
     weight = problem.domain.stack.values[..., 3:].astype(np.float64)
-    if problem.schedule.fitness.loss == "robust":  # from units of the sample's δ² to those of the texel's
+    if problem.schedule.fitness.loss == "cauchy":  # from units of the sample's δ² to those of the texel's
         weight = weight * (problem.schedule.fitness.delta * problem.level[..., None] / problem.delta) ** 2
     return weight * loss_weight(problem.schedule.fitness.loss, e)
 
@@ -180,9 +180,9 @@ class Generation:
 def placed(problem: SynchronousSwarm, state: State) -> Generation:
     """Return the state after iteration −1, which gives all particles their first positions."""
     constants = problem.schedule.swarm
-    seeded = int(np.ceil(constants.seeded * problem.particles)) if constants.seed != "random" else 0
+    starting = int(np.ceil(constants.start_fraction * problem.particles)) if constants.start != "random" else 0
     guess = problem.encode(problem.estimates)
-    # A Lambertian fit seeds the normal and the colour only: other numbers are random, except in particle 0.
+    # A Lambertian fit gives the normal and the colour only: other numbers are random, except in particle 0.
     guessed = np.zeros(problem.columns, bool)
     for name, at, size in problem.places:
         p = problem.model.parameter(name)
@@ -190,16 +190,16 @@ def placed(problem: SynchronousSwarm, state: State) -> Generation:
     xs, vs = [], []
     for k in range(problem.particles):
         chance = swarm.uniforms(problem, -1, k, swarm.POSITION)
-        spread = constants.seed_spread if k else 0.0
+        spread = constants.start_spread if k else 0.0
         near = np.clip(guess + spread * (2 * chance - 1), 0, 1)
-        xs.append(np.where((k < seeded) & (guessed | (k == 0)), near, chance))
+        xs.append(np.where((k < starting) & (guessed | (k == 0)), near, chance))
         vs.append(constants.start_speed * (2 * swarm.uniforms(problem, -1, k, swarm.VELOCITY) - 1))
     return _committed(problem, state, np.stack(xs), np.stack(vs), problem.estimates, start=True)
 
 
 def generation(problem: SynchronousSwarm, state: State, iteration: int) -> Generation:
     """Return the state after one iteration: Eq. 2 and 3 for every particle, then the bests."""
-    every = problem.schedule.swarm.neighbour_every
+    every = problem.schedule.swarm.neighbour_interval
     mean = swarm.mean_at(problem, state, iteration)
     xs, vs = [], []
     for k in range(problem.particles):

@@ -121,7 +121,7 @@ def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
     if isinstance(stage, ResolvedSwarm):
         of_kind = schedule.threshold
     elif isinstance(stage, ResolvedSurface):
-        of_kind = schedule.prior.noise_freedom
+        of_kind = schedule.prior.noise_samples
     return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement, of_kind
 
 
@@ -136,7 +136,7 @@ def _same_swarms(
         _same_search(phase.stage, stage)
         and stage.solved == phase.stage.solved
         and before.fitness == after.fitness
-        and (before.swarm.update, before.swarm.linear_reach) == (after.swarm.update, after.swarm.linear_reach)
+        and (before.swarm.update, before.swarm.linear_limit) == (after.swarm.update, after.swarm.linear_limit)
         and (encoding, particle_count(after, encoding.dimensions)) == (phase.encoding, phase.particles)
     )
     return phase if same else None
@@ -146,6 +146,10 @@ def _samples_differ(a: Fitness, b: Fitness) -> bool:
     """Return whether scales or the weights of samples differ."""
 
     def shadow_limit(fitness: Fitness) -> float:
-        return fitness.shadow if fitness.loss == "robust" else 0.0
+        return fitness.shadow if fitness.loss == "cauchy" else 0.0
 
-    return (a.percentile, a.bounds, shadow_limit(a)) != (b.percentile, b.bounds, shadow_limit(b))
+    return (a.scale_percentile, a.clipped_samples, shadow_limit(a)) != (
+        b.scale_percentile,
+        b.clipped_samples,
+        shadow_limit(b),
+    )

@@ -242,7 +242,7 @@ class InterreflectionRounds(Successive):
     def _begin(self, domain: Domain, prepared: Prepared | None = None) -> RecoveryEngine:
         schedule = self._schedules[self._at]
         begin: dict[str, Any] = {"prepared": prepared} if prepared else {}
-        if schedule.swarm.seed == "given" and self._source_maps:
+        if schedule.swarm.start == "given" and self._source_maps:
             begin = {"guess": {p.name: self._source_maps[-1][p.name] for p in self.model.parameters}}
         fixed = self._fixed_in(self._at)
         return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)

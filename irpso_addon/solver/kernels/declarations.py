@@ -18,12 +18,11 @@ SIZE = {"u_width": "INT", "u_height": "INT"}
 LOSS_CONSTANTS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
 MOVE = {
     **SIZE, **LOSS_CONSTANTS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
-    "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
+    "u_particle": "INT", "u_start_count": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
-    "u_seeded_dimensions": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
+    "u_start_dimensions": "INT", "u_start_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
 _LOSSES, _WALLS = defined("fitness/loss.glsl", "LOSS_"), defined("swarm/update.glsl", "WALLS_")
-_LOSSES["ROBUST"] = _LOSSES["CAUCHY"]  # the setting's name of Cauchy's loss
 
 
 def schedule_defines(schedule: Schedule) -> Defines:
@@ -33,8 +32,8 @@ def schedule_defines(schedule: Schedule) -> Defines:
         "WINDOW_RADIUS": swarm.neighbourhood // 2,
         **fitness_defines(schedule.fitness),
         "WALLS": _WALLS[swarm.walls.upper()],
-        "NEIGHBOUR_EVERY": swarm.neighbour_every,
-        "ALBEDO_BOUND_FACTOR": f"{swarm.linear_reach:.9f}",
+        "NEIGHBOUR_INTERVAL": swarm.neighbour_interval,
+        "ALBEDO_LIMIT": f"{swarm.linear_limit:.9f}",
     }
 
 

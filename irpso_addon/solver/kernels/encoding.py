@@ -16,7 +16,7 @@ _MAX_DIMENSIONS = 8  # of a particle
 class Encoding:
     """dimensions: n, 0 to 8. source: GLSL ``decode(x, albedo_bound, s)`` and ``encode(s, albedo_bound, x)``.
 
-    defines: kernels'. lambert_dimensions: bit mask of the dimensions that a Lambertian seed sets: those of
+    defines: kernels'. lambert_dimensions: bit mask of the dimensions that a Lambertian fit sets: those of
     normal and albedo.
     """
 

@@ -54,11 +54,13 @@ def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> Fr
     return FreeParameters(len(rows), source, defines | {"FREE_COUNT": len(rows), "SEARCHED": len(searched)})
 
 
-def build_jacobian(model: ReflectanceModel, fixed: Collection[str], central: bool) -> tuple[FreeParameters, str]:
+def build_jacobian(
+    model: ReflectanceModel, fixed: Collection[str], central_differences: bool
+) -> tuple[FreeParameters, str]:
     """Return the unknowns, and jacobian.glsl: sums of the normal equations.
 
     STEPPED counts unknowns that are differentiated numerically: normals and searched ones. The derivative of the others
-    is their basis. central: central differences, else forward ones. LOBE_…: the components of interchangeable lobes.
+    is their basis. central_differences: else forward ones. LOBE_…: the components of interchangeable lobes.
 
     jacobian.glsl has no loops: a compiler that does not unroll a loop over arrays copies whole arrays at every
     observation, which took half of a step's time.
@@ -76,7 +78,7 @@ def build_jacobian(model: ReflectanceModel, fixed: Collection[str], central: boo
             channels += [""] if p.components == 1 else list("rgb")
         else:
             for i in range(u, u + count):
-                other = f"reflectance(p.behind_{i}, l, v)" if central else "render"
+                other = f"reflectance(p.behind_{i}, l, v)" if central_differences else "render"
                 lines.append(f"vec3 j_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
             stepped += range(u, u + count)
             channels += [""] * count
@@ -87,18 +89,20 @@ def build_jacobian(model: ReflectanceModel, fixed: Collection[str], central: boo
         defines |= {"LOBE_FIRST": first, "LOBE_SECOND": second}
         if model.complement:
             defines["LOBE_WEIGHT"] = model.offset(model.complement[0])
-    return FreeParameters(free.count, free.source, defines), _jacobian(stepped, central, lines, channels)
+    return FreeParameters(free.count, free.source, defines), _jacobian(stepped, central_differences, lines, channels)
 
 
-def _jacobian(stepped: Sequence[int], central: bool, columns: Sequence[str], channels: Sequence[str]) -> str:
+def _jacobian(
+    stepped: Sequence[int], central_differences: bool, columns: Sequence[str], channels: Sequence[str]
+) -> str:
     n = len(channels)
     pairs = [(row, column) for row in range(n) for column in range(row, n)]
-    sides = ("ahead", "behind") if central else ("ahead",)
+    sides = ("ahead", "behind") if central_differences else ("ahead",)
     steps = [f"float by_{u};" for u in stepped] + [f"Material {side}_{u};" for u in stepped for side in sides]
     sums = [f"float gradient_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
     steps_taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
     steps_taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
-    if central:
+    if central_differences:
         steps_taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
     clears = [f"n.gradient_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
     copies = [f"gradient[{i}] = n.gradient_{i};" for i in range(n)]

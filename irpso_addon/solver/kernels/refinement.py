@@ -66,7 +66,7 @@ def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int,
 
 def jacobian_renders(free: FreeParameters, settings: Refinement) -> int:
     """Return the renders of all observations that the normal equations need."""
-    stepped = free.defines["STEPPED"] * (2 if settings.central else 1)
+    stepped = free.defines["STEPPED"] * (2 if settings.central_differences else 1)
     # All bases of the linear parameters together cost one more render.
     return 1 + stepped + (1 if free.defines["STEPPED"] < free.count else 0)
 
@@ -76,7 +76,7 @@ def step_defines(settings: Refinement) -> Defines:
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
         "XTOL": f"{settings.xtol:.9f}", "CANDIDATE_RATIO": f"{settings.candidate_ratio:.9f}",
-        "SUPPORT_WEIGHT": f"{settings.votes:.9f}",
+        "NEIGHBOUR_WEIGHT": f"{settings.neighbour_weight:.9f}",
     }  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def build_refinement_passes(
     work: Samplers = {"u_work": packed(model), "u_work_status": FLOAT_2D}
 
     compared: Samplers = {**work, **materials, **OBSERVATIONS, **PACKING}
-    has_support = settings.votes > 0 and free.defines["SEARCHED"] > 0
+    has_support = settings.neighbour_weight > 0 and free.defines["SEARCHED"] > 0
 
     def make(name: str, samplers: Samplers, constants: Mapping[str, str], how: Entry = entry) -> Pass:
         return Pass(Kernel(f"{name}.glsl", outputs, {**best, **samplers}, constants, defines, includes), how)
@@ -135,4 +135,4 @@ def build_refinement_passes(
 def resolved_jacobian(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[FreeParameters, str]:
     """Return the unknowns of a refinement, and its jacobian.glsl."""
     fixed = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
-    return build_jacobian(model, fixed, resolved.refinement.central)
+    return build_jacobian(model, fixed, resolved.refinement.central_differences)

@@ -160,9 +160,9 @@ def _step_pass(
 
 def _settings(prior: SpatialPrior, refinement: Refinement) -> Defines:
     numbers = {
-        "NOISE_FREEDOM": prior.noise_freedom, "SCALAR_BANDWIDTH": prior.likeness,
-        "COLOR_BANDWIDTH": prior.likeness_color, "SPREAD": prior.spread, "MIN_SHARE": prior.share,
-        "TOLERANCE": prior.tolerance,
+        "NOISE_SAMPLES": prior.noise_samples, "BANDWIDTH": prior.bandwidth,
+        "COLOR_BANDWIDTH": prior.color_bandwidth, "MIN_DEVIATION": prior.min_deviation,
+        "MIN_INFLUENCE": prior.min_influence, "TOLERANCE": prior.tolerance,
     }  # fmt: skip
     return {
         **step_defines(refinement),
@@ -172,7 +172,7 @@ def _settings(prior: SpatialPrior, refinement: Refinement) -> Defines:
 
 
 def _lobes(model: ReflectanceModel, fixed: set[str]) -> dict[str, int]:
-    defines = build_jacobian(model, fixed, central=False)[0].defines
+    defines = build_jacobian(model, fixed, central_differences=False)[0].defines
     return {name: value for name, value in defines.items() if name.startswith("LOBE_")}
 
 

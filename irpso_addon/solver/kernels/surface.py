@@ -44,7 +44,7 @@ def build_surface_passes(
     free, jacobian = _jacobian(model, resolved, schedule)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _TAPS,
-        "NOISE_FREEDOM": f"{schedule.prior.noise_freedom:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
+        "NOISE_SAMPLES": f"{schedule.prior.noise_samples:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
         "TOLERANCE": f"{resolved.surface.tolerance:.9f}", "SMOOTHNESS": f"{resolved.surface.smoothness:.9f}",
     }  # fmt: skip
     numbers = packed(model)
@@ -85,4 +85,4 @@ def _jacobian(model: ReflectanceModel, resolved: ResolvedSurface, schedule: Sche
     fixed = {p.name for p in model.parameters} - {
         p.name for p in resolved.parameters if p.is_normal or has_basis(p, model)
     }
-    return build_jacobian(model, fixed, schedule.refinement.central)
+    return build_jacobian(model, fixed, schedule.refinement.central_differences)

@@ -18,7 +18,7 @@ from ...gpu.program import ProgramCache
 from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
 from ..settings.schedule import Schedule, load_schedule
-from ..state.prepare import lambert_seed, texel_scale
+from ..state.prepare import lambert_fit, texel_scale
 from .fit import GAINS, MOVES, LightStep, Moving, axes_of, brightened, light_step
 from .light_texels import LightTexels, draw_texels, fixed_at
 from .semi_calibrated import normalised
@@ -248,8 +248,8 @@ def texel_schedule(schedule: Schedule | None = None) -> Schedule:
     These have no neighbours: nothing makes their normals one surface. Shared materials stay.
     """
     return (schedule or load_schedule("standard")).without_rounds().replaced(
-        c3=0.0, neighbour_every=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0, surface_rounds=0,
-        levels=1, prefit_indirect_share=0.0,
+        c3=0.0, neighbour_interval=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0,
+        surface_rounds=0, levels=1, prefit_indirect_share=0.0,
     )  # fmt: skip
 
 
@@ -283,7 +283,7 @@ def _disagreement(
 ) -> LightStep | None:
     """Return the step to better intensities; None if the recovered texels do not support one."""
     fitness = load_schedule("standard").fitness
-    scale = texel_scale(domain, fitness.percentile)
+    scale = texel_scale(domain, fitness.scale_percentile)
     fitness = replace(fitness, delta=_WIDTHS[1])
     step = run_steps(light_step(domain, model, values, fixed, scale, fitness, True, None))
     return step if _rms(step.gains) >= _CONTRADICTED and step.explained >= _EXPLAINED else None
@@ -328,7 +328,7 @@ class _Search:
             if self._moving is not None:
                 domain = with_lights(domain, self._moving.lights(), domain.intensities)
             self._values = yield from self._solved(domain, schedule)
-            scale = texel_scale(domain, schedule.fitness.percentile)
+            scale = texel_scale(domain, schedule.fitness.scale_percentile)
             stepping = light_step(
                 domain, self._model, self._values, frozenset(self._fixed), scale, schedule.fitness, self._intensities,
                 self._moving,
@@ -384,7 +384,7 @@ def _with_divided_images(domain: Domain, factors: np.ndarray) -> Domain:
 
 def _white_factor(domain: Domain) -> float:
     """Return a common factor on the intensities with which nearly all of the surface is darker than white."""
-    albedo = lambert_seed(domain)[1][domain.solvable]
+    albedo = lambert_fit(domain)[1][domain.solvable]
     bright = float(np.percentile(albedo.max(axis=-1), _BRIGHT)) if len(albedo) else 0.0
     return bright / _WHITE if bright > 1 else 1.0
 

@@ -42,8 +42,8 @@ def material_table(features: np.ndarray, weights: np.ndarray, count: int) -> np.
 
     features: (n, d), d ≤ 12; rows that differ by less than 1 are equal; rows that are not finite are ignored. weights:
     (n,) above 0.
-    Expectation maximisation (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of
-    k-means++ (Arthur and Vassilvitskii 2007).
+    Expectation maximisation (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the first
+    means of k-means++ (Arthur and Vassilvitskii 2007).
     """
     finite = np.isfinite(features).all(axis=1)
     if not finite.any():
@@ -63,7 +63,7 @@ def mixture(x: np.ndarray, weights: np.ndarray, count: int) -> tuple[np.ndarray,
 
     weights: (n,) of the rows of x.
     """
-    mean = _seeds(x, weights, count)
+    mean = _first_means(x, weights, count)
     variance = np.ones_like(mean)
     share = np.full(len(mean), 1.0 / len(mean))
     for _ in range(_ROUNDS):
@@ -86,10 +86,10 @@ def memberships(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np
     return weight / weight.sum(axis=1, keepdims=True)
 
 
-def _seeds(x: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+def _first_means(x: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
     """Return rows of x: the one nearest the median, then each drawn with a probability of weight × squared distance.
 
-    The distance is that to the nearest earlier seed.
+    The distance is that to the nearest earlier row.
     """
     draw = np.random.default_rng(0)
     chosen = [int(np.argmin(((x - np.median(x, axis=0)) ** 2).sum(axis=1)))]

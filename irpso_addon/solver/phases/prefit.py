@@ -54,8 +54,8 @@ class PrefitPhase(Phase):
 
     Start: state/prepare.py fits Lambertian normals (Prepared.guess) for the recovery's Estimates, unless a guess is
     given. ``_first_estimates`` keeps these normals; the base is the texel's scale, the rest defaults. The swarms have
-    the settings of the recovery's own (group Swarm): SwarmPhase.constants counts the seeded particles,
-    kernels/encoding.py encodes the estimate, initialise_particle (shaders/swarm/update.glsl) places them.
+    the settings of the recovery's own (group Swarm): SwarmPhase.constants counts the particles that start near the
+    estimate, kernels/encoding.py encodes it, initialise_particle (shaders/swarm/update.glsl) places them.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class PrefitPhase(Phase):
         elif resolved.sheen:
             self._chosen = present(measurements.fitness) >= _MIN_FITNESS
         if self._chosen is not None:
-            schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where(self._chosen)
+            schedule, domain = schedule.replaced(c3=0.0, neighbour_interval=0), domain.where(self._chosen)
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
         self._domain, self._estimates, self._measurements = grey(domain, schedule), estimates, measurements
         self._model, self.title = resolved.model, resolved.title
@@ -90,8 +90,8 @@ class PrefitPhase(Phase):
             _indirect_misfit_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
         )
         self._refining = False
-        if schedule.swarm.seed == "given":  # a given guess has a normal, but no parameters of the prefit's model
-            schedule = schedule.replaced(seed="lambert")
+        if schedule.swarm.start == "given":  # a given guess has a normal, but no parameters of the prefit's model
+            schedule = schedule.replaced(start="lambert")
         self.inner: SynchronousSwarmPhase | RefinementPhase = SynchronousSwarmPhase(
             resolved.stage, self._model, schedule, seed, self._domain, self.own, entry
         )
@@ -336,7 +336,7 @@ def _indirect_misfit_pass(model: ReflectanceModel, schedule: Schedule, defines: 
 
 def _min_samples(model: ReflectanceModel, schedule: Schedule) -> int:
     """Return the number of samples from which on a fit is a reference for others."""
-    return max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
+    return max(schedule.prefit.min_observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 
 
 def _acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:

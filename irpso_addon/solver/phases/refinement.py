@@ -79,9 +79,9 @@ class RefinementPhase(TexturePhase):
         track, made = self.track
         if made == 0:
             yield from self._begin(track, bands, seconds)
-        target, widening = self._spare(), self._widening(track, made)
+        target, delta_factor = self._spare(), self._delta_factor(track, made)
         inputs = {**self._material(self.work), "u_best_status": self.best[-1]}
-        yield from self._in_bands("refinement", self.passes.step, target, inputs, bands, seconds, widening)
+        yield from self._in_bands("refinement", self.passes.step, target, inputs, bands, seconds, delta_factor)
         self.work = target
         if made == track.iterations - 1:
             target, keep_probable = self._spare(), self.passes.keep_probable
@@ -162,10 +162,10 @@ class RefinementPhase(TexturePhase):
         self._ensure_ready()
         self.preview(self.estimates.next)
 
-    def _widening(self, track: Track, made: int) -> float:
+    def _delta_factor(self, track: Track, made: int) -> float:
         """Return the factor on δ in an iteration: from a start it falls to 1 before the race; else 1."""
         last = self.refinement.start_iterations - 1
-        return 1.0 if track.start < 0 or made >= last else self.refinement.widening ** (1 - made / last)
+        return 1.0 if track.start < 0 or made >= last else self.refinement.delta_factor ** (1 - made / last)
 
     def _begin(self, track: Track, bands: Bands, seconds: float) -> Iterator[None]:
         if track.start == BEST:
@@ -193,19 +193,19 @@ class RefinementPhase(TexturePhase):
         return {**self._material(self.best), **self.textures.bound("work", self.work)}
 
     def _comparable(self) -> dict[str, Texture]:
-        """Return the best material and the one in work, to keep the better; within a widened track the best one twice.
+        """Return the best material and the one in work, to keep the better; while δ is wider the best one twice.
 
         With a robust loss, a wider δ makes every loss smaller: the material in work would always be the better one.
         """
         track, made = self.track
-        comparable = made == 0 or self._widening(track, made - 1) == 1
+        comparable = made == 0 or self._delta_factor(track, made - 1) == 1
         return {**self._material(self.best), **self.textures.bound("work", self.work if comparable else self.best)}
 
-    def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
-        constants = loss_constants(self.domain, widening * self.schedule.fitness.delta)
+    def _constants(self, start: int = BEST, delta_factor: float = 1.0) -> dict[str, int | float]:
+        constants = loss_constants(self.domain, delta_factor * self.schedule.fitness.delta)
         track, made = self.track
         races = track.start >= 0 and made >= self.refinement.start_iterations
-        return {**constants, "u_start": start, "u_settles": int(widening == 1), "u_races": int(races)}
+        return {**constants, "u_start": start, "u_settles": int(delta_factor == 1), "u_races": int(races)}
 
     def _run(
         self, bands: Bands, work: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
@@ -220,7 +220,7 @@ class RefinementPhase(TexturePhase):
         inputs: dict[str, Texture],
         bands: Bands,
         seconds: float,
-        widening: float = 1.0,
+        delta_factor: float = 1.0,
     ) -> Iterator[None]:
-        inputs, constants = {**inputs, **self.domain.textures}, self._constants(widening=widening)
+        inputs, constants = {**inputs, **self.domain.textures}, self._constants(delta_factor=delta_factor)
         return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=work is self.passes.step)

@@ -112,14 +112,14 @@ class SharedMaterialsPhase(RefinementPhase):
     def _in_round(self) -> bool:
         return self.track[0].start == PROPAGATE
 
-    def _widening(self, track: Track, made: int) -> float:
+    def _delta_factor(self, track: Track, made: int) -> float:
         last = track.iterations - 1
-        return 1.0 if track.start == BEST or last == 0 else self.refinement.widening ** (1 - made / last)
+        return 1.0 if track.start == BEST or last == 0 else self.refinement.delta_factor ** (1 - made / last)
 
     def _material(self, material: list[Texture]) -> dict[str, Texture]:
         table = {} if self._table is None else {"u_materials": self._table}
         return {**super()._material(material), **table}
 
-    def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
+    def _constants(self, start: int = BEST, delta_factor: float = 1.0) -> dict[str, int | float]:
         first = self.iteration < 1 + self.refinement.round_iterations
-        return {**super()._constants(start, widening), "u_mirror": int(not first)}
+        return {**super()._constants(start, delta_factor), "u_mirror": int(not first)}

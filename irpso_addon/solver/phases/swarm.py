@@ -24,11 +24,11 @@ from .phase import TexturePhase
 class SwarmPhase(TexturePhase):
     """The swarms of a stage. A subclass implements ``_build`` and ``advance``.
 
-    seeded_dimensions: bit mask of the dimensions that a seed sets; all eight unless the subclass sets another.
+    start_dimensions: bit mask of the dimensions that start near the estimate; all eight unless a subclass sets another.
     """
 
     passes: SequentialSwarmPasses | SynchronousSwarmPasses
-    seeded_dimensions = 0xFF
+    start_dimensions = 0xFF
 
     def __init__(
         self,
@@ -59,9 +59,9 @@ class SwarmPhase(TexturePhase):
     def constants(self) -> dict[str, int | float]:
         """Return the push constants of the next iteration."""
         swarm, domain = self.schedule.swarm, self.domain
-        seeded = math.ceil(swarm.seeded * self.particles) if swarm.seed != "random" else 0
-        if self.stage.cycle > 0 or swarm.seed == "given":
-            seeded = max(1, seeded)  # a later cycle or a finer level must keep the previous result
+        starting = math.ceil(swarm.start_fraction * self.particles) if swarm.start != "random" else 0
+        if self.stage.cycle > 0 or swarm.start == "given":
+            starting = max(1, starting)  # a later cycle or a finer level must keep the previous result
         return {
             "u_width": self.width,
             "u_height": self.height,
@@ -70,7 +70,7 @@ class SwarmPhase(TexturePhase):
             "u_seed": self.seed,
             "u_iteration": self.iteration,
             "u_particle": self.iteration + self.particles,
-            "u_seeded": seeded,
+            "u_start_count": starting,
             "u_inertia": swarm.inertia,
             "u_constriction": swarm.constriction,
             "u_c1": swarm.c1,
@@ -79,8 +79,8 @@ class SwarmPhase(TexturePhase):
             "u_v_max": swarm.v_max,
             "u_threshold": self.schedule.threshold,
             **loss_constants(domain, self.schedule.fitness.delta),
-            "u_seeded_dimensions": self.seeded_dimensions,
-            "u_seed_spread": swarm.seed_spread,
+            "u_start_dimensions": self.start_dimensions,
+            "u_start_spread": swarm.start_spread,
             "u_start_speed": swarm.start_speed,
         }
 
@@ -123,11 +123,11 @@ def particle_count(schedule: Schedule, dimensions: int) -> int:
 
 
 def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> float:
-    """Return c3 of Eq. 2 at an iteration: falling to 0 at the fraction c3_until, or constant where that is 0."""
+    """Return c3 of Eq. 2 at an iteration: falling to 0 at the fraction c3_fade, or constant where that is 0."""
     swarm = schedule.swarm
-    if swarm.c3_until == 0:
+    if swarm.c3_fade == 0:
         return swarm.c3
-    return swarm.c3 * max(0.0, 1 - max(iteration, 0) / (swarm.c3_until * iterations))
+    return swarm.c3 * max(0.0, 1 - max(iteration, 0) / (swarm.c3_fade * iterations))
 
 
 def stencil_radius_at(schedule: Schedule, iteration: int, iterations: int) -> int:
@@ -135,6 +135,6 @@ def stencil_radius_at(schedule: Schedule, iteration: int, iterations: int) -> in
     swarm = schedule.swarm
     if iteration < 0:
         return 0
-    tries = swarm.neighbour_every > 0 and (iteration + 1) % swarm.neighbour_every == 0
+    tries = swarm.neighbour_interval > 0 and (iteration + 1) % swarm.neighbour_interval == 0
     averages = neighbour_constant(schedule, iteration, iterations) != 0
     return max(swarm.neighbourhood // 2 if averages else 0, 1 if tries else 0)

@@ -33,8 +33,8 @@ class SynchronousSwarmPhase(SwarmPhase):
             self.domain.defines, entry,
         )  # fmt: skip
         self.iteration = -1
-        if self.schedule.swarm.seed != "given":
-            self.seeded_dimensions = self.encoding.lambert_dimensions
+        if self.schedule.swarm.start != "given":
+            self.start_dimensions = self.encoding.lambert_dimensions
 
     @property
     def evaluations(self) -> int:

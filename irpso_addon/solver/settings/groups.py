@@ -8,8 +8,8 @@ from typing import Literal
 from .setting import setting
 
 Walls = Literal["clamp", "stop", "reflect"]
-Loss = Literal["l1", "l2", "robust"]
-Seed = Literal["random", "lambert", "given"]
+Loss = Literal["l1", "l2", "cauchy"]
+SwarmStart = Literal["random", "lambert", "given"]
 NormalSearch = Literal["hemisphere", "cartesian"]
 Update = Literal["one", "all"]
 LinearKind = Literal["search", "solve"]
@@ -28,15 +28,15 @@ _WALLS = {
     "stop": ("Stop", "A particle stops at the edge of the range and loses its speed"),
     "reflect": ("Reflect", "A particle bounces off the edge of the range"),
 }
-_SEEDS = {
+_STARTS = {
     "random": ("Random", "The first particles are spread at random over the whole range"),
     "lambert": (
         "Lambert",
-        "A part of the first particles (Part Near Guess) starts near a Lambertian fit of the photographs",
+        "A part of the first particles (Start Fraction) starts near a Lambertian fit of the photographs",
     ),
     "given": (
         "First Guess",
-        "A part of the first particles (Part Near Guess) starts near a first guess, which only scripts can give",
+        "A part of the first particles (Start Fraction) starts near a first guess, which only scripts can give",
     ),
 }
 _NORMALS = {
@@ -46,7 +46,7 @@ _NORMALS = {
 _LOSSES = {
     "l1": ("Absolute", "Mean absolute difference, as in the paper"),
     "l2": ("Squared", "Mean squared difference: shadows and highlights have much influence"),
-    "robust": ("Robust", "log(1 + (e/delta)²): differences well above Delta hardly count; best on photographs"),
+    "cauchy": ("Cauchy", "log(1 + (e/delta)²): differences well above Delta hardly count; best on photographs"),
 }
 
 
@@ -83,8 +83,8 @@ class Swarm:
     c3: float = setting(
         "Neighbors", "c3 of Eq. 2: pull towards the mean of the neighboring texels' bests", soft_max=0.5
     )
-    c3_until: float = setting(
-        "Fade Over",
+    c3_fade: float = setting(
+        "Neighbor Fade",
         "The part of the iterations in which c3 (Neighbors) falls to 0; 0 keeps c3 constant",
         maximum=1,
         subtype=_FACTOR,
@@ -93,29 +93,29 @@ class Swarm:
         "Window", "H of Eq. 4: side of the window of neighbors, in texels; odd", minimum=1, odd=True, soft_max=9,
         subtype="PIXEL",
     )  # fmt: skip
-    neighbour_every: int = setting(
-        "Try Every", "Interval, in iterations, at which a particle tries the best result of a neighboring texel;"
-        " 0 is never", soft_max=50,
+    neighbour_interval: int = setting(
+        "Neighbor Interval", "Interval, in iterations, at which a particle tries the best result of a neighboring"
+        " texel; 0 is never", soft_max=50,
     )  # fmt: skip
     v_max: float = setting(
         "Speed Limit", "Largest step, as a part of a parameter's range", exclusive_minimum=True, soft_max=1
     )
     walls: Walls = setting("Walls", "What happens to a particle that would leave the range", choices=_WALLS)
     start_speed: float = setting("Start Speed", "Largest first step, as a part of a parameter's range", soft_max=1)
-    seed: Seed = setting("Start", "Where the first particles start", choices=_SEEDS)
-    seeded: float = setting(
-        "Part Near Guess",
+    start: SwarmStart = setting("Start", "Where the first particles start", choices=_STARTS)
+    start_fraction: float = setting(
+        "Start Fraction",
         "The part of the swarm that starts near the Lambertian fit or the first guess; the rest starts at random",
         maximum=1,
         subtype=_FACTOR,
     )
-    seed_spread: float = setting(
-        "Spread",
+    start_spread: float = setting(
+        "Start Spread",
         "Largest distance of these particles from the fit or guess, as a part of a parameter's range",
         soft_max=0.5,
     )
-    linear_reach: float = setting(
-        "Albedo Reach", "Largest albedo that is searched, as a multiple of the texel's brightness; 0 searches the"
+    linear_limit: float = setting(
+        "Albedo Limit", "Largest albedo that is searched, as a multiple of the texel's brightness; 0 searches the"
         " whole range", soft_max=32,
         precision=1,
     )  # fmt: skip
@@ -127,7 +127,8 @@ class Fitness:
     """The objective of every phase: the mean loss over the observations of a texel, plus the model's priors.
 
     A texel's scale is a percentile of its radiance per light intensity; delta and shadow are fractions of this scale.
-    Clipped samples are lower bounds (capture/bounds.py).
+    Clipped samples are lower bounds (capture/bounds.py). Cauchy's loss is the Lorentzian of Black & Anandan 1996, The
+    Robust Estimation of Multiple Motions, and α = 0 of Barron 2019, A General and Adaptive Robust Loss Function.
     """
 
     loss: Loss = setting("Loss", "How a difference between render and photograph counts", choices=_LOSSES)
@@ -135,23 +136,24 @@ class Fitness:
         "Delta", "The difference beyond which a sample counts as an outlier, as a part of the texel's scale",
         exclusive_minimum=True, soft_max=0.5,
     )  # fmt: skip
-    percentile: float = setting(
-        "Scale At", "A texel's scale is this percentile of its radiances. Delta and Shadow are parts of the scale",
+    scale_percentile: float = setting(
+        "Scale Percentile", "A texel's scale is this percentile of its radiances. Delta and Shadow are parts of the"
+        " scale",
         exclusive_minimum=True, maximum=100, subtype="PERCENTAGE", precision=1,
     )  # fmt: skip
     shadow: float = setting(
-        "Shadow", "Samples under this part of a texel's scale count as shadow (robust loss only)", soft_max=1
+        "Shadow", "Samples under this part of a texel's scale count as shadow (Cauchy loss only)", soft_max=1
     )
     priors: bool = setting(
         "Model's Priors", "Use the model's priors for parameters that the photographs hardly determine"
     )
-    bounds: bool = setting(
+    clipped_samples: bool = setting(
         "Clipped Samples",
         "Use clipped samples as lower bounds: they count where the render is darker. Off: ignore them",
     )
     highlight_power: float = setting(
         "Highlights", "Above the texel's scale, Delta grows with this power of a sample's brightness. 0 keeps"
-        " Delta constant (robust loss only)",
+        " Delta constant (Cauchy loss only)",
         maximum=1, soft_max=1, precision=2,
     )  # fmt: skip
 
@@ -180,7 +182,7 @@ class Prefit:
         "Sheen Gain", "Where the prefit fits badly, try a second one with sheen, which is bright at grazing angles"
         " like velvet. A texel takes its normal if the misfit falls by this part or more. 0 is off", 0.0, soft_max=0.5,
     )  # fmt: skip
-    observations: int = setting(
+    min_observations: int = setting(
         "Fewest Photographs", "With fewer photographs than this there is no prefit", 10, soft_max=100
     )
     acceptance_delta: float = setting(
@@ -198,8 +200,8 @@ class Prefit:
 class Refinement:
     """Levenberg–Marquardt (Marquardt 1963) after the stages, on all their parameters jointly, with the same fitness.
 
-    votes: shaders/refine/neighbour_support.glsl. widening: graduated non-convexity (Blake & Zisserman 1987, Visual
-    Reconstruction): highlights must not count as outliers while the estimated lobe is still far from them.
+    neighbour_weight: shaders/refine/neighbour_support.glsl. delta_factor: graduated non-convexity (Blake & Zisserman
+    1987, Visual Reconstruction): highlights must not count as outliers while the estimated lobe is still far from them.
     race_iterations: after the idea of Maron & Moore 1994, Hoeffding Races: a start that is far behind is given up.
     """
 
@@ -221,7 +223,7 @@ class Refinement:
         "Race Ratio", "A start is close behind if its fitness is below this many times the best one. More finds more"
         " metals and takes longer", 4.0, minimum=1, soft_max=10,
     )  # fmt: skip
-    race_observations: int = setting(
+    race_max_observations: int = setting(
         "Race Limit", "Most photographs of a capture with which starts race; with more of them Start Steps suffice",
         32, minimum=1, soft_max=200,
     )  # fmt: skip
@@ -231,9 +233,9 @@ class Refinement:
         "Candidate Ratio", "A texel refines a neighbor's material if the fitness is below this many times that of"
         " its own material. More tries more materials and takes longer", 1.0, soft_max=10,
     )  # fmt: skip
-    votes: float = setting(
-        "Votes", "Weight of agreeing neighbors against a texel's own samples, where these are ambiguous. More"
-        " leaves fewer texels that differ from their neighbors; 0 is off", 0.0, soft_max=4,
+    neighbour_weight: float = setting(
+        "Neighbor Weight", "Weight of agreeing neighbors against a texel's own samples, where these are ambiguous."
+        " More leaves fewer texels that differ from their neighbors; 0 is off", 0.0, soft_max=4,
     )  # fmt: skip
     damping: float = setting(
         "Damping",
@@ -251,14 +253,14 @@ class Refinement:
         "Step Tolerance", "A texel is done once a step changes no parameter by more than this part of its range", 1e-5,
         soft_max=0.01, precision=6,
     )  # fmt: skip
-    central: bool = setting(
+    central_differences: bool = setting(
         "Central Differences",
         "Compute derivatives from differences to both sides instead of one: slower, more exact",
         False,
     )
-    widening: float = setting(
-        "Widening", "Factor on Delta at the first step from the model's starts; it falls to 1 at the last Start Step."
-        " More finds highlights that are farther away", 1.0,
+    delta_factor: float = setting(
+        "Delta Factor", "Factor on Delta at the first step from the model's starts; it falls to 1 at the last Start"
+        " Step. More finds highlights that are farther away", 1.0,
         minimum=1, soft_max=100,
     )  # fmt: skip
 
@@ -268,7 +270,7 @@ class Materials:
     """Shared materials: the means of a mixture of Gaussians over a sample of all texels.
 
     In the first round a texel tries them with its own normal, in later rounds with the normal that mirrors its
-    brightest sample. The steps of a round begin with the refinement's widening.
+    brightest sample. The steps of a round begin with the refinement's delta_factor.
     """
 
     rounds: int = setting(
@@ -278,7 +280,7 @@ class Materials:
     iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, minimum=1, soft_max=30)
     count: int = setting("Materials", "Largest number of shared materials", 16, minimum=1, soft_max=64)
     weight: float = setting(
-        "Weight", "Votes of neighbors that a shared material is worth if the whole surface has it. More gives it"
+        "Weight", "How many agreeing neighbors a shared material counts for, if the whole surface has it. More gives it"
         " to more texels", 1000.0,
         soft_max=10000, precision=0,
     )  # fmt: skip
@@ -286,7 +288,10 @@ class Materials:
 
 @dataclass(frozen=True)
 class SpatialPrior:
-    """The spatial prior: similar neighbours constrain the numbers that a texel's own samples leave undetermined."""
+    """The spatial prior: similar neighbours constrain the numbers that a texel's own samples leave undetermined.
+
+    bandwidth, color_bandwidth: of the kernel that weights neighbours (shaders/spatial_prior/pool.glsl).
+    """
 
     rounds: int = setting(
         "Rounds",
@@ -299,36 +304,36 @@ class SpatialPrior:
         maximum=6,
     )  # fmt: skip
     iterations: int = setting("Iterations", "Levenberg–Marquardt steps after each round", 6, minimum=1, soft_max=30)
-    likeness: float = setting(
-        "Likeness",
+    bandwidth: float = setting(
+        "Bandwidth",
         "Neighbors count as similar up to this difference, as a part of a parameter's range. More averages over"
         " more of them",
         0.1,
         exclusive_minimum=True,
         soft_max=1,
     )
-    likeness_color: float = setting(
-        "Color Likeness",
+    color_bandwidth: float = setting(
+        "Color Bandwidth",
         "Neighbors count as similar up to this difference of their colors, as a part of the brighter one. More"
         " averages over more of them",
         0.1,
         exclusive_minimum=True,
         soft_max=1,
     )
-    spread: float = setting(
-        "Spread",
+    min_deviation: float = setting(
+        "Minimum Deviation",
         "Least standard deviation that similar texels are assumed to have, as a part of a parameter's range. More"
         " leaves them more different",
         0.02,
         exclusive_minimum=True,
         soft_max=0.5,
     )
-    noise_freedom: float = setting(
-        "Noise Weight", "Weight of the neighbors' mean noise in a texel's own noise, as a number of samples",
+    noise_samples: float = setting(
+        "Noise Samples", "Weight of the neighbors' mean noise in a texel's own noise, as a number of samples",
         10.0, exclusive_minimum=True, soft_max=100, precision=1,
     )  # fmt: skip
-    share: float = setting(
-        "Least Share",
+    min_influence: float = setting(
+        "Minimum Influence",
         "A texel stays as it is if the prior would have less influence on it than this part",
         0.02,
         exclusive_minimum=True,
@@ -338,7 +343,7 @@ class SpatialPrior:
         "Tolerance", "How much worse a texel's fit may become, in standard deviations of the noise", 3.0,
         exclusive_minimum=True, soft_max=10, precision=1,
     )  # fmt: skip
-    turn: bool = setting("Turn Normals", "Also apply the prior to normals", True)
+    normals: bool = setting("Normals", "Also apply the prior to normals", True)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from ...core.errors import InputError
 from .schedule import Schedule
 
-# A factor on the preset's spread around the seed and on its first speeds, where the seed is an earlier result: with
+# A factor on the preset's start_spread and start_speed, where the swarms start from an earlier result: with
 # 300 iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
 NARROWER = 0.3
 
@@ -40,5 +40,5 @@ def warm_started(schedule: Schedule) -> Schedule:
     """Return a schedule whose swarms begin around the current estimates, closer than around a first guess."""
     swarm = schedule.swarm
     return schedule.replaced(
-        seed="given", seed_spread=NARROWER * swarm.seed_spread, start_speed=NARROWER * swarm.start_speed
+        start="given", start_spread=NARROWER * swarm.start_spread, start_speed=NARROWER * swarm.start_speed
     )

@@ -262,7 +262,7 @@ def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tup
     prior, pooled = schedule.prior, tuple(p for p in parameters if p.components == 1)
     if prior.rounds == 0 or not pooled:
         return ()
-    moved = tuple(p for p in parameters if prior.turn or not p.is_normal)
+    moved = tuple(p for p in parameters if prior.normals or not p.is_normal)
     return (ResolvedSpatialPrior(parameters, pooled, prior, ResolvedRefinement(moved, schedule.refinement, ())),)
 
 
@@ -278,13 +278,13 @@ def resolve(
     """Return the phases that estimate a model's free parameters: prefit, stages, refinement, shared materials, prior,
     surface.
 
-    observations: number of fitted ones. A prefit needs at least ``schedule.prefit.observations``; starts race with at
-    most ``schedule.refinement.race_observations``. Raises InputError.
+    observations: number of fitted ones. A prefit needs at least ``schedule.prefit.min_observations``; starts race with
+    at most ``schedule.refinement.race_max_observations``. Raises InputError.
     """
     names, held = _searched_names(schedule, model), held_names(schedule, model, fixed)
     free = [p for p in model.parameters if p.name not in held]
     prefit = schedule.prefit
-    has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
+    has_prefit = prefit.iterations > 0 and observations >= prefit.min_observations and any(p.is_normal for p in free)
     resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
@@ -293,7 +293,7 @@ def resolve(
                 resolved.append(_resolve_swarm(schedule, model, searched, stage.iterations, cycle))
     if free:
         parameters, refinement = tuple(free), schedule.refinement
-        if observations > refinement.race_observations:
+        if observations > refinement.race_max_observations:
             refinement = replace(refinement, race_iterations=0)
         resolved += _resolve_refinement(refinement, model, parameters)
         if has_prefit:

@@ -13,12 +13,12 @@ from ...core.errors import InputError
 from ...core.files import load_shipped_table, shipped_names
 from ...core.paths import PRESETS
 from .groups import Fitness, Interreflection, Materials, Prefit, Refinement, SpatialPrior, Stage, Surface, Swarm
+from .renamed import FORMAT, current_key, current_name, current_tables, hint
 from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
 REST = "rest"  # all parameters that no stage of the schedule names
-FORMAT = 2  # of preset files; 1 had other names: survey, polish and their settings
 _TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")
 _ITERATIONS = "iterations"  # of every stage
 _GROUPS = ("swarm", "fitness")  # their settings have no prefix; those of other groups have the group's name as prefix
@@ -114,7 +114,8 @@ class Schedule:
                 first = dataclasses.fields(kind)[0].name
                 raise InputError(f"preset {self.name}: {part} has settings of its own, as in {part}_{first}=0")
         if unknown := set(changes) - {*_TOP_KEYS, *_OPTIONAL}:
-            raise InputError(f"preset {self.name}: there is no setting '{sorted(unknown)[0]}'")
+            name = sorted(unknown)[0]
+            raise InputError(f"preset {self.name}: there is no setting '{name}'{hint(name, current_name(name))}")
         result = dataclasses.replace(result, **changes)
         _check(result)
         return result
@@ -155,22 +156,22 @@ def shipped_presets() -> list[str]:
 
 
 def load_schedule(name_or_path: str | Path) -> Schedule:
-    """Read a shipped preset by name, or a user's .toml file by path.
+    """Read a shipped preset by name, or a user's .toml file of any format by path.
 
     The classes of groups.py define meaning and limits of each constant; SETTINGS collects them. The files in presets/
     cite the sources of the shipped values. Raises InputError naming the file, the setting and its limits.
     """
     table, path = _preset_table(name_or_path)
-    _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", *_OPTIONAL], str(path))
+    _refuse_unknown(table, [*_TOP_KEYS, *_GROUPS, "stage", *_OPTIONAL], str(path))
     rows = table.get("stage", [])
     if not isinstance(rows, list):
         raise InputError(f"{path}: stages are written [[stage]], with two brackets")
     schedule = Schedule(
         **{"name": path.stem, "title": path.stem, **{key: table[key] for key in _TOP_KEYS if key in table}},
-        swarm=_build(Swarm, table.get("swarm"), f"{path}: [swarm]"),
-        fitness=_build(Fitness, table.get("fitness"), f"{path}: [fitness]"),
-        stages=tuple(_build(Stage, row, f"{path}: [[stage]]") for row in rows),
-        **{part: _build(kind, table[part], f"{path}: [{part}]") for part, kind in _OPTIONAL.items() if part in table},
+        swarm=_build(Swarm, table.get("swarm"), path, "swarm"),
+        fitness=_build(Fitness, table.get("fitness"), path, "fitness"),
+        stages=tuple(_build(Stage, row, path, "[stage]") for row in rows),
+        **{part: _build(kind, table[part], path, part) for part, kind in _OPTIONAL.items() if part in table},
     )
     _check(schedule, str(path))
     return schedule
@@ -179,11 +180,10 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
 def _preset_table(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
     """Return a preset's table, merged over that of the preset that it extends, and the preset's path."""
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
-    if (version := table.pop("format", 1)) != FORMAT:
-        raise InputError(
-            f"{path}: is of format {version!r}, not {FORMAT}: begin from a preset of this version and set your values"
-            f" again, or rename as docs/presets.md lists and write format = {FORMAT}"
-        )
+    if (version := table.pop("format", 1)) not in range(1, FORMAT + 1):
+        raise InputError(f"{path}: is of format {version!r}; this version reads 1 to {FORMAT}: install a later one")
+    if version != FORMAT:
+        table = current_tables(table)
     base = table.pop("extends", None)
     if base is None:
         return table, path
@@ -198,19 +198,23 @@ def _preset_table(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
     return {**below, **table, **groups}, path
 
 
-def _build(kind: type, table: Any, where: str) -> Any:
+def _build(kind: type, table: Any, path: Path, part: str) -> Any:
+    where = f"{path}: [{part}]"
     if not isinstance(table, dict):
         raise InputError(f"{where} is not there, or no table; copy it from a shipped preset")
     fields = {f.name: f for f in dataclasses.fields(kind)}
-    _refuse_unknown(table, fields, where)
+    _refuse_unknown(table, fields, where, part)
     if missing := [name for name, field in fields.items() if field.default is MISSING and name not in table]:
         raise InputError(f"{where}: '{missing[0]}' is not set; copy it from a shipped preset")
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()})
 
 
-def _refuse_unknown(table: dict[str, Any], allowed: Iterable[str], where: str) -> None:
+def _refuse_unknown(table: dict[str, Any], allowed: Iterable[str], where: str, part: str = "") -> None:
+    """Raise InputError for a key that is not allowed. part: name of the table, "" for the whole preset."""
     if unknown := sorted(set(table) - set(allowed)):
-        raise InputError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(allowed)}")
+        key = unknown[0]
+        now = hint(key, current_key(part, key))
+        raise InputError(f"{where}: unknown key '{key}'{now}; known are {', '.join(allowed)}")
 
 
 def _check(schedule: Schedule, where: str = "") -> None:

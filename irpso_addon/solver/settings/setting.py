@@ -9,6 +9,7 @@ from dataclasses import MISSING, dataclass
 from typing import Any, Literal, get_origin, get_type_hints
 
 from ...core.errors import InputError
+from .renamed import current_value, hint
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Setting:
         """Raise InputError where ``value`` is no valid value of setting ``name``. where: begin of the message."""
         if self.choices:
             if value not in tuple(self.choices):  # a tuple, so that unhashable values are refused, too
-                raise InputError(f"{where}: {name} must be one of {', '.join(self.choices)}, not {value!r}")
+                now = hint(value, current_value(name, value))
+                raise InputError(f"{where}: {name} must be one of {', '.join(self.choices)}, not {value!r}{now}")
             return
         if self.kind is bool:
             if not isinstance(value, bool):

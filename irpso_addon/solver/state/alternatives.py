@@ -81,7 +81,7 @@ def varied(model: ReflectanceModel, fixed: Collection[str], fitness: Fitness) ->
     """Return the parameters that have alternatives."""
     return tuple(
         p for p in model.parameters
-        if fitness.loss == "robust" and p.name not in fixed and not p.is_normal and not has_basis(p, model)
+        if fitness.loss == "cauchy" and p.name not in fixed and not p.is_normal and not has_basis(p, model)
         and (p.prior is None or p.prior.kind != "normal")
     )  # fmt: skip
 

@@ -21,6 +21,7 @@ from ...geometry.domain import Domain
 from ...gpu.library import read_source
 from ...reflectance.model import ReflectanceModel
 from ..kernels.declarations import model_includes
+from ..settings.renamed import current_tables
 from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
@@ -166,7 +167,9 @@ def _reading(path: Path) -> Iterator[None]:
 def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
     if about["version"] != _VERSION:
         raise CheckpointError(f"{path}: is of another version of the program; finish it there, or leave out --resume")
-    theirs, ours = about["identity"], json.loads(json.dumps(who))
+    theirs, ours = dict(about["identity"]), json.loads(json.dumps(who))
+    if isinstance(theirs.get("preset"), dict):  # of an earlier format, with former names
+        theirs["preset"] = current_tables(theirs["preset"])
     differing = [name for name in ours if theirs.get(name) != ours[name]]
     if differing:
         details = [text for name in differing if (text := _difference(name, theirs.get(name), ours[name]))]

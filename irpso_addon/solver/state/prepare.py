@@ -68,7 +68,7 @@ class Prepared:
         def work(start: int, texels: Texels) -> None:
             part = stack[:, start : start + len(texels[0])]
             part[:] = domain.stack.texels(*texels)
-            if not schedule.fitness.bounds:
+            if not schedule.fitness.clipped_samples:
                 part[..., 3] = np.maximum(part[..., 3], 0)
             weight = part[..., 3].copy()
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
@@ -84,26 +84,26 @@ class Prepared:
 def prepare(
     domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True, report: Report = lambda part: None
 ) -> Prepared:
-    """Return each texel's scale, first guess (defaults, or a Lambertian fit if seeds need it), and the stack.
+    """Return each texel's scale, first guess (defaults, or a Lambertian fit where swarms start near one), stack.
 
     Uses numpy only, so it may run in a thread beside a window. pack: also make the arrays for the GPU. report: called
     now and then with the fraction done, 0 to 1.
     """
-    seeded = schedule.swarm.seed == "lambert"
-    count = 1 + seeded + pack
+    fitted = schedule.swarm.start == "lambert"
+    count = 1 + fitted + pack
     sweeps = (lambda part, k=k: report((k + part) / count) for k in range(count))
     guess = {
         p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*domain.shape, p.components))
         for p in model.parameters
     }
-    if seeded:
+    if fitted:
         normal, albedo = run_steps(lambert_steps(domain), next(sweeps))
         for p in model.parameters:
             if p.is_normal:
                 guess[p.name] = normal
             elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
-    scale = run_steps(scale_steps(domain, schedule.fitness.percentile), next(sweeps))
+    scale = run_steps(scale_steps(domain, schedule.fitness.scale_percentile), next(sweeps))
     prepared = Prepared(scale, guess, brightness(domain))
     return prepared.packed(domain, schedule, next(sweeps)) if pack else prepared
 
@@ -177,7 +177,7 @@ def drop_shadow(
 
     lights: (K, 4) and intensities: (K, 3) as in Domain; position: (h, w, 3) of the texels.
     """
-    if fitness.loss != "robust" or fitness.shadow == 0:
+    if fitness.loss != "cauchy" or fitness.shadow == 0:
         return
     brightness = grey_of(stack)
     for layer in np.flatnonzero(lights[:, 3] > 0):
@@ -204,7 +204,7 @@ def lambert_steps(domain: Domain) -> Generator[float, None, tuple[np.ndarray, np
     return normal, albedo
 
 
-lambert_seed = blocking("lambert_seed", lambert_steps)
+lambert_fit = blocking("lambert_fit", lambert_steps)
 
 
 def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarray]:

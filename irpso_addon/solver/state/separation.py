@@ -178,7 +178,7 @@ def separated_steps(
     """
     if separation.any():
         domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(held.packing)))
-    scale = yield from scale_steps(domain, schedule.fitness.percentile)
+    scale = yield from scale_steps(domain, schedule.fitness.scale_percentile)
     prepared = yield from Prepared(scale, {}, held.brightness).packing_steps(domain, schedule)
     numbers = held.packing.pack(scale), held.brightness, prepared.arrays
     return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)

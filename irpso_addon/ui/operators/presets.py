@@ -19,11 +19,12 @@ from bpy.props import StringProperty
 
 from ...core.errors import InputError
 from ...core.files import replacing_file
+from ...solver.settings.renamed import current_settings
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ..common import failures
 from ..common.file_paths import absolute
 from ..common.words import iface, tip
-from ..properties.schedule_settings import base_schedule, current_name, differences, fill, is_shipped, schedule_of
+from ..properties.schedule_settings import base_schedule, differences, fill, is_shipped, schedule_of
 
 FOLDER = "irpso"  # in the user's folder of presets
 _HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n\n"
@@ -48,7 +49,8 @@ def label_of(settings: Any) -> str:
     """
     if not is_shipped(settings):
         return settings.own or Path(settings.preset).stem
-    changed = preset_text(settings) != settings.own_text if settings.own else bool(differences(settings))
+    saved = _values_of(settings.own_text) if settings.own else {"preset": settings.preset}
+    changed = {"preset": settings.preset, **differences(settings)} != saved
     return (settings.own or iface(title_of(base_schedule(settings)))) + (" *" if changed else "")
 
 
@@ -62,29 +64,35 @@ def read_preset(path: str | Path) -> tuple[str, Schedule]:
     """Return the name of a preset file's base schedule, and the resulting schedule. Raises InputError."""
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); remove it and save it anew") from error
+    try:
+        values = _values_of(text)
+        name = values.pop("preset", None)
+        if not isinstance(name, str):
+            raise InputError(f"names no schedule; add a line {_OBJECT}.preset = 'standard'")
+        if unknown := sorted(values.keys() - SETTINGS.keys()):
+            raise InputError(f"there is no setting '{unknown[0]}'; remove that line")
+        return name, load_schedule(absolute(name, "Preset")).replaced(**values)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _values_of(text: str) -> dict[str, Any]:
+    """Return name → value of a preset file's text, under the present names. Raises InputError."""
     values: dict[str, Any] = {}
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line in _HEAD.splitlines():
             continue
         try:
             name, value = _ASSIGNMENT.fullmatch(line).groups()
-            values[current_name(name)] = ast.literal_eval(value)
+            values[name] = ast.literal_eval(value)
         except (AttributeError, SyntaxError, ValueError) as error:
             raise InputError(
-                f"{path}: line {number} sets no setting to a value; write lines like {_OBJECT}.particles = 24"
+                f"line {number} sets no setting to a value; write lines like {_OBJECT}.particles = 24"
             ) from error
-    name = values.pop("preset", None)
-    if not isinstance(name, str):
-        raise InputError(f"{path}: names no schedule; add a line {_OBJECT}.preset = 'standard'")
-    if unknown := sorted(values.keys() - SETTINGS.keys()):
-        raise InputError(f"{path}: there is no setting '{unknown[0]}'; remove that line")
-    try:
-        return name, load_schedule(absolute(name, "Preset")).replaced(**values)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return current_settings(values)
 
 
 class IRPSO_MT_presets(bpy.types.Menu):

@@ -205,9 +205,9 @@ def _has_effect(settings, name: str) -> bool:
     if group in switch and name != switch[group]:
         return getattr(schedule, switch[group]) > 0
     if name in ("delta", "shadow", "highlight_power"):
-        return schedule.loss == "robust"
-    if name in ("seeded", "seed_spread"):
-        return schedule.seed != "random"
+        return schedule.loss == "cauchy"
+    if name in ("start_fraction", "start_spread"):
+        return schedule.start != "random"
     if name == "level_iterations":
         return schedule.levels > 1
     return True

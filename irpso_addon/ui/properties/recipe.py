@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ...core.errors import InputError
+from ...solver.settings.renamed import current_settings
 from ...solver.settings.schedule import SETTINGS
 from ..common.file_paths import absolute
 from .scene_settings import CUSTOM
@@ -97,5 +98,5 @@ def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
     for item in settings.parameters:
         for name, value in parameters.get(item.name, {}).items():
             setattr(item, name, value if name != "image" or value is None else images[value])
-    for name, value in recipe["schedule"].items():
+    for name, value in current_settings(recipe["schedule"]).items():
         setattr(settings.schedule, name, value)

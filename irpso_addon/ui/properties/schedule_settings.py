@@ -14,6 +14,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 
 from ...blender.scenes.scene_capture import system_properties
 from ...core.errors import InputError
+from ...solver.settings.renamed import current_name
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ...solver.settings.setting import Setting
 from ..common.file_paths import absolute
@@ -22,13 +23,6 @@ FIRST = "standard"  # the preset of a new scene
 _ROUNDS_PRESETS = {True: "standard", False: "thorough"}  # of the switch Interreflection; whether there are matte rounds
 _OPEN_OFFSET = 1e-6  # added to an open lower limit, because Blender's limits are closed
 _DIGITS = 6  # largest number of decimals that Blender shows
-# Beginnings of names in scenes and presets saved before format 2 of presets (docs/presets.md) → the present ones.
-_RENAMED = {
-    "survey_polish_": "prefit_refinement_", "survey_judge_": "prefit_acceptance_",
-    "survey_trust": "prefit_acceptance_ratio", "survey_": "prefit_",
-    "polish_daring": "refinement_candidate_ratio", "polish_gain": "refinement_ftol",
-    "polish_smallest_step": "refinement_xtol", "polish_": "refinement_",
-}  # fmt: skip
 
 
 def _on_preset(self: ScheduleSettings, context: Any) -> None:
@@ -99,18 +93,13 @@ def fill(settings: ScheduleSettings, schedule: Schedule) -> None:
         setattr(settings, name, value)
 
 
-def current_name(name: str) -> str:
-    """Return the present name of a setting that an earlier version may have stored under another."""
-    old = next((old for old in _RENAMED if name.startswith(old)), "")
-    return name.replace(old, _RENAMED[old], 1) if old else name
-
-
 def rename_stored(settings: ScheduleSettings) -> None:
     """Move values that an earlier version stored under other names to the present settings."""
     stored = system_properties(settings)
     for old in {*stored.keys()} - SETTINGS.keys():
-        if current_name(old) in SETTINGS:
-            setattr(settings, current_name(old), stored[old])
+        if (name := current_name(old)) in SETTINGS:
+            choices = tuple(SETTINGS[name].choices)  # of which the number is stored
+            setattr(settings, name, choices[stored[old]] if choices else stored[old])
             del stored[old]
 
 

@@ -40,8 +40,8 @@ bool texel_kernel(ivec2 texel)
         neighbourhood_mean(texel, t.frame, mean);
     }
     move_particle(texel, particle, mean, x, v);
-#if NEIGHBOUR_EVERY > 0
-    if ((u_iteration + 1) % NEIGHBOUR_EVERY == 0) {
+#if NEIGHBOUR_INTERVAL > 0
+    if ((u_iteration + 1) % NEIGHBOUR_INTERVAL == 0) {
         try_neighbour(texel, t.frame, int(choice.y % 8u), x);
     }
 #endif

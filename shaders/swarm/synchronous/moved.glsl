@@ -11,10 +11,10 @@ void moved_particle(ivec2 texel, Frame f, int particle, out float x[8], out floa
     float mean[8];
     read_mean(texel, mean);
     move_particle(texel, particle, mean, x, v);
-#if NEIGHBOUR_EVERY > 0
+#if NEIGHBOUR_INTERVAL > 0
     // The last four particles take the bests of the four texels that share an edge: directions 1, 3, 4 and 6 of eight.
     int from_end = PARTICLES - 1 - particle;
-    if ((u_iteration + 1) % NEIGHBOUR_EVERY == 0 && from_end < 4) {
+    if ((u_iteration + 1) % NEIGHBOUR_INTERVAL == 0 && from_end < 4) {
         try_neighbour(texel, f, from_end < 2 ? 1 + 2 * from_end : 2 * from_end, x);
     }
 #endif

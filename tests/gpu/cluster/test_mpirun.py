@@ -24,7 +24,7 @@ SHAPE = (23, 31)  # primes: no cut is even
 LIGHTS = cli_maker.dome_lights(10, widest=70)
 UNLIKE = ("report.json", "material.blend")  # which hold times and names
 WIDE = ["--model", "lambert", "--preset", "swarm", "--iterations", 12, "--set", "neighbourhood=9", "--set",
-        "neighbour_every=4", "--set", "c3_until=0"]  # fmt: skip
+        "neighbour_interval=4", "--set", "c3_fade=0"]  # fmt: skip
 STANDARD = ["--model", "principled", "--preset", "standard", "--iterations", 3, "--hold-out", "3"]
 
 THOROUGH = [*STANDARD, *(part for name, value in {"rounds": 2, "resolution": 24, "rays": 16}.items()

@@ -117,6 +117,13 @@ def test_a_job_with_changed_options_or_a_missing_result_runs_again(listed, monke
     assert run_cli(*arguments, "--only", "second")[0] == 0 and begun == [("second", False)]
 
 
+def test_a_job_with_a_former_name_of_a_setting_fails_with_the_present_one(listed):
+    (listed / "list.toml").write_text(LIST.replace("particles=20", "seeded=0.5"), encoding="utf-8")
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out", "--only", "second")
+    assert code == 2 and err.count("\n") == 1
+    assert "job 'second' failed: " in err and "there is no setting 'seeded'; it is 'start_fraction' now" in err
+
+
 def test_a_useless_checkpoint_does_not_block_its_job(listed):
     out, (job, *_) = listed / "out", batch.read_list(listed / "list.toml", build_parser().parse_args)
     (out / "first").mkdir(parents=True)

@@ -112,7 +112,7 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     truth = out / "normal.exr"
     code, answer, _ = run_cli(
         "recover", out.parent / "lambert", "--model", "lambert", "--preset", "swarm", "--iterations", 30,
-        "--set", "seed=random", "--ground-truth", truth,
+        "--set", "start=random", "--ground-truth", truth,
         "--hold-out", "light 3,7", "-o", tmp_path / "out", "--json",
     )  # fmt: skip
     answer = json.loads(answer.splitlines()[-1])

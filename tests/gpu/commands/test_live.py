@@ -24,7 +24,7 @@ STANDARD = load_schedule("standard").replaced(
 )  # fmt: skip
 # Every kind of phase: sequential swarms in two stages; prefit, synchronous swarms, refinement, prior.
 RUNS = {
-    "one": (TWO_LOBES, SHORT.replaced(iterations=8, particles=5, seed="lambert", seeded=0.5)),
+    "one": (TWO_LOBES, SHORT.replaced(iterations=8, particles=5, start="lambert", start_fraction=0.5)),
     "standard": (TWO_LOBES, STANDARD),
 }
 
@@ -89,7 +89,7 @@ def test_the_first_picture_is_the_seed(recover):
     recovery = recover(domain, TWO_LOBES, STANDARD)
     for name, value in lent_values(recovery).items():
         np.testing.assert_array_equal(value[domain.solvable], seed[name][domain.solvable])
-    normal, _ = prepare.lambert_seed(domain)
+    normal, _ = prepare.lambert_fit(domain)
     np.testing.assert_array_equal(lent_values(recovery)["normal"][domain.solvable], normal[domain.solvable])
 
 
@@ -177,7 +177,9 @@ def test_reconfiguring_to_the_same_settings_changes_no_bit(whole, recover, stop)
 
 def test_changed_constants_apply_from_the_next_iteration(recover):
     model, schedule = RUNS["one"]
-    still = schedule.replaced(c1=0.0, c2=0.0, c3=0.0, inertia=0.0, neighbour_every=0)  # Eq. 2 with nothing left in it
+    still = schedule.replaced(
+        c1=0.0, c2=0.0, c3=0.0, inertia=0.0, neighbour_interval=0
+    )  # Eq. 2 with nothing left in it
     first = recover(observed(model), model, schedule)
     first.step(iterations=3)
     place, best = (first._phase.state()[name] for name in ("position", "best"))
@@ -227,19 +229,19 @@ def test_finished_stages_do_not_run_again(recover):
         {"particles": 7},
         {"normal": "cartesian"},
         {"update": "all", "particles": 6},
-        {"seed": "random"},
-        {"particles": 7, "seed": "random", "seeded": 0.0},
+        {"start": "random"},
+        {"particles": 7, "start": "random", "start_fraction": 0.0},
     ],
     ids=str,
 )
 def test_restarted_swarms_begin_at_the_current_best(recover, change):
     domain, truth = subject(model=TWO_LOBES.name, observations=12)
-    schedule = SHORT.replaced(iterations=40, seed="lambert", seeded=0.5, particles=6)
+    schedule = SHORT.replaced(iterations=40, start="lambert", start_fraction=0.5, particles=6)
     first = recover(domain, TWO_LOBES, schedule, fixed={"base_color": truth["base_color"]})
     first.step(iterations=30)
     before = float64_error(domain, TWO_LOBES, first.maps().values)[domain.solvable]
     second = first.reconfigure(schedule.replaced(**change))
-    assert (second.progress.iteration >= 0) == (change == {"seed": "random"})
+    assert (second.progress.iteration >= 0) == (change == {"start": "random"})
     second.step(iterations=0)
     found = second.maps()
     after = float64_error(domain, TWO_LOBES, found.values)[domain.solvable]
@@ -253,10 +255,10 @@ def test_restarted_swarms_begin_at_the_current_best(recover, change):
 
 def test_another_fitness_reweights_the_samples(recover):
     domain = observed(LAMBERT)
-    schedule = SHORT.replaced(seed="lambert", shadow=0.0)
+    schedule = SHORT.replaced(start="lambert", shadow=0.0)
     first = recover(domain, LAMBERT, schedule)
     first.step(iterations=4)
-    other = schedule.replaced(shadow=0.4, percentile=50.0)
+    other = schedule.replaced(shadow=0.4, scale_percentile=50.0)
     second, wanted = first.reconfigure(other), recover(domain, LAMBERT, other)
     for recovery in (second, wanted):
         recovery.step(iterations=0)

@@ -127,7 +127,7 @@ def tiled(domain, model, schedule, boxes, on_device=None):
 
 
 def test_swapped_tiles_read_bests_across_a_cut_midway(tmp_path):
-    schedule = SHORT.replaced(iterations=30, neighbour_every=2, neighbourhood=5)
+    schedule = SHORT.replaced(iterations=30, neighbour_interval=2, neighbourhood=5)
     domain = observed(sheet("mirrored and turned"), holes=0.1)
     whole = whole_of(domain, LAMBERT, schedule)
     assert whole_of(replace(domain, seams=None), LAMBERT, schedule) != whole

@@ -51,7 +51,7 @@ def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(re
     phase.acceptance = acceptance
     recovery.step(iterations=1)
     found = recovery.maps(confidence=False).values
-    scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
+    scale = texel_scale(domain, STANDARD.fitness.scale_percentile).astype(np.float64)
     ours, _ = bounded_misfit(domain, "principled", found, STANDARD.prefit, scale)
     kept = (found["normal"] == prefit).all(axis=-1)
     assert kept[:, 6:].mean() > 0.9 and kept[:, :6].mean() < 0.1
@@ -100,12 +100,12 @@ def test_with_a_kept_normal_the_other_parameters_are_optimal(recover, half):
     found = recovery.maps(confidence=False).values
     np.testing.assert_array_equal(found["normal"], judged["normal"])
     kept = np.argwhere((found["normal"] == prefit).all(axis=-1))[::4]
-    scale = texel_scale(domain, STANDARD.fitness.percentile)
+    scale = texel_scale(domain, STANDARD.fitness.scale_percentile)
     lit = domain.stack.values[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None, None]
     domain.stack.values[..., 3] *= lit >= STANDARD.fitness.shadow * scale
     costs = []
     for row, column in kept:
-        texel = Texel(PRINCIPLED, domain, row, column, "robust", STANDARD.fitness.delta, scale[row, column])
+        texel = Texel(PRINCIPLED, domain, row, column, "cauchy", STANDARD.fitness.delta, scale[row, column])
         normal = found["normal"][row, column].astype(np.float64)
         names = ("roughness", "specular", "base_color")
 

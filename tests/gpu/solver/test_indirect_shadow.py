@@ -95,7 +95,7 @@ def test_the_misfit_of_indirect_light_matches_float64(recover):
     measured = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).indirect_misfit)
     own = {name: np.float64(pack.unpack(value)) for name, value in phase.own.values().items()}
     shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)
-    scale = np.percentile(shown, RAISED.fitness.percentile, axis=0)
+    scale = np.percentile(shown, RAISED.fitness.scale_percentile, axis=0)
     counted = np.minimum(shown, scale)
     error = np.minimum(confidence_oracle.radiance(domain, "base_lobe", own).mean(axis=-1), scale) - counted
     light = counted.sum(axis=0)

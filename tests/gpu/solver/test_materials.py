@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("gpu")
 MODEL = load_model("metallic_roughness")
 SHAPE = (16, 24)
 STANDARD = load_schedule("standard").replaced(
-    prior_rounds=0, surface_rounds=0, refinement_rounds=0, neighbour_every=0, c3=0.0
+    prior_rounds=0, surface_rounds=0, refinement_rounds=0, neighbour_interval=0, c3=0.0
 )
 SMOOTH, MATT = 0.12, 0.8
 

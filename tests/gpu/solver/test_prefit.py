@@ -236,7 +236,7 @@ def test_the_prefits_misfit_matches_float64(recover, uneven):
     phase, pack = ended_prefit(recovery), Packing(domain.solvable)
     fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).fitness)
     own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
-    scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
+    scale = texel_scale(domain, STANDARD.fitness.scale_percentile).astype(np.float64)
     wanted, samples = bounded_misfit(domain, "base_lobe", own, STANDARD.prefit, scale)
     assert (samples >= 10).all()
     np.testing.assert_allclose(fitness, wanted, rtol=5e-3, atol=1e-4)

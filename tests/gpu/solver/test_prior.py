@@ -37,7 +37,7 @@ NOISE = 0.003
 recover = pytest.fixture(recoveries)
 
 
-def schedule_of(swarm=8, loss="robust", **settings):
+def schedule_of(swarm=8, loss="cauchy", **settings):
     """Few iterations of swarms and refinement, and a prior."""
     schedule = load_schedule("standard").replaced(
         iterations=swarm,
@@ -172,7 +172,7 @@ def test_the_noise_combines_samples_and_neighbours(prior):
         there = prior_oracle.around(domain.shape, domain.solvable, row, column, PRIOR.scales)
         shared = errors[there][freedom[there] > 0].sum() / freedom[there].sum()
         own = errors[row, column] if freedom[row, column] > 0 else 0
-        wanted = (own + PRIOR.noise_freedom * shared) / (freedom[row, column] + PRIOR.noise_freedom)
+        wanted = (own + PRIOR.noise_samples * shared) / (freedom[row, column] + PRIOR.noise_samples)
         assert noise[row, column, 2] == pytest.approx(wanted, rel=2e-3)
     # Nothing was fitted, so that none of 36 samples is spent on the 8 unknowns.
     assert np.sqrt(noise[4, 4, 2]) == pytest.approx(NOISE * np.sqrt(36 / 28), rel=0.1)
@@ -273,7 +273,7 @@ def test_without_rounds_and_for_models_without_scalars_there_is_no_prior(recover
     domain, _, _ = smooth(6, 7)
     plain = replace(schedule_of(rounds=2), prior=SpatialPrior())
     bits = []
-    for schedule in (plain, plain.replaced(prior_rounds=0, prior_likeness=0.7)):
+    for schedule in (plain, plain.replaced(prior_rounds=0, prior_bandwidth=0.7)):
         run = recover(domain, TWO_LOBES, schedule)
         run.step()
         bits.append(bits_of(run.maps(confidence=False)))
@@ -329,7 +329,7 @@ def test_maps_before_the_end_show_the_refinement(recover):
     assert bits_of(run.maps(confidence=False)) != wanted
 
 
-@pytest.mark.parametrize(("model", "loss"), [("principled", "l1"), ("cook_torrance_two_lobe", "robust")])
+@pytest.mark.parametrize(("model", "loss"), [("principled", "l1"), ("cook_torrance_two_lobe", "cauchy")])
 def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, loss):
     domain = make_domain(11, 12, 9, card=False, near=True, perspective=True, colored=True)
     model = load_model(model)
@@ -358,8 +358,8 @@ def test_a_prior_reads_and_renders_as_planned(prior):
 
 
 @pytest.mark.parametrize("setting, value", [("rounds", -1), ("scales", 0), ("scales", 7), ("iterations", 0),
-                                            ("likeness", 0.0), ("spread", float("nan")), ("tolerance", "3"),
-                                            ("turn", 1)])  # fmt: skip
+                                            ("bandwidth", 0.0), ("min_deviation", float("nan")), ("tolerance", "3"),
+                                            ("normals", 1)])  # fmt: skip
 def test_settings_that_make_no_sense_are_refused_by_name(setting, value):
     with pytest.raises(InputError, match=f"prior_{setting}"):
         load_schedule("standard").replaced(**{f"prior_{setting}": value})

@@ -192,10 +192,10 @@ def test_finer_levels_are_shorter_and_begin_at_the_given_estimate():
     first, *finer = level_schedules(schedule)
     assert first == schedule.replaced(levels=1) and len(finer) == 2
     for level in finer:
-        assert level.swarm.seed == "given" and level.levels == 1
+        assert level.swarm.start == "given" and level.levels == 1
         assert [s.iterations for s in level.stages] == [round(s.iterations / 2) for s in schedule.stages]
         assert level.prefit.iterations == round(schedule.prefit.iterations / 2)
-        assert level.swarm.seed_spread < schedule.swarm.seed_spread
+        assert level.swarm.start_spread < schedule.swarm.start_spread
         assert level.refinement == schedule.refinement and level.fitness == schedule.fitness
 
 

@@ -116,7 +116,7 @@ def test_the_outermost_seeds_are_taken(recover):
 @pytest.mark.parametrize(("window", "entry"), [(3, "fragment"), (5, "fragment"), (5, "compute")])
 def test_tiles_that_exchange_their_bests_are_the_whole_bit_for_bit(recover, window, entry):
     domain, _ = subject(card=False)
-    schedule = SHORT.replaced(neighbourhood=window, c3_until=0.0)
+    schedule = SHORT.replaced(neighbourhood=window, c3_fade=0.0)
     untiled = recover(domain, schedule=schedule, entry=entry)
     untiled.step()
     assert run_tiled(domain, LAMBERT, schedule, window // 2, entry) == bits_of(untiled.maps())
@@ -128,7 +128,7 @@ def test_tiles_of_several_stages_are_the_whole_bit_for_bit(whole, recover):
 
 
 def test_a_tile_reports_when_it_reads_neighbours():
-    schedule = SHORT.replaced(neighbourhood=5, c3_until=0.5, neighbour_every=5)
+    schedule = SHORT.replaced(neighbourhood=5, c3_fade=0.5, neighbour_interval=5)
     with TileRecovery(subject(5, 4)[0], LAMBERT, schedule, 1, entry="fragment") as recovery:
         found = [recovery.stencil_radius]
         for _ in range(12):

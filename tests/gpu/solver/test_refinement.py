@@ -32,7 +32,7 @@ def at(values, row, column):
 
 NAMES = ["lambert", "principled", "metallic_roughness", "cook_torrance_two_lobe", WARD]
 # Each is a shader of its own, of seconds to compile: a loss knows nothing of the model.
-STEPS = [(name, "robust", central) for name in NAMES for central in (True, False)]
+STEPS = [(name, "cauchy", central) for name in NAMES for central in (True, False)]
 STEPS += [("principled", "l2", True), ("cook_torrance_two_lobe", "l2", False), (WARD, "l1", True)]
 STEPS += [("lambert", "l1", False)]
 
@@ -44,7 +44,7 @@ def test_a_step_is_that_of_float64(refinement, name, loss, central):
     start = near(model, truth, 0.02)
     domain = observed(model, truth, shape, noise=0.005, shadow=0.0 if loss == "l2" else 0.1, bounds=1.0, colored=True)
     damping = 0.1
-    schedule = schedule_of(loss, damping=damping, central=central, ftol=0.0)  # the optimum's own shaders
+    schedule = schedule_of(loss, damping=damping, central_differences=central, ftol=0.0)  # the optimum's own shaders
     found = refinement(model, domain, start, schedule, scale=0.7).run()
     wrong = []
     for row, column in np.ndindex(shape):
@@ -77,9 +77,9 @@ def test_the_optimum_is_that_of_scipy(refinement, name, central):
     truth = materials(model, shape, seed=4)
     start = near(model, truth, 0.05)
     domain = observed(model, truth, shape, noise=0.01, shadow=0.15, bounds=1.0)
-    found = refinement(model, domain, start, schedule_of(iterations=60, central=central, ftol=0.0)).run()
+    found = refinement(model, domain, start, schedule_of(iterations=60, central_differences=central, ftol=0.0)).run()
     for row, column in np.ndindex(shape):
-        texel = Texel(model, domain, row, column, "robust", DELTA, 1.0)
+        texel = Texel(model, domain, row, column, "cauchy", DELTA, 1.0)
         origin = at(start, row, column)
         seen = texel.weight[:, 0] > 0
         widths = [0.5 if p.is_normal else p.range[1] - p.range[0] for p, _ in texel.unknowns]
@@ -161,7 +161,7 @@ def test_fragment_and_compute_make_the_same_step(refinement):
 
 
 WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "race_iterations": 2, "rounds": 2,
-         "round_iterations": 2, "candidate_ratio": 1.5, "votes": 1.0}  # fmt: skip
+         "round_iterations": 2, "candidate_ratio": 1.5, "neighbour_weight": 1.0}  # fmt: skip
 
 
 def lobes():
@@ -178,7 +178,7 @@ def lobes():
 def test_slices_and_checkpoints_change_nothing(recover, tmp_path, entry, breaks):
     model, domain = lobes()
     schedule = load_schedule("swarm").replaced(
-        iterations=3, particles=4, seed="random", refinement=replace(SETTINGS, **WHOLE)
+        iterations=3, particles=4, start="random", refinement=replace(SETTINGS, **WHOLE)
     )
     whole = recover(domain, model, schedule, entry=entry)
     assert whole.step().iterations_in_all == 3 + 5 * 2 + 4 * 2 + 4 + 2 * 2
@@ -201,7 +201,7 @@ def test_slices_and_checkpoints_change_nothing(recover, tmp_path, entry, breaks)
 def test_tiles_that_exchange_results_equal_the_whole_bit_for_bit(recover, entry):
     model, domain = lobes()
     schedule = load_schedule("swarm").replaced(
-        iterations=3, particles=4, seed="random", refinement=replace(SETTINGS, **WHOLE)
+        iterations=3, particles=4, start="random", refinement=replace(SETTINGS, **WHOLE)
     )
     whole = recover(domain, model, schedule, entry=entry)
     whole.step()

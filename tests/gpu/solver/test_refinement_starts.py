@@ -1,4 +1,4 @@
-"""The refinement's starts, its neighbours' materials and their votes, and the cost of a converged texel."""
+"""The refinement's starts, its neighbours' materials and their weight, and the cost of a converged texel."""
 
 import numpy as np
 import pytest
@@ -93,8 +93,10 @@ def test_the_mirror_start_and_a_wide_delta_recover_a_metal_with_a_wrong_normal(r
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=24, noise=0.003)
     right = []
-    for starts, widening in (((), 1.0), (model.starts, 1.0), (model.starts, 30.0)):
-        schedule = schedule_of(iterations=10, starts=True, start_iterations=5, widening=widening, central=False)
+    for starts, delta_factor in (((), 1.0), (model.starts, 1.0), (model.starts, 30.0)):
+        schedule = schedule_of(
+            iterations=10, starts=True, start_iterations=5, delta_factor=delta_factor, central_differences=False
+        )
         found = refinement(model, domain, dark_dielectric(truth), schedule, starts=starts, scale=0.1).run()
         right.append(float((found["metallic"] > 0.9).mean()))
     assert right[0] < 0.1 < right[1] < right[2] - 0.05 and right[2] > 0.8, right
@@ -108,7 +110,12 @@ def test_a_start_that_is_close_behind_goes_on_until_it_wins(refinement, entry):
     right = []
     for race in (0, 8):
         schedule = schedule_of(
-            iterations=4, starts=True, start_iterations=2, race_iterations=race, widening=30.0, central=False
+            iterations=4,
+            starts=True,
+            start_iterations=2,
+            race_iterations=race,
+            delta_factor=30.0,
+            central_differences=False,
         )
         bench = refinement(model, domain, dark_dielectric(truth), schedule, starts=model.starts, scale=0.1, entry=entry)
         right.append(float((bench.run()["metallic"] > 0.9).mean()))
@@ -122,7 +129,9 @@ def test_a_start_that_is_far_behind_stops(refinement):
     spent = []
     for race in (0, 6):
         # One step from a matt dielectric is far from gold.
-        schedule = schedule_of(iterations=1, starts=True, start_iterations=1, race_iterations=race, central=False)
+        schedule = schedule_of(
+            iterations=1, starts=True, start_iterations=1, race_iterations=race, central_differences=False
+        )
         starts = ((("roughness", (1.0,)), ("metallic", (0.0,))),)
         bench = refinement(model, domain, truth, schedule, starts=starts, scale=0.1)
         bench.run()
@@ -135,7 +144,7 @@ def test_a_start_with_a_wide_delta_gives_no_worse_material(refinement, source):
     model, shape = load_model("metallic_roughness"), (6, 6)
     truth = materials(model, shape)
     domain = observed(model, truth, shape, observations=24)
-    schedule = schedule_of(iterations=4, starts=True, start_iterations=5, widening=30.0)
+    schedule = schedule_of(iterations=4, starts=True, start_iterations=5, delta_factor=30.0)
     bench = refinement(model, domain, truth, schedule, starts=model.starts, scale=0.1)
     errors = []
     while not bench.refinement.done:
@@ -196,8 +205,8 @@ def uniform(shape, **changed):
     }
 
 
-def voted(refinement, truth, start, votes, entry="fragment", unseen=None, noise=0.003):
-    """Refinement a start with votes of the neighbours, under 40 lights with noise.
+def weighted(refinement, truth, start, weight, entry="fragment", unseen=None, noise=0.003):
+    """Refine a start with this weight of the neighbours, under 40 lights with noise.
 
     unseen: (row, column) of a texel that no light near its highlight reaches.
     """
@@ -206,39 +215,39 @@ def voted(refinement, truth, start, votes, entry="fragment", unseen=None, noise=
     if unseen:
         half = unit(domain.lights[:, :3] + (0, 0, 1))
         domain.stack.values[half @ truth["normal"][unseen] > 0.9, *unseen, 3] = 0
-    schedule = schedule_of(iterations=4, rounds=3, round_iterations=4, votes=votes)
+    schedule = schedule_of(iterations=4, rounds=3, round_iterations=4, neighbour_weight=weight)
     return refinement(model, domain, start, schedule, entry=entry).run()
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_a_lone_undecided_texel_is_outvoted(refinement, entry):
+def test_a_lone_undecided_texel_takes_its_neighbours_material(refinement, entry):
     truth = uniform((7, 7))
     start = {name: v.copy() for name, v in truth.items()}
     start["roughness"][3, 3], start["specular"][3, 3] = 0.9, 0.0
-    alone, crowd = (voted(refinement, truth, start, votes, entry, (3, 3)) for votes in (0.0, 6.0))
+    alone, crowd = (weighted(refinement, truth, start, weight, entry, (3, 3)) for weight in (0.0, 6.0))
     for name, value in (("roughness", 0.3), ("specular", 0.5)):
         assert abs(alone[name][3, 3, 0] - value) > 0.2 > 2 * abs(crowd[name][3, 3, 0] - value)
 
 
-def test_a_fit_better_than_any_photograph_allows_does_not_outvote_the_neighbours(refinement):
+def test_a_fit_better_than_any_photograph_allows_does_not_outweigh_the_neighbours(refinement):
     truth = uniform((7, 7))
     truth["roughness"][3, 3] = 0.7
-    found = voted(refinement, truth, truth, 6.0, unseen=(3, 3), noise=0.0)
+    found = weighted(refinement, truth, truth, 6.0, unseen=(3, 3), noise=0.0)
     assert found["roughness"][3, 3, 0] == pytest.approx(0.3, abs=0.15)
 
 
-def test_a_texel_of_its_own_material_is_not_outvoted(refinement):
+def test_a_texel_of_its_own_material_keeps_it(refinement):
     truth = uniform((7, 7))
     truth["roughness"][3, 3], truth["specular"][3, 3] = 0.7, 1.0
-    found = voted(refinement, truth, truth, 6.0)
+    found = weighted(refinement, truth, truth, 6.0)
     assert found["roughness"][3, 3, 0] == pytest.approx(0.7, abs=0.05)
     assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.05
 
 
-def test_a_line_and_a_checker_one_texel_wide_survive_the_votes(refinement):
+def test_a_line_and_a_checker_one_texel_wide_survive_the_weight_of_neighbours(refinement):
     rows, columns = np.indices((8, 8))
     for other in (rows == 3, (rows + columns) % 2 == 0):
         truth = uniform((8, 8))
         truth["roughness"][other] = 0.6
-        found = voted(refinement, truth, truth, 6.0)
+        found = weighted(refinement, truth, truth, 6.0)
         assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.06

@@ -33,7 +33,7 @@ def test_samples_of_weight_0_may_be_nan(recover):
     clean[dark] = 0
     found = []
     for stack in (domain.stack.values, clean):
-        recovery = recover(with_samples(domain, stack), schedule=SHORT.replaced(seed="lambert"))
+        recovery = recover(with_samples(domain, stack), schedule=SHORT.replaced(start="lambert"))
         recovery.step()
         maps = recovery.maps()
         assert all(np.isfinite(value).all() for value in (*maps.values.values(), maps.residual))
@@ -50,7 +50,7 @@ def test_the_unit_of_the_lights_does_not_matter(recover):
     )
     found = []
     for given in (domain, brighter):
-        recovery = recover(given, schedule=SHORT.replaced(iterations=200, loss="robust"))
+        recovery = recover(given, schedule=SHORT.replaced(iterations=200, loss="cauchy"))
         recovery.step()
         found.append(recovery.maps(confidence=False).values)
     for name in found[0]:
@@ -73,12 +73,12 @@ def test_an_unobserved_texel_stays_at_the_default(recover):
 
 
 @pytest.mark.parametrize("update", [{}, {"update": "all", "linear": "solve"}], ids=["sequential", "synchronous"])
-@pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
+@pytest.mark.parametrize("loss", ["l1", "l2", "cauchy"])
 def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss, update):
     domain, _ = subject(holes=False)
     domain.stack.values[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
     domain.stack.values[3, 6, 7, 1] = np.inf
-    recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0, **update))
+    recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_fade=0.0, **update))
     recovery.step(iterations=8)
     fitness = recovery.phase.fitness()
     bad = np.zeros(domain.shape, bool)
@@ -127,7 +127,7 @@ def test_every_phase_takes_the_planned_bytes(recover, preset):
 
 def test_fixed_maps_are_exact_and_the_rest_is_recovered(recover):
     domain, truth = subject(observations=12)
-    schedule = load_schedule("swarm").replaced(iterations=700, seed="random")
+    schedule = load_schedule("swarm").replaced(iterations=700, start="random")
     recovery = recover(domain, schedule=schedule, fixed={"normal": truth["normal"]})
     assert recovery.progress.title == "base_color"
     recovery.step()

@@ -25,24 +25,24 @@ CASES = [
     Case("albedo-solved-l2-H5", settings=FEW | {"loss": "l2", "neighbourhood": 5, "c3": 0.3, "walls": "reflect"}),
     Case("albedo-solved-l1-on-a-mesh", domain=MESH | LENS, settings=FEW | {"loss": "l1", "c3": 0.1}),
     Case("cartesian-normals-with-neighbours-bests-on-a-mesh", domain=MESH,
-         settings=FEW | {"normal": "cartesian", "neighbour_every": 1, "c3": 0.3}),
+         settings=FEW | {"normal": "cartesian", "neighbour_interval": 1, "c3": 0.3}),
     Case("twelve-particles-with-neighbours-bests-on-a-card", model="principled", domain={"observations": 12},
-         settings={"neighbour_every": 2}),
+         settings={"neighbour_interval": 2}),
     Case("principled-on-a-mesh", model="principled", domain=MESH | {"colored": True},
          settings=FEW | {"walls": "clamp", "constriction": 0.7298}),
     Case("two-lobes-solved-with-their-weight", model=TWO_LOBES, domain={"observations": 12},
-         settings=FEW | {"c3": 0.3, "neighbour_every": 2}),
+         settings=FEW | {"c3": 0.3, "neighbour_interval": 2}),
     Case("two-lobes-that-hold-the-base", search=("specular",), model=TWO_LOBES, domain={"observations": 12},
          settings=FEW),
     Case("every-number-searched", settings=FEW | {"linear": "search", "c3": 0.3}),
     Case("eight-dimensions-searched-on-a-mesh", model=TWO_LOBES, domain=MESH | {"observations": 12},
-         settings=FEW | {"linear": "search", "neighbour_every": 1, "c3": 0.1, "loss": "l1"}),
+         settings=FEW | {"linear": "search", "neighbour_interval": 1, "c3": 0.1, "loss": "l1"}),
     Case("no-dimension-at-all", fixed=frozenset({"normal"}), settings=FEW),
     Case("nothing-but-the-normal", search=("normal",), settings=FEW | {"loss": "l1"}),
     Case("a-threshold-stops-swarms", settings=FEW | {"threshold": 0.1, "loss": "l1"}),
-    Case("one-row", shape=(1, 7), domain=MESH, settings=FEW | {"neighbourhood": 5, "c3": 0.3, "neighbour_every": 1}),
+    Case("one-row", shape=(1, 7), domain=MESH, settings=FEW | {"neighbourhood": 5, "c3": 0.3, "neighbour_interval": 1}),
     *(Case(f"{m}-particles", shape=(3, 4), settings={"particles": m, "particles_per_dimension": 0.0,
-                                                     "neighbour_every": 1}, iterations=2)
+                                                     "neighbour_interval": 1}, iterations=2)
       for m in (1, 3, 4, 5, 8, 13, 16)),
 ]  # fmt: skip
 BY_NAME = {case.name: case for case in CASES}
@@ -66,7 +66,7 @@ def assert_equal_iterations(b, step, places):
     leads = step.lead > 2 * rounding(np.min(step.fitness, axis=0))
     compared = moved & ~step.edge
     # Particles that came to a neighbour's best, or search nothing, tie with where they have been before.
-    ties = b.schedule.swarm.neighbour_every == 1 or b.problem.dimensions == 0
+    ties = b.schedule.swarm.neighbour_interval == 1 or b.problem.dimensions == 0
     assert compared[:, moved].mean() > 0.8 and clear[compared].mean() > (0.4 if ties else 0.9)
     assert_close_fitness(b.found_fitness()[compared], step.fitness[compared])
     np.testing.assert_allclose(found.x, wanted.x, atol=places, rtol=0)
@@ -95,13 +95,15 @@ def test_a_generation_matches_the_oracle(case, bench):
         assert_equal_iterations(b, step, TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
 
 
-@pytest.mark.parametrize("seed", ["random", "lambert"])
+@pytest.mark.parametrize("start", ["random", "lambert"])
 @pytest.mark.parametrize(
     "name", ["principled-on-a-mesh", "eight-dimensions-searched-on-a-mesh", "no-dimension-at-all", "16-particles"]
 )
-def test_a_swarm_is_placed_where_the_oracle_places_it(name, seed, bench):
+def test_a_swarm_is_placed_where_the_oracle_places_it(name, start, bench):
     case = BY_NAME[name]
-    case = dataclasses.replace(case, settings=case.settings | {"seed": seed, "seeded": 0.4, "seed_spread": 0.2})
+    case = dataclasses.replace(
+        case, settings=case.settings | {"start": start, "start_fraction": 0.4, "start_spread": 0.2}
+    )
     b = bench(case)
     before = b.read()
     assert b.stage.iteration == -1

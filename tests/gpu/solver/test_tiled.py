@@ -29,8 +29,8 @@ FEW = [(0, 0, 2, 3), (2, 0, 15, 3), (0, 3, 17, 10)]
 # These read texels 8 away: tests/gpu/solver/test_indirect_shadow.py, test_surface.py.
 NARROW = load_schedule("standard").replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0, surface_rounds=0)
 SCHEDULES = {
-    "one particle at a time": SHORT.replaced(neighbour_every=3),
-    "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),
+    "one particle at a time": SHORT.replaced(neighbour_interval=3),
+    "wide window": SHORT.replaced(neighbourhood=5, c3_fade=0.0, start="lambert"),
     "several stages": load_schedule("paper").replaced(iterations=6, cycles=2, particles=4, c3=0.3, search=["normal"]),
     "standard": NARROW.replaced(iterations=8, materials_rounds=0, prior_rounds=0),
     "materials": load_schedule("standard").replaced(
@@ -177,7 +177,9 @@ def test_tiles_that_take_turns_show_where_they_are_without_another_turn(monkeypa
 
 
 def test_a_tiled_step_makes_the_requested_iterations():
-    with tiled(with_hole(), SHORT.replaced(c3=0.0, neighbour_every=0), FEW, resident=False, model=LAMBERT) as recovery:
+    with tiled(
+        with_hole(), SHORT.replaced(c3=0.0, neighbour_interval=0), FEW, resident=False, model=LAMBERT
+    ) as recovery:
         assert (recovery.step(iterations=0).iteration, recovery.progress.evaluations > 0) == (0, True)
         assert recovery.step(iterations=1).iteration == 1
         assert recovery.step(iterations=7).iteration == 8
@@ -190,7 +192,7 @@ def test_a_tiled_step_makes_the_requested_iterations():
 )
 def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
     domain = with_hole(card=False)
-    schedule = SCHEDULES["several stages"].replaced(neighbour_every=2)
+    schedule = SCHEDULES["several stages"].replaced(neighbour_interval=2)
     wanted, progress = whole_of(domain, schedule, model=LAMBERT)
     options = {"resident": how == "resident", "scratch": tmp_path if how == "scratch" else None, "model": LAMBERT}
     with tiled(domain, schedule, FEW, **options) as first:
@@ -250,7 +252,7 @@ def test_tiles_resume_within_the_shared_materials(how, tmp_path):
 @pytest.mark.parametrize(("resident", "threshold"), [(True, 0.06), (False, 0.2)])
 def test_tiles_stop_at_the_threshold_when_the_whole_does(resident, threshold):
     domain, _ = subject(9, 8, holes=False)
-    schedule = SHORT.replaced(iterations=400, cycles=2, loss="l1", threshold=threshold, c3=0.0, neighbour_every=30)
+    schedule = SHORT.replaced(iterations=400, cycles=2, loss="l1", threshold=threshold, c3=0.0, neighbour_interval=30)
     wanted, progress = whole_of(domain, schedule, model=LAMBERT)
     texels = 72
     assert progress.evaluations < 2 * (400 + 6) * texels

@@ -14,8 +14,8 @@ from tests.builders.domains import SHORT, subject
 
 LAMBERT = load_model("lambert")
 BOXES = [(0, 0, 8, 4), (0, 4, 3, 5), (3, 4, 5, 5)]
-STAGES = load_schedule("paper").replaced(iterations=30, cycles=2, particles=4, c3=0.3, neighbour_every=7)
-THRESHOLD = SHORT.replaced(iterations=200, cycles=2, loss="l1", threshold=0.2, c3=0.0, neighbour_every=30)
+STAGES = load_schedule("paper").replaced(iterations=30, cycles=2, particles=4, c3=0.3, neighbour_interval=7)
+THRESHOLD = SHORT.replaced(iterations=200, cycles=2, loss="l1", threshold=0.2, c3=0.0, neighbour_interval=30)
 
 
 def turns_of(domain, schedule):

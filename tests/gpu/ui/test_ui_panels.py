@@ -112,7 +112,7 @@ def test_settings_that_do_nothing_are_not_shown(chosen):
     assert "refinement_iterations" in found and "refinement_rounds" not in found
     assert "prior_rounds" in found and "prior_scales" not in found
     assert "loss" in found and "delta" not in found
-    assert "level_iterations" not in found and "seeded" not in found
+    assert "level_iterations" not in found and "start_fraction" not in found
 
 
 @pytest.mark.bpy_only

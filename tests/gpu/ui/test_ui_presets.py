@@ -97,7 +97,7 @@ def test_every_setting_of_a_schedule_is_a_property_that_shows_the_value_in_effec
     assert settings().iterations == 1000
 
 
-@pytest.mark.parametrize("name", ["inertia", "delta", "refinement_ftol", "prior_likeness", "c3"])
+@pytest.mark.parametrize("name", ["inertia", "delta", "refinement_ftol", "prior_bandwidth", "c3"])
 def test_a_typed_number_reaches_the_schedule_exactly(name):
     for typed in (0.07, 0.1, 0.3, 0.025, 1e-05, 0.123456):
         setattr(settings(), name, typed)
@@ -111,19 +111,19 @@ def test_a_reset_setting_no_longer_differs():
 
     settings().delta, settings().particles, settings().loss = 0.5, 99, "l1"
     assert differences(settings()) == {"delta": 0.5, "particles": 99, "loss": "l1"}
-    settings().delta, settings().particles, settings().loss = 0.03, 8, "robust"
+    settings().delta, settings().particles, settings().loss = 0.03, 8, "cauchy"
     assert differences(settings()) == {}
 
 
 def test_property_limits_equal_schedule_limits():
-    settings().seeded = 7
+    settings().start_fraction = 7
     settings().particles = -3
-    settings().percentile = 0
+    settings().scale_percentile = 0
     settings().levels = 40
     settings().neighbourhood = 6
     found = schedule()
-    assert (found.swarm.seeded, found.swarm.particles, found.levels, found.swarm.neighbourhood) == (1, 1, 5, 7)
-    assert 0 < found.fitness.percentile < 1e-5
+    assert (found.swarm.start_fraction, found.swarm.particles, found.levels, found.swarm.neighbourhood) == (1, 1, 5, 7)
+    assert 0 < found.fitness.scale_percentile < 1e-5
 
 
 def test_settings_that_contradict_each_other_are_refused_with_what_to_do():
@@ -236,7 +236,7 @@ HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n"
         (HEAD + "schedule.preset = 'paper'\nschedule.particels = 3\n", "there is no setting 'particels'"),
         (HEAD + "schedule.preset = 'paper'\nschedule.search = ['normal']\n", "there is no setting 'search'"),
         (HEAD + "schedule.preset = 'paper'\nschedule.particles = -3\n", "particles must be a whole number from 1"),
-        (HEAD + "schedule.preset = 'paper'\nschedule.seeded = 2.0\n", "seeded must be at most 1"),
+        (HEAD + "schedule.preset = 'paper'\nschedule.start_fraction = 2.0\n", "start_fraction must be at most 1"),
         (HEAD + "schedule.particles = 3\n", "names no schedule"),
         (HEAD + "schedule.preset = 'paper'\nschedule.particles = open('x')\n", "line 4 sets no setting"),
         (HEAD + "schedule.preset = 'paper'\nbpy.ops.wm.quit_blender()\n", "line 4 sets no setting"),
@@ -259,6 +259,29 @@ def test_an_own_preset_of_an_earlier_version_keeps_its_settings(tmp_path):
     path.write_text(HEAD + "schedule.preset = 'standard'\nschedule.polish_gain = 0.25\nschedule.survey_trust = 2.0\n")
     bpy.ops.irpso.preset_load(filepath=str(path))
     assert (schedule().refinement.ftol, schedule().prefit.acceptance_ratio) == (0.25, 2.0)
+
+
+def test_an_own_preset_of_format_2_keeps_its_settings_and_is_unchanged(tmp_path):
+    from irpso_addon.ui.operators.presets import label_of
+
+    text = (
+        "schedule.preset = 'paper'\nschedule.loss = 'robust'\nschedule.prior_turn = False\nschedule.seed = 'lambert'\n"
+    )
+    (tmp_path / "old.py").write_text(HEAD + text)
+    bpy.ops.irpso.preset_load(filepath=str(tmp_path / "old.py"))
+    changes = {"loss": "cauchy", "prior_normals": False, "start": "lambert"}
+    assert schedule() == irpso_addon.load_schedule("paper").replaced(**changes)
+    settings().own_text = HEAD + text  # as a scene of that version has it
+    assert label_of(settings()) == "old"
+    settings().prior_normals = True
+    assert label_of(settings()) == "old *"
+
+
+def test_an_own_preset_with_a_former_and_the_present_name_is_refused(tmp_path):
+    (tmp_path / "old.py").write_text(
+        HEAD + "schedule.preset = 'paper'\nschedule.seed = 'lambert'\nschedule.start = 'random'\n"
+    )
+    assert "there is no setting 'seed'" in refusal(bpy.ops.irpso.preset_load, filepath=str(tmp_path / "old.py"))
 
 
 def test_a_missing_own_preset_is_refused_in_one_line(tmp_path):
@@ -295,3 +318,20 @@ def test_a_scene_of_an_earlier_version_keeps_its_settings(tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
     assert (schedule().refinement.rounds, schedule().refinement.starts) == (7, False)
     assert schedule().prefit.acceptance_delta == 0.125 and "polish_rounds" not in system_properties(settings())
+
+
+def test_a_scene_of_format_2_keeps_its_settings(tmp_path):
+    from irpso_addon.blender.scenes.scene_capture import system_properties
+
+    settings().preset = "paper"
+    stored = system_properties(settings())
+    stored["seed"], stored["loss"] = 1, 2  # Blender stores the numbers of choices: lambert, robust
+    stored["c3_until"], stored["neighbour_every"], stored["bounds"] = 0.25, 9, True
+    stored["refinement_votes"], stored["prior_turn"], stored["prior_share"] = 2.5, False, 0.125
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
+    wanted = irpso_addon.load_schedule("paper").replaced(
+        start="lambert", loss="cauchy", c3_fade=0.25, neighbour_interval=9, clipped_samples=True,
+        refinement_neighbour_weight=2.5, prior_normals=False, prior_min_influence=0.125,
+    )  # fmt: skip
+    assert schedule() == wanted and "seed" not in system_properties(settings())

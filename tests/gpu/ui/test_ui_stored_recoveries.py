@@ -269,6 +269,18 @@ def test_another_recovery_replaces_one_that_is_less_far_and_none_that_cannot_be_
     session.end()
 
 
+def test_a_stored_recovery_with_former_names_of_settings_is_restored(stored, plane):
+    from irpso_addon.ui.properties import recipe
+
+    schedule = dict(stored.recipe["schedule"])
+    for old, now, value in (("seed", "start", "random"), ("refinement_votes", "refinement_neighbour_weight", 2.5)):
+        del schedule[now]
+        schedule[old] = value
+    recipe.apply_recipe(plane, stored.recipe | {"schedule": schedule | {"loss": "robust"}})
+    found = plane.schedule
+    assert (found.start, found.refinement_neighbour_weight, found.loss) == ("random", 2.5, "cauchy")
+
+
 def test_a_given_image_that_is_not_in_the_file_is_named(stored):
     from irpso_addon.ui.properties import recipe
 

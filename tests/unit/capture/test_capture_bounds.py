@@ -64,7 +64,7 @@ def test_a_card_keeps_bounds_and_a_schedule_may_drop_them():
     assert domain.stack.values[2, 1, 3, 3] == images[2][1, 3, 3] == -2.5
     schedule, model = load_schedule("standard"), load_model("principled")
     kept = prepare(domain, model, schedule).stack
-    dropped = prepare(domain, model, schedule.replaced(bounds=False)).stack
+    dropped = prepare(domain, model, schedule.replaced(clipped_samples=False)).stack
     assert (kept[..., 3] < 0).sum() == 1 and (dropped[..., 3] < 0).sum() == 0
     np.testing.assert_array_equal(np.maximum(kept[..., 3], 0), dropped[..., 3])
 

@@ -18,7 +18,7 @@ from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state import checkpoint
-from irpso_addon.solver.state.prepare import lambert_seed
+from irpso_addon.solver.state.prepare import lambert_fit
 from tests.builders.command_line import angle
 from tests.builders.near_card import DISTANCE, near_card, write_near_card
 
@@ -41,9 +41,9 @@ def test_normals_are_the_same_in_any_unit_of_length(unit, camera):
     if camera is not None:
         camera = Camera.orthographic(24, 16, 225.0 / unit)
     capture, values = near_card(unit, camera)
-    assert angle(lambert_seed(domain_from_card(capture))[0], values["normal"]).max() < 0.01
+    assert angle(lambert_fit(domain_from_card(capture))[0], values["normal"]).max() < 0.01
     at_one = replace(capture, card_distance=1.0)  # what was taken before, in silence
-    assert angle(lambert_seed(domain_from_card(at_one))[0], values["normal"]).mean() > 15
+    assert angle(lambert_fit(domain_from_card(at_one))[0], values["normal"]).mean() > 15
 
 
 def test_under_distant_lights_a_card_needs_no_distance_and_one_changes_nothing():

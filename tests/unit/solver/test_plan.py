@@ -18,7 +18,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 
 G, M = 1 << 30, 1 << 20
 PLENTY = Memory(1 << 50, 1 << 50)
-SWARM = load_schedule("swarm").replaced(particles=9, particles_per_dimension=0.0, iterations=60, c3_until=0.25)
+SWARM = load_schedule("swarm").replaced(particles=9, particles_per_dimension=0.0, iterations=60, c3_fade=0.25)
 
 
 def cost_of(observations=100, **options):
@@ -52,9 +52,9 @@ def test_evaluations_and_exchanges_are_counted_over_all_iterations():
     cost = cost_of()
     # The neighbour term of 60 iterations lasts 15 of them (0 … 14); neighbours are tried at 9, 19, 29, 39, 49, 59.
     assert (cost.stencil_radius, cost.exchanges, cost.evaluations) == (1, 15 + 5, 9 + 60)
-    wide = recovery_cost(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_until=0.0), (), 100)
+    wide = recovery_cost(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_fade=0.0), (), 100)
     assert (wide.stencil_radius, wide.exchanges) == (3, 60)
-    alone = recovery_cost(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
+    alone = recovery_cost(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_interval=0), (), 100)
     assert (alone.stencil_radius, alone.exchanges) == (0, 0)
     rounds = recovery_cost(load_model("lambert"), SWARM.replaced(interreflection_rounds=2), (), 100)
     assert rounds.evaluations == 3 * (9 + 60)

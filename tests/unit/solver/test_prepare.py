@@ -53,7 +53,7 @@ def test_the_scale_of_a_texel_that_few_lights_reach_is_that_of_its_light():
 def test_samples_under_the_shadow_threshold_weigh_nothing():
     domain = make_domain(9, 7, colored=True)
     fitness = load_schedule("swarm").fitness
-    fitness = replace(fitness, loss="robust", shadow=0.5)
+    fitness = replace(fitness, loss="cauchy", shadow=0.5)
     scale = prepare.texel_scale(domain, 80)
     stack = domain.stack.values.copy()
     prepare.drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
@@ -81,7 +81,7 @@ def test_the_distance_of_near_lights_does_not_matter_to_scale_and_shadow(distanc
     scale = prepare.texel_scale(near, 80)
     np.testing.assert_allclose(scale, np.percentile(shade, 80, axis=0), rtol=1e-5)
     assert prepare.brightness(near) == pytest.approx(domain.intensities.mean() * (1 / squared).mean(), rel=1e-6)
-    fitness = replace(load_schedule("swarm").fitness, loss="robust", shadow=0.5)
+    fitness = replace(load_schedule("swarm").fitness, loss="cauchy", shadow=0.5)
     prepare.drop_shadow(stack, lights, domain.intensities, domain.bake.position, scale, fitness)
     np.testing.assert_array_equal(stack[..., 3] > 0, shade >= 0.5 * scale)
 
@@ -90,7 +90,7 @@ def test_the_distance_of_near_lights_does_not_matter_to_scale_and_shadow(distanc
 def test_only_a_robust_fitness_with_a_threshold_drops_shadow(change):
     domain = make_domain(5, 4)
     stack = domain.stack.values.copy()
-    fitness = replace(replace(load_schedule("swarm").fitness, loss="robust", shadow=0.9), **change)
+    fitness = replace(replace(load_schedule("swarm").fitness, loss="cauchy", shadow=0.9), **change)
     prepare.drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, np.ones(domain.shape), fitness)
     np.testing.assert_array_equal(stack, domain.stack.values)
 
@@ -140,7 +140,7 @@ def trimmed_fit(domain, y, x):
 @pytest.mark.parametrize("options", [{}, {"card": False, "observations": 20}, LENS, {"observations": 3}], ids=str)
 def test_the_seed_is_a_trimmed_least_squares_fit_of_every_texel(options):
     domain = make_domain(7, 6, **({"observations": 15} | options))
-    normals, albedos = prepare.lambert_seed(domain)
+    normals, albedos = prepare.lambert_fit(domain)
     assert np.isfinite(normals).all() and np.isfinite(albedos).all()
     for y, x in np.argwhere(domain.solvable):
         normal, albedo = trimmed_fit(domain, y, x)
@@ -158,7 +158,7 @@ def test_the_seed_of_a_lambertian_subject_is_the_subject(options):
     domain = with_radiance(make_domain(7, 6, observations=30, **options), "lambert", truth)
     domain.stack.values[3, ..., :3] = np.nan
     domain.stack.values[3, ..., 3] = 0
-    found, albedo = prepare.lambert_seed(domain)
+    found, albedo = prepare.lambert_fit(domain)
     lit = ((domain.stack.values[..., 3] > 0) & (domain.stack.values[..., 0] > 0)).sum(axis=0)
     seen = domain.solvable & (lit >= 6)
     assert seen.sum() > 20
@@ -175,7 +175,7 @@ def test_a_highlight_and_a_shadow_do_not_move_the_seed():
     np.put_along_axis(domain.stack.values[..., 0], order[-6:], 5.0, axis=0)
     domain.stack.values[..., :3] = domain.stack.values[..., :1]
     np.put_along_axis(domain.stack.values[..., 0], order[:5], 1e-4, axis=0)
-    normal, _ = prepare.lambert_seed(domain)
+    normal, _ = prepare.lambert_fit(domain)
     assert (normal * truth["normal"]).sum(axis=-1).min() > np.cos(np.radians(0.1))
 
 
@@ -191,7 +191,7 @@ def test_preparing_in_a_thread_gives_the_packed_stack_without_shadow(options):
     if domain.lights[0, 3]:
         squared = ((domain.lights[:, None, :3].astype(np.float64) - domain.bake.position[texels]) ** 2).sum(axis=-1)
     shade = samples[..., :3].mean(axis=-1) * squared / domain.intensities.astype(np.float64).mean(axis=1)[:, None]
-    scale = np.nanpercentile(np.where(samples[..., 3] > 0, shade, np.nan), schedule.fitness.percentile, axis=0)
+    scale = np.nanpercentile(np.where(samples[..., 3] > 0, shade, np.nan), schedule.fitness.scale_percentile, axis=0)
     np.testing.assert_allclose(prepared.scale[texels], scale, rtol=1e-5)
     found = prepared.stack.reshape(16, -1, 4)
     count = len(texels[0])

@@ -25,7 +25,7 @@ from irpso_addon.solver.settings.resolve import (
 )
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 
-OTHERS = {"solve": "search", "robust": "l2", "stop": "clamp", "lambert": "random", "hemisphere": "cartesian"}
+OTHERS = {"solve": "search", "cauchy": "l2", "stop": "clamp", "lambert": "random", "hemisphere": "cartesian"}
 
 
 def unlike(value):
@@ -40,7 +40,7 @@ def unlike(value):
 def test_the_standard_preset_moves_whole_swarms_solves_prefits_and_refines():
     standard = load_schedule("standard")
     assert "standard" in shipped_presets() and standard.name == "standard"
-    assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
+    assert (standard.swarm.update, standard.swarm.linear, standard.swarm.start) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
     assert [type(stage) for stage in stages] == [
         ResolvedPrefit, ResolvedPrefit, ResolvedSheen, ResolvedIndirect, ResolvedSeparation, ResolvedPrefit,
@@ -85,7 +85,7 @@ def test_thorough_is_standard_without_interreflection():
 
 def test_a_preset_that_extends_another_sets_what_differs(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text('format = 2\nextends = "thorough"\n[fitness]\ndelta = 0.5\n[interreflection]\nrays = 32\n')
+    path.write_text('format = 3\nextends = "thorough"\n[fitness]\ndelta = 0.5\n[interreflection]\nrays = 32\n')
     mine = load_schedule(path)
     wanted = load_schedule("thorough").replaced(delta=0.5, interreflection_rays=32)
     assert dataclasses.replace(mine, title=wanted.title, name=wanted.name) == wanted
@@ -94,7 +94,7 @@ def test_a_preset_that_extends_another_sets_what_differs(tmp_path):
 @pytest.mark.parametrize("base", ['"nothing"', "3", '"mine.toml"'])
 def test_a_preset_that_extends_no_preset_is_refused(tmp_path, base):
     path = tmp_path / "mine.toml"
-    path.write_text(f"format = 2\nextends = {base}\n")
+    path.write_text(f"format = 3\nextends = {base}\n")
     with pytest.raises(InputError, match="mine.toml: extends .* name another preset: .*standard"):
         load_schedule(path)
 
@@ -141,7 +141,7 @@ def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
         prefit_iterations=7, prefit_refinement_iterations=4, prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0,
         cycles=2, prior_rounds=0, surface_rounds=0,
     )  # fmt: skip
-    stages = resolve(standard, load_model("principled"), set(), observations=standard.prefit.observations)
+    stages = resolve(standard, load_model("principled"), set(), observations=standard.prefit.min_observations)
     assert [stage.title for stage in stages] == [
         "prefit of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "refinement",
         "refinement, normals fixed", "shared materials",
@@ -160,7 +160,7 @@ def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
 @pytest.mark.parametrize(
     ("settings", "fixed", "observations"),
     [({}, set(), 9), ({}, {"normal"}, 50), ({"search": ["base_color"]}, set(), 50),
-     ({"prefit_iterations": 0}, set(), 50), ({"prefit_observations": 51}, set(), 50)],
+     ({"prefit_iterations": 0}, set(), 50), ({"prefit_min_observations": 51}, set(), 50)],
 )  # fmt: skip
 def test_a_prefit_needs_observations_and_a_normal_to_find(settings, fixed, observations):
     schedule = load_schedule("standard").replaced(**settings)
@@ -171,14 +171,14 @@ def test_a_prefit_needs_observations_and_a_normal_to_find(settings, fixed, obser
 BAD_PREFITS = {
     "prefit_iterations": [-1, 1.5, "10", True],
     "prefit_refinement_iterations": [-1, 2.5, None],
-    "prefit_observations": [-1, 9.5, "many"],
+    "prefit_min_observations": [-1, 9.5, "many"],
     "prefit_shadow": [-0.1, "dark", float("nan"), True],
     "prefit_acceptance_delta": [-1, "x", float("inf")],
     "prefit_acceptance_ratio": [-1, "x", None],
     "update": ["two", 1],
     "linear": ["closed", True],
-    "linear_reach": [-1, "far"],
-    "neighbour_every": [-1, "often"],
+    "linear_limit": [-1, "far"],
+    "neighbour_interval": [-1, "often"],
     "prefit_lobes": [2],
 }
 
