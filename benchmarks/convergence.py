@@ -21,12 +21,13 @@ STAGED = ("paper", "constriction", "swarm")
 POINTS = 11  # samples of a recovery's trace
 NAMES = ("normal", "base_color", "r1", "r2", "w")
 ErrorCurve = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
+Traced = tuple[ErrorCurve, float]  # and the evaluations that a texel made
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """Run all methods for every seed and degradation; seeds outermost: other load affects all methods equally."""
     size, lights, seeds, evolved = (6, 20, 1, 1) if quick else (16, 100, 3, 6)
-    runs: dict[str, dict[str, list[ErrorCurve]]] = {}
+    runs: dict[str, dict[str, list[Traced]]] = {}
     for seed in range(seeds):
         for degradation in DEGRADATIONS:
             card = subjects.make_card(size, lights, subjects.DEGRADATIONS[degradation], seed)
@@ -39,7 +40,7 @@ def measure(quick: bool) -> dict[str, Any]:
     return {"size": size, "lights": lights, "seeds": seeds, "evolved": evolved, "curves": curves}
 
 
-def _ours(card: subjects.Card, kind: str, name: str, seed: int, quick: bool) -> ErrorCurve:
+def _ours(card: subjects.Card, kind: str, name: str, seed: int, quick: bool) -> Traced:
     schedule = product.schedule_of(name)
     if name in product.ONE_PARTICLE:
         # A swarm searches at most eight dimensions: in a joint search the normal takes two of them, not three.
@@ -50,7 +51,7 @@ def _ours(card: subjects.Card, kind: str, name: str, seed: int, quick: bool) -> 
     total = product.iterations_of(card.domain, card.model, schedule)
     points = product.spaced(total, 4 if quick else POINTS)
     run = product.recover(card.domain, card.model, schedule, seed, points=points, entry="fragment")
-    return [_point(card, sample) for sample in run.trace]
+    return [_point(card, sample) for sample in run.trace], run.made
 
 
 def _point(card: subjects.Card, sample: Sample) -> tuple[float, dict[str, float]]:
@@ -58,7 +59,7 @@ def _point(card: subjects.Card, sample: Sample) -> tuple[float, dict[str, float]
     return float(sample.evaluations), {name: float(errors[name].mean()) for name in NAMES}
 
 
-def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> ErrorCurve:
+def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> Traced:
     from benchmarks.peers.swarms import differential_evolution
 
     problem = card.problem(count, seed)
@@ -68,11 +69,12 @@ def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> ErrorCurve:
     for sample in [*result.trace[:-1:2], result.trace[-1]]:
         errors = subjects.errors_of(card.model, sample.values, problem.truth)
         trace.append((float(sample.evaluations), {name: float(errors[name].mean()) for name in NAMES}))
-    return trace
+    return trace, trace[-1][0]
 
 
-def _quartiles(traces: list[ErrorCurve]) -> dict[str, Any]:
-    """Return evaluations, and every parameter's median and quartiles over seeds at these evaluations."""
+def _quartiles(runs: list[Traced]) -> dict[str, Any]:
+    """Return evaluations, every parameter's median and quartiles over seeds at these, and the median of those made."""
+    traces = [trace for trace, _ in runs]
     grid = np.array([at for at, _ in traces[0]])
     rows = {name: [] for name in NAMES}
     for trace in traces:
@@ -80,7 +82,8 @@ def _quartiles(traces: list[ErrorCurve]) -> dict[str, Any]:
         index = np.clip(np.searchsorted(at, grid * (1 + 1e-9), side="right") - 1, 0, len(at) - 1)
         for name in NAMES:
             rows[name].append([trace[i][1][name] for i in index])
-    return {"evaluations": grid.tolist(), **{name: report.fold(rows[name]) for name in NAMES}}
+    made = float(np.median([made for _, made in runs]))
+    return {"evaluations": grid.tolist(), "made": made, **{name: report.fold(rows[name]) for name in NAMES}}
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
@@ -88,9 +91,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     lines = [
         f"Cards of {data['size']}² texels under {data['lights']} lights, model `cook_torrance_two_lobe`, nothing"
         f" known. Errors are means over texels; lines are medians over {data['seeds']} seeds (of card, noise and"
-        " search), bands their quartiles. One evaluation renders all observations of a texel once; the count"
-        " includes texels that have already converged. DE is scipy's differential evolution with polish, on"
-        f" {data['evolved']} texels of each card.",
+        " search), bands their quartiles. One evaluation renders all observations of a texel once. Plots count those"
+        " of texels that have already converged; *made* does not: such texels make none. DE is scipy's differential"
+        f" evolution with polish, on {data['evolved']} texels of each card.",
         "",
         "Joint: all eight numbers are searched together (the paper's constants, with two numbers for the normal"
         " instead of three, which would make nine). Staged: diffuse, normal and lobes in turn, three rounds on the"
@@ -105,7 +108,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
             name = _draw(data["curves"], degradation, kind, names, title, folder)
             lines += report.image(name, f"Error against evaluations, {kind}, {title}")
         lines += report.table(
-            ["", "method", "evaluations a texel", *(f"{name} {subjects.unit_of(name)}" for name in NAMES)],
+            ["", "method", "evaluations a texel", "made", *(f"{name} {subjects.unit_of(name)}" for name in NAMES)],
             [_row(kind, name, data["curves"][f"{degradation}/{kind}"][name])
              for kind, names in (("joint", JOINT), ("staged", STAGED)) for name in names],
         )  # fmt: skip
@@ -115,7 +118,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 def _row(kind: str, name: str, curve: dict[str, Any]) -> list[str]:
     ends = [[short(curve[n][q][-1]) for q in ("median", "low", "high")] for n in NAMES]
     last = [f"{middle} ({low} to {high})" for middle, low, high in ends]
-    return [kind, name, short(curve["evaluations"][-1]), *last]
+    return [kind, name, short(curve["evaluations"][-1]), short(curve["made"]), *last]
 
 
 def _draw(curves: dict, degradation: str, kind: str, names: tuple[str, ...], title: str, folder: Path) -> str:
@@ -145,8 +148,8 @@ def headline(data: dict[str, Any]) -> str:
     parts = []
     for name in ("paper", "standard", product.LM_ALONE):
         curve = data["curves"]["noisy/joint"][name]
-        parts.append(f"{name} {short(curve['normal']['median'][-1])}° after {short(curve['evaluations'][-1])}")
-    return f"normals with noise, joint: {', '.join(parts)} evaluations"
+        parts.append(f"{name} {short(curve['normal']['median'][-1])}° after {short(curve['made'])}")
+    return f"normals with noise, joint: {', '.join(parts)} evaluations made"
 
 
 PROGRAM = report.Program("convergence", "Error against evaluations", __file__, measure, write, headline)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -11,9 +11,12 @@ import numpy as np
 
 from benchmarks.peers.problem import Sample, Values
 from irpso_addon.geometry.domain import Domain
-from irpso_addon.gpu import context
+from irpso_addon.gpu import context, textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.phases.phase import Phase
+from irpso_addon.solver.phases.prefit import PrefitPhase
+from irpso_addon.solver.phases.refinement import RefinementPhase
 from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
 LM_ALONE = "LM alone"
@@ -23,7 +26,7 @@ ONE_PARTICLE = ("paper", "constriction", "swarm")  # presets whose iterations mo
 @dataclass(frozen=True)
 class Run:
     """A recovery's result. values: name → (H, W, components). seconds: from the images to the maps, with setup and
-    compilation. evaluations: a texel, at most (texels that converge early cost less).
+    compilation. evaluations: a texel, at most. made: a texel, without those that converged texels did not need.
 
     work: seconds of work, see ``now``; trace_work: the same for every sample of the trace.
     """
@@ -32,6 +35,7 @@ class Run:
     residual: np.ndarray
     seconds: float
     evaluations: float
+    made: float
     trace: tuple[Sample, ...] = ()
     work: float = 0.0
     trace_work: tuple[float, ...] = ()
@@ -77,7 +81,7 @@ def recover(
     trace, works = [], []
     overhead, start = np.zeros(2), now()
     texels = max(int(domain.solvable.sum()), 1)
-    with Recovery(domain, load_model(model), schedule, seed, fixed, entry) as recovery:
+    with _Counted(domain, load_model(model), schedule, seed, fixed, entry) as recovery:
         total = recovery.progress.iterations_in_all
         for point in [*sorted({p for p in points if p < total}), total]:
             # None runs to the end: a threshold may have ended stages early.
@@ -91,7 +95,34 @@ def recover(
             works.append(float(work))
             overhead += 2 * read_time
     last = trace[-1]
-    return Run(maps.values, maps.residual, last.seconds, last.evaluations, tuple(trace), works[-1], tuple(works))
+    return Run(
+        maps.values, maps.residual, last.seconds, last.evaluations, recovery.made, tuple(trace), works[-1], tuple(works)
+    )
+
+
+class _Counted(Recovery):
+    """Counts the evaluations that texels made. made: a texel, in the finished stages.
+
+    A texel that has converged makes none, nor one that a second prefit skips. Spatial phases count in full.
+    """
+
+    made = 0.0
+
+    def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
+        self.made += self._made_in(phase)
+        yield from super()._end_stage(phase, seconds)
+
+    def _made_in(self, phase: Phase) -> float:
+        at_most = (self._evaluations - self._begun) / self._solved
+        refinement = phase.inner if isinstance(phase, PrefitPhase) else phase
+        if not isinstance(refinement, RefinementPhase):
+            return at_most
+        counts = np.maximum(*(textures.download(t[-1])[..., 3] for t in (refinement.best, refinement.work)))
+        made = counts.sum() / self._solved
+        if refinement is not phase:
+            swarms = at_most - refinement.iterations * refinement.passes.evaluations
+            made += swarms * np.count_nonzero(counts) / self._solved
+        return float(made)
 
 
 def now() -> np.ndarray:

@@ -15,11 +15,13 @@ float fitness_of(Texel t, Material s, out float weights)
     float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        vec3 error = error_of(o, reflectance(s, o.l, o.v));
+        vec3 render = reflectance(s, o.l, o.v);
 #ifdef GREY
-        // Compares a coloured model with grey samples, over the channels that these are made of.
-        error = vec3(dot(o.lit_channels, error) / dot(o.lit_channels, vec3(1.0)));
+        // Compares a coloured model with grey samples, over the channels that these are made of; before the error, whose
+        // bound is one of the mean.
+        render = vec3(dot(o.lit_channels, render) / dot(o.lit_channels, vec3(1.0)));
 #endif
+        vec3 error = error_of(o, render);
         sum += o.weight * loss_of(inverse_delta * relative_error(t, o) * error);
         weights += o.weight;
     }

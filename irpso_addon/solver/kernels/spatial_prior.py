@@ -122,10 +122,9 @@ def evaluations_of(resolved: ResolvedSpatialPrior, model: ReflectanceModel, iter
 
 def components_source(model: ReflectanceModel, resolved: ResolvedSpatialPrior) -> str:
     """Return the GLSL of ``component_at(i, width, kind)``: each component's range, and its kind for the pooling."""
-    pooled = {p.name for p in resolved.pooled}
     lines = []
     for p in model.parameters:
-        kind = "scalar" if p.name in pooled else "other" if p.is_normal else "color"
+        kind = "other" if p.is_normal else "scalar" if p.components == 1 else "color"
         body = f"{{ width = {p.width!r}; kind = {_KINDS[kind]}; }}"
         lines += [f"    if (i == {model.offset(p.name) + i}) {body}" for i in range(p.components)]
     defines = [f"#define COMPONENT_{name.upper()} {value}" for name, value in _KINDS.items()]

@@ -97,7 +97,8 @@ def light_step(
     """Yield after each observation; return the step of the lights toward a better fit.
 
     Variable projection (Golub and Pereyra 1973) eliminates the texels' free parameters, all of ``values`` but the
-    ``fixed``: light errors that the texels have absorbed still count. Samples are weighted as in the robust fitness.
+    ``fixed``: light errors that the texels have absorbed still count. Samples are weighted as in the robust fitness,
+    but with the same δ in highlights.
     scale: (h, w) from ``prepare.texel_scale``. moving: None for fixed light positions.
     """
     rows, columns = texels = _covered(domain)

@@ -243,10 +243,13 @@ def check(intensities: bool, refine_degrees: float) -> None:
 
 
 def texel_schedule(schedule: Schedule | None = None) -> Schedule:
-    """Return a schedule, by default ``standard``, for texels without neighbours and lights that may be wrong."""
+    """Return a schedule, by default ``standard``, for texels drawn at random and lights that may be wrong.
+
+    These have no neighbours: nothing makes their normals one surface. Shared materials stay.
+    """
     return (schedule or load_schedule("standard")).without_rounds().replaced(
-        c3=0.0, neighbour_interval=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0, levels=1,
-        prefit_indirect_share=0.0,
+        c3=0.0, neighbour_interval=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0,
+        surface_rounds=0, levels=1, prefit_indirect_share=0.0,
     )  # fmt: skip
 
 

@@ -21,8 +21,9 @@ class SynchronousSwarmPhase(SwarmPhase):
     def _build(self, entry: Entry) -> None:
         if self.particles > MAX_PARTICLES:
             raise InputError(
-                f'particles: update = "all" moves at most {MAX_PARTICLES} together, not {self.particles}; lower'
-                " particles or particles_per_dimension"
+                f'particles: update = "all", and the prefit, move at most {MAX_PARTICLES} together, not'
+                f" {self.particles}; lower particles or particles_per_dimension, or for the prefit set"
+                " prefit_iterations = 0"
             )
         self.linear = linear_weights(self.model, self.stage.solved)
         table = synchronous_swarm_table(self.particles, self.encoding.blocks, self.linear.blocks)

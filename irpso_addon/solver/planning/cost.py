@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...geometry.light.light_transport import MAX_ELEMENTS
 from ...reflectance.model import ReflectanceModel
@@ -143,6 +143,9 @@ class Cost:
         return each + copies + max(phase.textures for phase in self.phases)
 
 
+_Tested = ResolvedRefinement | ResolvedSpatialPrior | ResolvedSurface  # their results need the acceptance test
+
+
 def recovery_cost(
     model: ReflectanceModel,
     schedule: Schedule,
@@ -159,7 +162,14 @@ def recovery_cost(
     """
     fitted = observations - held_out
     levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
-    phases = tuple(phase_cost(stage, model, schedule) for stage in levels[0][1])
+    stages = levels[0][1]
+    phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
+    if any(isinstance(stage, ResolvedPrefit) for stage in stages):  # the acceptance test's fitness and estimates
+        test = 4 + FLOAT4 * -(-model.components // 4)
+        phases = tuple(
+            replace(phase, textures=phase.textures + test) if isinstance(stage, _Tested) else phase
+            for stage, phase in zip(stages, phases, strict=True)
+        )
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, held_names(schedule, model, fixed), schedule.fitness))
     light = schedule.interreflection

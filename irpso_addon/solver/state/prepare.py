@@ -151,6 +151,8 @@ def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
 def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.ndarray]:
     """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none.
 
+    Where it is 0, as in a texel that few lights reach: that of the samples above 0.
+
     Yields the fraction done.
     """
     scale = np.ones(domain.shape, np.float32)
@@ -160,6 +162,9 @@ def scale_steps(domain: Domain, percentile: float) -> Generator[float, None, np.
         grey = grey_of(samples) / _irradiance(domain, texels).mean(axis=-1)
         with np.errstate(all="ignore"):
             (value,) = percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
+            if (dark := value <= 0).any():
+                lit = (samples[..., 3] > 0) & (grey > 0)
+                (value[dark],) = percentiles(np.where(lit, grey, np.nan)[:, dark], [percentile])
             scale[texels] = np.where(value > 0, value, 1.0)
 
     yield from chunk_steps(domain, work)

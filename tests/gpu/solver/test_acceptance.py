@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from irpso_addon.capture.bounds import bounded
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
@@ -72,6 +73,20 @@ def test_the_acceptance_test_compares_the_channels_that_a_lamp_has(recover):
     found = recovery.maps(confidence=False).values["normal"]
     assert (found == prefit).all(axis=-1).mean() < 0.1
     assert degrees(recovery.maps(confidence=False), truth["normal"]).mean() < 0.2
+
+
+def test_the_acceptance_test_takes_clipped_samples_of_coloured_texels_as_bounds(recover):
+    red = np.tile((0.8, 0.06, 0.04), (8, 12, 1))
+    domain, truth = card("principled", shape=(8, 12), noise=0.002, base_color=red)
+    stack, white = domain.stack.values, np.quantile(domain.stack.values[..., 0], 0.85)
+    clipped = stack[..., :3] > white
+    values = np.concatenate([np.minimum(stack[..., :3], white), bounded(stack[..., 3], clipped)[..., None]], axis=-1)
+    recovery = recover(with_samples(domain, values.astype(np.float32)), PRINCIPLED, STANDARD)
+    prefit = prefit_fitness(recovery).values["normal"]
+    recovery.step()
+    found = recovery.maps(confidence=False)
+    assert (found.values["normal"] == prefit).all(axis=-1).mean() < 0.2
+    assert degrees(found, truth["normal"]).mean() < 0.1
 
 
 def test_with_a_kept_normal_the_other_parameters_are_optimal(recover, half):

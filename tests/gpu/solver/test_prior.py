@@ -55,13 +55,13 @@ def schedule_of(swarm=8, loss="cauchy", **settings):
 class Bench:
     """A prior over a domain's given estimates, on the GPU. values: name → (H, W, components)."""
 
-    def __init__(self, model, domain, values, schedule, entry="fragment"):
+    def __init__(self, model, domain, values, schedule, entry="fragment", fixed=frozenset()):
         context.ensure()
         self.model, self.domain, self.pack = model, domain, Packing(domain.solvable)
         scale = self.pack.pack(np.ones(domain.shape, np.float32))
         self.uploaded = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
-        resolved = resolve(schedule, model, set())[-1]
+        resolved = resolve(schedule, model, fixed)[-1]
         self.prior = SpatialPriorPhase(resolved, model, schedule, self.uploaded, self.estimates, entry)
         self.bands = Bands()
 
@@ -128,27 +128,29 @@ def components(model, values):
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 @pytest.mark.parametrize("rounds", [1, 3])
-def test_the_pooling_is_that_of_float64(prior, rounds, entry):
+@pytest.mark.parametrize("fixed", [frozenset(), frozenset({"w"})])
+def test_the_pooling_is_that_of_float64(prior, rounds, entry, fixed):
     domain = make_domain(9, 12, 10, holes=True)
     rng, shape = np.random.default_rng(4), (9, 12)
     _, truth = subject(9, 12, "cook_torrance_two_lobe")
     values = {**truth, "base_color": (0.5 + 0.03 * rng.normal(size=(*shape, 3))).astype(np.float32)}
-    bench = prior(TWO_LOBES, domain, values, schedule_of(rounds=rounds, scales=3), entry=entry)
+    bench = prior(TWO_LOBES, domain, values, schedule_of(rounds=rounds, scales=3), entry=entry, fixed=fixed)
     bench.run(2)
-    deviations = {name: 10 ** rng.uniform(-4, 0, shape) for name in ("r1", "r2", "w")}
+    deviations = {name: 10 ** rng.uniform(-4, 0, shape) for name in ("r1", "r2", "w") if name not in fixed}
     bench.set_deviations(**{name: np.minimum(d, 0.75) for name, d in deviations.items()})
     own = bench.read("own")[..., : TWO_LOBES.components]
     bench.run(2 + rounds)
     mean, deviation = bench.read("mean"), bench.read("deviation")
     estimates, covered = components(TWO_LOBES, values), domain.solvable
     wanted, spread = prior_oracle.pooled(SpatialPrior(rounds=rounds, scales=3), TWO_LOBES, covered, estimates, own)
-    pooled = [c for c, _ in prior_oracle.components(TWO_LOBES)]
+    held = {TWO_LOBES.offset(name) for name in fixed}
+    pooled = [c for c, _ in prior_oracle.components(TWO_LOBES) if c not in held]
     assert (spread[covered][:, pooled] > 0).any(axis=0).all()
     for c in pooled:
         np.testing.assert_array_equal(deviation[covered][:, c] > 0, spread[covered][:, c] > 0)
         np.testing.assert_allclose(deviation[covered][:, c], spread[covered][:, c], rtol=2e-3, atol=1e-6)
         np.testing.assert_allclose(mean[covered][:, c], wanted[covered][:, c], atol=2e-4)
-    others = [c for c in range(TWO_LOBES.components) if c not in pooled]
+    others = [c for c in range(TWO_LOBES.components) if c not in {*pooled, *held}]
     assert not deviation[covered][:, others].any()  # normals are not pooled
 
 

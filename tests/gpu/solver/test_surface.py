@@ -8,6 +8,7 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.seams.edges import SeamEdges
 from irpso_addon.geometry.seams.seams import SeamMap
 from irpso_addon.gpu import context
@@ -226,6 +227,17 @@ def test_normals_improve_and_a_crack_stays(recover):
     middle = domain.shape[1] // 2
     crack = slice(middle - 1, middle + 1)
     assert after[:, crack].mean() < 1.02 * before[:, crack].mean()
+
+
+def test_the_exposure_of_the_photographs_does_not_matter(recover):
+    domain, _ = cracked()
+    found = []
+    for factor in (1.0, 2.0**-20):
+        dimmed = with_samples(domain, domain.stack.values * np.float32([factor, factor, factor, 1]))
+        run = recover(replace(dimmed, intensities=domain.intensities * np.float32(factor)), LAMBERT, ON)
+        run.step()
+        found.append(run.maps(confidence=False).values["normal"])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-5)
 
 
 def test_a_texel_keeps_its_estimate_if_its_samples_contradict_its_neighbours(bench):

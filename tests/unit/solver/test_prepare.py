@@ -40,6 +40,16 @@ def test_a_texel_that_is_black_has_the_scale_1():
     assert prepare.texel_scale(domain, 80)[1, 1] == 1
 
 
+def test_the_scale_of_a_texel_that_few_lights_reach_is_that_of_its_light():
+    domain = make_domain(3, 3, holes=False)
+    values = domain.stack.values.copy()
+    values[2:, 1, 1, :3] = 0
+    domain = with_samples(domain, values)
+    grey = grey_of(domain, 1, 1)
+    wanted = np.percentile(grey[grey > 0], 50)
+    assert prepare.texel_scale(domain, 50)[1, 1] == pytest.approx(wanted, rel=1e-5)
+
+
 def test_samples_under_the_shadow_threshold_weigh_nothing():
     domain = make_domain(9, 7, colored=True)
     fitness = load_schedule("swarm").fitness
