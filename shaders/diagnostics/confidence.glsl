@@ -5,7 +5,7 @@
 
 #include "common/estimate.glsl"
 #include "model.glsl"
-#include "fitness/relative_error.glsl"
+#include "fitness/error_scale.glsl"
 #include "fitness/with_priors.glsl"
 #include "fitness/differences.glsl"
 #include "diagnostics/freedom.glsl"
@@ -62,9 +62,9 @@ void accumulate(
         vec3 rho = reflectance(s, o.l, o.v);
         vec3 render = o.intensity * rho;
         vec3 error = error_of(o, rho);
-        float relative = relative_error(t, o);
+        float scale = error_scale(t, o);
         vec3 counted = o.weight * active_channels(o, error);
-        vec3 weight = relative * relative * counted;
+        vec3 weight = scale * scale * counted;
         add_error(sums, error, weight, counted);
         energy += dot(weight, render * render);
         absolute_error += dot(counted, abs(error));

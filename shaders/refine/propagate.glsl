@@ -69,10 +69,10 @@ bool texel_kernel(ivec2 texel)
     float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = inverse_delta * relative_error(t, o);
+        float scale_over_delta = inverse_delta * error_scale(t, o);
         for (int p = 0; p < PROPOSALS; p++) {
             vec3 error = error_of(o, reflectance(proposals[p], o.l, o.v));
-            sum[p] += o.weight * loss_of(relative * error);
+            sum[p] += weighted_loss(o, error, scale_over_delta);
         }
         weights += o.weight;
     }

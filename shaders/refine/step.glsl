@@ -123,10 +123,10 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = inverse_delta * relative_error(t, o);
+        float scale_over_delta = inverse_delta * error_scale(t, o);
         for (int p = 0; p < CANDIDATES; p++) {
             vec3 error = error_of(o, reflectance(candidates[p], o.l, o.v));
-            sum[p] += o.weight * loss_of(relative * error);
+            sum[p] += weighted_loss(o, error, scale_over_delta);
         }
     }
     int chosen = -1;

@@ -16,7 +16,7 @@ bool texel_kernel(ivec2 texel)
         Observation o;
         EACH_OBSERVATION(t, o) {
             vec3 error = error_of(o, reflectance(s, o.l, o.v));
-            sum += o.weight * loss_of(inverse_delta * relative_error(t, o) * error);
+            sum += weighted_loss(o, error, inverse_delta * error_scale(t, o));
             channels += o.weight * dot(active_channels(o, error), vec3(1.0));
         }
     }

@@ -56,7 +56,7 @@ bool texel_kernel(ivec2 texel)
 #if LINEAR_BLOCKS > 0
             EACH_OBSERVATION(t, o) {
                 vec3 error = error_of(o, reflectance(incumbent, o.l, o.v));
-                vec3 weight = reweighted(t, o, error, relative_error(t, o));
+                vec3 weight = reweighted(t, o, error, error_scale(t, o));
                 for (int p = 0; p < CHUNK; p++) {
                     add_observation(equations[p], s[p], o, weight);
                 }
@@ -67,10 +67,10 @@ bool texel_kernel(ivec2 texel)
             }
 #endif
             EACH_OBSERVATION(t, o) {
-                float relative = inverse_delta * relative_error(t, o);
+                float scale_over_delta = inverse_delta * error_scale(t, o);
                 for (int p = 0; p < CHUNK; p++) {
                     vec3 error = error_of(o, reflectance(s[p], o.l, o.v));
-                    sum[p] += o.weight * loss_of(relative * error);
+                    sum[p] += weighted_loss(o, error, scale_over_delta);
                 }
                 weights += o.weight;
             }
