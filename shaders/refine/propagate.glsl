@@ -43,7 +43,7 @@ Material proposal_of(ivec2 other, Frame f, int kind, inout float own[12])
 bool texel_kernel(ivec2 texel)
 {
     Material own = estimate_at(texel);
-    vec4 status = write_converged(texel, own);
+    Status status = write_converged(texel, own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
@@ -76,7 +76,8 @@ bool texel_kernel(ivec2 texel)
         }
         weights += o.weight;
     }
-    o_status.w += float(PROPOSALS);
+    status.evaluations += float(PROPOSALS);
+    o_status = stored_status(status);
     float freedom = degrees_of_freedom(weights);
     bool support_counts = SEARCHED > 0 && NEIGHBOUR_WEIGHT > 0.0 && freedom > 0.0;
     float own_support = support_counts ? neighbour_support_of(place, c) : 0.0;
@@ -92,7 +93,7 @@ bool texel_kernel(ivec2 texel)
         material_to(proposals[p], proposed);
         float support = support_counts ? neighbour_support_of(place, proposed) : 0.0;
         float deviance = support_counts ? deviance_of(freedom, fitness, support) : fitness;
-        if (is_worth_refining(fitness, status.x, support, own_support) && (chosen < 0 || deviance < lowest)) {
+        if (is_worth_refining(fitness, status.fitness, support, own_support) && (chosen < 0 || deviance < lowest)) {
             lowest = deviance;
             chosen = p;
         }
@@ -100,7 +101,7 @@ bool texel_kernel(ivec2 texel)
     for (int p = 0; p < PROPOSALS; p++) {
         if (p == chosen) {
             write_material(proposals[p]);
-            o_status = fresh_status(o_status.w);
+            o_status = stored_status(fresh_status(status.evaluations));
         }
     }
     return true;

@@ -12,7 +12,7 @@ bool texel_kernel(ivec2 texel)
 {
     float c[12];
     material_to(estimate_at(texel), c);
-    o_status = fresh_status(0.0);
+    Status status = fresh_status(0.0);
     o_penalty = 0.0;
     float max_influence = 0.0;
     if (state_at(texel) == TEXEL_SOLVED) {
@@ -37,8 +37,9 @@ bool texel_kernel(ivec2 texel)
     }
     if (!(max_influence >= MIN_INFLUENCE)) {
         material_to(estimate_at(texel), c);
-        o_status.z = CONVERGED_AFTER;
+        status.stalled = CONVERGED_AFTER;
     }
+    o_status = stored_status(status);
     write_estimate(c);
     return true;
 }

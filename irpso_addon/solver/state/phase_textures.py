@@ -98,7 +98,7 @@ def _particle_groups(values: Sequence[float], double: bool) -> dict[str, Texture
 
 
 def refinement_table(estimates: int) -> TextureTable:
-    """Return the table of a refinement: the best material, the candidate in work, and a spare one, each with a status.
+    """Return the table of a refinement: the best material, the one in work, and a spare one, each with a status.
 
     estimates: RGBA textures of a material. result: status of the best so far.
     """
