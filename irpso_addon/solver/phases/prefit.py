@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...capture.inspect.checks import NARROW, flatness
+from ...capture.light_geometry import NARROW, flatness
 from ...core.optional import present
 from ...core.paths import SHADERS
 from ...gpu import textures
