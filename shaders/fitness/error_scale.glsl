@@ -15,7 +15,7 @@ float srgb_derivative(float radiance)
 float error_scale(Texel t, Observation o)
 {
 #if (LOSS == LOSS_CAUCHY || LOSS == LOSS_GEMAN_MCCLURE)
-    float level = t.radiance_scale * u_brightness;
+    float level = t.radiance_scale * u_mean_irradiance;
     float brightest = max(o.radiance.r, max(o.radiance.g, o.radiance.b));
     float scale = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
 #if defined(NOISE) && !defined(GREY)

@@ -11,7 +11,7 @@ float eliminate_all_but_normal(ivec2 texel, inout float c[12], out float a[FREE_
     float slope[FREE_COUNT];
     linearise(observed_texel(texel), c, a, slope);
     // A lower bound for samples without noise: a millionth of the texel's scale.
-    float level = u_brightness * radiance_scale_at(texel);
+    float level = u_mean_irradiance * radiance_scale_at(texel);
     float noise = max(texelFetch(u_noise, texel, 0).w, 1e-12 * level * level);
     for (int u = 0; u < FREE_COUNT; u++) {
         a[u * FREE_COUNT + u] += noise;

@@ -250,7 +250,7 @@ def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
     """Return the same textures, for kernels that read grey samples under lights of intensity 1."""
     result = copy(domain)
     result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.prefit.shadow:.9f}"}
-    result.brightness = 1.0
+    result.mean_irradiance = 1.0
     return result
 
 
