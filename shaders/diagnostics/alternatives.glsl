@@ -57,14 +57,14 @@ void refit(Texel t, Material best, inout Material s)
 
 bool texel_kernel(ivec2 texel)
 {
-    float deviance[12];  // a model has at most 12 components
-    for (int i = 0; i < 12; i++) {
+    float deviance[MAX_COMPONENTS];
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         deviance[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {
         Texel t = observed_texel(texel);
         Material best = estimate_at(texel);
-        float c[12];
+        float c[MAX_COMPONENTS];
         material_to(best, c);
         float samples = independent_samples(t, best);
         float weights;

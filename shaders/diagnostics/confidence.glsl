@@ -28,7 +28,7 @@
 
 // Returns two steps for a derivative of second order: one to each side or, at an end of the range, both inward. The
 // relative error of the stencil is (2⁻¹⁰)² f‴ / (6 f′), below 1 % in a lobe of m = 0.05.
-vec2 steps_of(inout float c[12], int u)
+vec2 steps_of(inout float c[MAX_COMPONENTS], int u)
 {
     FreeParameter free = free_at(u);
     if (is_normal(u)) {
@@ -41,8 +41,8 @@ vec2 steps_of(inout float c[12], int u)
 // Sums a = JᵀJ (upper triangle; J per range), the errors, and the squared radiances in energy. Clipped channels whose
 // lower bound is satisfied do not count. unexplained: sum of absolute errors over sum of absolute radiances.
 void accumulate(
-    ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums, out float energy,
-    out float unexplained)
+    ivec2 texel, inout float c[MAX_COMPONENTS], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums,
+    out float energy, out float unexplained)
 {
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
@@ -88,7 +88,7 @@ void accumulate(
 }
 
 // Adds the precision of the model's priors to JᵀJ, in units of the samples' precision 1 / variance.
-void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FREE_COUNT])
+void add_priors(inout float c[MAX_COMPONENTS], float variance, inout float a[FREE_COUNT * FREE_COUNT])
 {
 #if PRIORS > 0
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -169,12 +169,12 @@ float variance_of(ivec2 texel, ErrorSums sums)
 
 bool texel_kernel(ivec2 texel)
 {
-    float sigma[12];
-    for (int i = 0; i < 12; i++) {
+    float sigma[MAX_COMPONENTS];
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         sigma[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {
-        float c[12];
+        float c[MAX_COMPONENTS];
         material_to(estimate_at(texel), c);
         float a[FREE_COUNT * FREE_COUNT];
         ErrorSums sums;

@@ -15,7 +15,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(own_material, c);
     float own_support = material_support_of(c);
 #if NORMAL_FREE >= 0

@@ -7,7 +7,7 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
     if (state_at(texel) == TEXEL_SOLVED) {
         take_start(u_start, c);

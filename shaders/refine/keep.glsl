@@ -9,7 +9,7 @@ bool texel_kernel(ivec2 texel)
     Status before = status_from(texelFetch(u_status, texel, 0));
     Status after = status_from(texelFetch(u_work_status, texel, 0));
     bool better = state_at(texel) == TEXEL_SOLVED && after.fitness <= before.fitness;
-    float c[12];
+    float c[MAX_COMPONENTS];
     if (better) {
         read_work(texel, c);
     }

@@ -8,8 +8,8 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float own[12];
-    float work[12];
+    float own[MAX_COMPONENTS];
+    float work[MAX_COMPONENTS];
     read_estimate(texel, own);
     read_work(texel, work);
     Status before = status_from(texelFetch(u_status, texel, 0));

@@ -6,7 +6,8 @@
 #include "jacobian.glsl"
 
 // Sums a = JᵀWJ (upper triangle; J per range) and gradient = JᵀWe. Returns the sums of the losses and of the weights.
-vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float gradient[FREE_COUNT])
+vec2 linearise(Texel t, inout float c[MAX_COMPONENTS], out float a[FREE_COUNT * FREE_COUNT],
+               out float gradient[FREE_COUNT])
 {
     Material s = material_from(c);
     Steps steps;

@@ -10,12 +10,12 @@
 #include "refine/proposals.glsl"
 
 // kind: 0 for the whole material of ``other``, else its searched numbers with the rest of ``own``.
-Material proposal_of(ivec2 other, Frame f, int kind, inout float own[12])
+Material proposal_of(ivec2 other, Frame f, int kind, inout float own[MAX_COMPONENTS])
 {
-    float c[12];
-    float other_c[12];
+    float c[MAX_COMPONENTS];
+    float other_c[MAX_COMPONENTS];
     material_to(estimate_at(other), other_c);
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         c[i] = own[i];
     }
     bool whole = kind == 0;
@@ -47,7 +47,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(own, c);
     Texel t = observed_texel(texel);
     ivec4 place = surface_place_of(texel);
@@ -89,7 +89,7 @@ bool texel_kernel(ivec2 texel)
         if (!(exists[p] && fitness < UNFIT)) {
             continue;
         }
-        float proposed[12];
+        float proposed[MAX_COMPONENTS];
         material_to(proposals[p], proposed);
         float support = support_counts ? neighbour_support_of(place, proposed) : 0.0;
         float deviance = support_counts ? deviance_of(freedom, fitness, support) : fitness;

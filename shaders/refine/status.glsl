@@ -43,7 +43,7 @@ Status kept_status(Status before, Status after, bool better)
 
 void write_material(Material s)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     write_estimate(c);
 }

@@ -23,7 +23,7 @@
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D equals
 // that of n F + (F + NOISE_FLOOR) D, divided by F + NOISE_FLOOR. JᵀWJ and JᵀWe are half the second and half the first
 // derivative of the loss, times δ². For l1 they are the whole derivatives.
-void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
+void add_priors(ivec2 texel, inout float c[MAX_COMPONENTS], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
                 inout float gradient[FREE_COUNT])
 {
 #if PRIORS > 0
@@ -33,8 +33,8 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 #else
     float unit = (fitness + NOISE_FLOOR) / (inverse_delta * inverse_delta);
 #endif
-    float prior_gradient[12];
-    float prior_curvature[12];
+    float prior_gradient[MAX_COMPONENTS];
+    float prior_curvature[MAX_COMPONENTS];
     prior_derivatives(c, prior_gradient, prior_curvature);
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);
@@ -45,9 +45,9 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 }
 
 // Computes the components c after a step delta of all free parameters. The normal stays in its hemisphere.
-void take_step(inout float unmoved[12], inout float delta[FREE_COUNT], out float c[12])
+void take_step(inout float unmoved[MAX_COMPONENTS], inout float delta[FREE_COUNT], out float c[MAX_COMPONENTS])
 {
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         c[i] = unmoved[i];
     }
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -68,7 +68,7 @@ void take_step(inout float unmoved[12], inout float delta[FREE_COUNT], out float
 #endif
 }
 
-void improve(ivec2 texel, inout float c[12], inout Status status)
+void improve(ivec2 texel, inout float c[MAX_COMPONENTS], inout Status status)
 {
     Texel t = observed_texel(texel);
     float a[FREE_COUNT * FREE_COUNT];
@@ -115,7 +115,7 @@ void improve(ivec2 texel, inout float c[12], inout Status status)
         for (int u = 0; u < FREE_COUNT; u++) {
             step_size[p] = max(step_size[p], abs(delta[u]));
         }
-        float candidate[12];
+        float candidate[MAX_COMPONENTS];
         take_step(c, delta, candidate);
         candidates[p] = material_from(candidate);
         sum[p] = penalty_of(texel, candidate);
@@ -158,7 +158,7 @@ void improve(ivec2 texel, inout float c[12], inout Status status)
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
     Status status = status_from(texelFetch(u_status, texel, 0));
 #ifdef RACE_RATIO

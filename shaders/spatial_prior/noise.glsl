@@ -21,7 +21,7 @@ bool texel_kernel(ivec2 texel)
         }
     }
     o_noise = vec4(sum / loss_unit(texel), channels, 0.0, 0.0);
-    float c[12];
+    float c[MAX_COMPONENTS];
     read_estimate(texel, c);
     write_mean(c);
     return true;

@@ -6,7 +6,7 @@
 // Returns the variance of the noise. a: the Schur complement of the normal's two angles, J per range; between them and
 // another parameter, minus its change per change of the angle. A weak prior (σ = the range) is added to every
 // parameter.
-float eliminate_all_but_normal(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT])
+float eliminate_all_but_normal(ivec2 texel, inout float c[MAX_COMPONENTS], out float a[FREE_COUNT * FREE_COUNT])
 {
     float slope[FREE_COUNT];
     linearise(observed_texel(texel), c, a, slope);

@@ -2,7 +2,7 @@
 
 float measure_at(ivec2 texel, int number)
 {
-    float measured[12];
+    float measured[MAX_COMPONENTS];
     read_measure(texel, measured);
     return measured[number];
 }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ...core.files import defined
 from ...gpu.kernel import Defines, Includes, Packed, Samplers
-from ...gpu.library import defined
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness

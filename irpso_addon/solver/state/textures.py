@@ -8,9 +8,9 @@ from copy import copy
 
 import numpy as np
 
+from ...core.files import defined
 from ...geometry.domain import Domain
 from ...gpu import textures
-from ...gpu.library import defined
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from .packing import Packing

@@ -15,8 +15,8 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float fitness[16];
-    for (int i = 0; i < 16; i++) {
+    float fitness[MAX_PARTICLES];
+    for (int i = 0; i < MAX_PARTICLES; i++) {
         fitness[i] = UNFIT;
     }
 #if LINEAR_BLOCKS > 0
@@ -40,8 +40,8 @@ bool texel_kernel(ivec2 texel)
             Linear linear[CHUNK];
 #endif
             for (int p = 0; p < CHUNK; p++) {
-                float x[8];
-                float v[8];
+                float x[MAX_DIMENSIONS];
+                float v[MAX_DIMENSIONS];
                 moved_particle(texel, t.frame, min(first + p, PARTICLES - 1), x, v);
                 s[p] = estimate;
                 decode(x, albedo_bound, s[p]);
@@ -90,7 +90,7 @@ bool texel_kernel(ivec2 texel)
     }
     write_fitness(fitness);
 #if LINEAR_BLOCKS > 0
-    float w[8];
+    float w[MAX_WEIGHTS];
     numbers_of(best_linear, w);
     write_linear(w);
 #endif
