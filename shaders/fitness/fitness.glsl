@@ -17,8 +17,8 @@ float fitness_of(Texel t, Material s, out float weights)
     EACH_OBSERVATION(t, o) {
         vec3 render = reflectance(s, o.l, o.v);
 #ifdef GREY
-        // Compares a coloured model with grey samples, over the channels that these are made of; before the error, whose
-        // bound is one of the mean.
+        // Compares a coloured model with grey samples, over the channels that these are made of; before the error,
+        // whose bound is one of the mean.
         render = vec3(dot(o.lit_channels, render) / dot(o.lit_channels, vec3(1.0)));
 #endif
         vec3 error = error_of(o, render);

@@ -21,9 +21,9 @@ _SIDE = 16384  # of a texture, assumed for byte counts: it rarely changes the la
 class TextureGroup:
     """Textures that are allocated, written and swapped together.
 
-    samplers: names in shaders, one per texture. arrays: names in checkpoints; empty if no later iteration reads the
-    textures. value: initial content. in_atlas: one W×H tile per particle and block, otherwise W×H. double: a second
-    set, which a pass writes while it reads the first.
+    samplers: names in shaders, one per texture. arrays: names in checkpoints, which stay when a group is renamed; empty
+    if no later iteration reads the textures. value: initial content. in_atlas: one W×H tile per particle and block,
+    otherwise W×H. double: a second set, which a pass writes while it reads the first.
     """
 
     samplers: tuple[str, ...]
