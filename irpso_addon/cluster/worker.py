@@ -148,10 +148,10 @@ class Worker:
         self._first_working, self._total = works.index(True), int(np.count_nonzero(solvable))
         box = self._box if works[self.ranks.rank] else None
         part = None if box is None else self._part(box, fitted, second)
-        brightness = self._brightness(part)
+        mean_irradiance = self._mean_irradiance(part)
         team = self.ranks.among(part is not None)
         if box is not None and part is not None:
-            self._pool = self._pool_of(box, part, brightness, (schedule, seed, entry), {**self.fixed, **held})
+            self._pool = self._pool_of(box, part, mean_irradiance, (schedule, seed, entry), {**self.fixed, **held})
         self._guess = None
         places = self.ranks.allgather(None if self._pool is None else self._pool.tiles[0].place)
         self.places: dict[int, Place] = {rank: place for rank, place in enumerate(places) if place is not None}
@@ -254,11 +254,11 @@ class Worker:
         self,
         box: Box,
         part: Domain,
-        brightness: float,
+        mean_irradiance: float,
         settings: tuple[Schedule, int, Entry],
         fixed: Mapping[str, np.ndarray],
     ) -> TilePool:
-        prepared = replace(prepare.prepare(part, self.model, settings[0], pack=False), brightness=brightness)
+        prepared = replace(prepare.prepare(part, self.model, settings[0], pack=False), mean_irradiance=mean_irradiance)
         if self._guess is not None:
             prepared = replace(prepared, guess=self._guess)
         shape, around_box = self.domain.shape, rectangle(box, part.halo)
@@ -274,15 +274,15 @@ class Worker:
         stack = stack.subset(np.asarray(fitted, np.intp))
         return replace(tile(self.domain, *box, self.partition.halo), stack=stack)
 
-    def _brightness(self, part: Domain | None) -> float:
+    def _mean_irradiance(self, part: Domain | None) -> float:
         """Return the lights' mean irradiance/π over all ranks' texels: sums of whole numbers, exact in any order."""
         own = None
         if part is not None:
             counted = np.zeros(part.shape, bool)
             counted[own_of(part)] = True
-            own = prepare.brightness_sums(part, counted & part.solvable)
+            own = prepare.irradiance_sums(part, counted & part.solvable)
         sums, counts = zip(*(each for each in self.ranks.allgather(own) if each is not None), strict=True)
-        return prepare.brightness_of(self.domain, np.sum(sums, axis=0), sum(counts))
+        return prepare.mean_irradiance_of(self.domain, np.sum(sums, axis=0), sum(counts))
 
     def _shared_progress(self) -> Progress:
         """Return the progress of the whole on every rank: in lock step only the evaluations differ."""

@@ -1,4 +1,4 @@
-"""Files and folders: shipped tables by name, and atomic writes through a temporary name."""
+"""Files and folders: shipped tables by name, constants of shaders, and atomic writes through a temporary name."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InputError
+from .paths import SHADERS
 
 _NAME_BYTES = 150
 _unfinished: set[Path] = set()  # folders that are being filled
@@ -137,6 +138,12 @@ def natural(name: str | Path) -> list[int | str]:
 def shipped_names(folder: Path) -> list[str]:
     """Return the sorted names, without suffix, of a folder's .toml files."""
     return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def defined(path: str, prefix: str = "") -> dict[str, int | float]:
+    """Return the numbers that a file of shaders/ names by ``#define PREFIX_NAME number``, by NAME."""
+    found = re.findall(rf"^#define {prefix}(\w+) ([-+.\w]+)", (SHADERS / path).read_text(encoding="utf-8"), re.M)
+    return {name: float(value) if re.search("[.e]", value) else int(value) for name, value in found}
 
 
 def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tuple[dict[str, Any], Path]:

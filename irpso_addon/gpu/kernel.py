@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from ..core.files import defined
+
 Entry = Literal["fragment", "compute"]
 EntryChoice = Entry | Literal["auto"]  # auto: whichever the probe finds faster
+MAX_COMPONENTS = int(defined("common/limits.glsl", "MAX_")["COMPONENTS"])
 MAX_OUTPUTS = 6  # colour attachments that every supported device and version has
 
 
@@ -22,7 +25,7 @@ class Packed:
     """
 
     textures: int
-    room: int = 12
+    room: int = MAX_COMPONENTS
 
 
 @dataclass(frozen=True)

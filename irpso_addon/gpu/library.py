@@ -23,12 +23,6 @@ def read_source(path: str | Path, includes: Mapping[str, str | Path] = {}) -> st
     return "\n".join(_expand(_find(str(path), None, includes, "shader library", 0), includes, set())) + "\n"
 
 
-def defined(path: str, prefix: str = "") -> dict[str, int | float]:
-    """Return the numbers that a file of shaders/ names by ``#define PREFIX_NAME number``, by NAME."""
-    found = re.findall(rf"^#define {prefix}(\w+) ([-+.\w]+)", (SHADERS / path).read_text(encoding="utf-8"), re.M)
-    return {name: float(value) if re.search("[.e]", value) else int(value) for name, value in found}
-
-
 def _expand(source: Path | tuple[str, str], includes: Mapping[str, str | Path], seen: set) -> list[str]:
     seen.add(source)
     if isinstance(source, Path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from .model import MIN_PRIOR_WIDTH, ReflectanceModel
+from .model import MAX_COMPONENTS, MIN_PRIOR_WIDTH, ReflectanceModel
 
+# In figures: checkpoints hold a digest of the generated text (solver/state/checkpoint.py).
+_ROOM = f"[{MAX_COMPONENTS}]"
 _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
 
@@ -14,15 +16,15 @@ def material_declaration(model: ReflectanceModel) -> str:
     arrays are passed by reference: Metal has none by value.
     """
     fields = [f"    {_TYPES[p.components]} {p.name};" for p in model.parameters]
-    unpack, pack = [], ["    for (int i = 0; i < 12; i++) { c[i] = 0.0; }"]
+    unpack, pack = [], [f"    for (int i = 0; i < {MAX_COMPONENTS}; i++) {{ c[i] = 0.0; }}"]
     for p in model.parameters:
         at = model.offset(p.name)
         arguments = ", ".join(f"c[{at + i}]" for i in range(p.components))
         unpack.append(f"    s.{p.name} = {_TYPES[p.components]}({arguments});")
         pack += [f"    c[{at + i}] = s.{p.name}{f'[{i}]' if p.components > 1 else ''};" for i in range(p.components)]
     lines = ["struct Material {", *fields, "};"]
-    lines += ["Material material_from(inout float c[12]) {", "    Material s;", *unpack, "    return s;", "}"]
-    lines += ["void material_to(Material s, out float c[12]) {", *pack, "}", ""]
+    lines += [f"Material material_from(inout float c{_ROOM}) {{", "    Material s;", *unpack, "    return s;", "}"]
+    lines += [f"void material_to(Material s, out float c{_ROOM}) {{", *pack, "}", ""]
     return "\n".join(lines)
 
 
@@ -69,10 +71,12 @@ def prior_declaration(model: ReflectanceModel) -> str:
 
     lines = [
         f"#define PRIORS {len(deviances)}",
-        "float prior_deviance(inout float c[12])", "{", "    float sum = 0.0;", *blocks(deviances),
+        f"float prior_deviance(inout float c{_ROOM})", "{", "    float sum = 0.0;", *blocks(deviances),
         "    return sum;", "}",
-        "void prior_derivatives(inout float c[12], out float gradient[12], out float curvature[12])", "{",
-        "    for (int i = 0; i < 12; i++) { gradient[i] = 0.0; curvature[i] = 0.0; }", *blocks(derivatives), "}",
-        "float prior_precision(inout float c[12], int component)", "{", *blocks(precisions), "    return 0.0;", "}", "",
+        f"void prior_derivatives(inout float c{_ROOM}, out float gradient{_ROOM}, out float curvature{_ROOM})", "{",
+        f"    for (int i = 0; i < {MAX_COMPONENTS}; i++) {{ gradient[i] = 0.0; curvature[i] = 0.0; }}",
+        *blocks(derivatives), "}",
+        f"float prior_precision(inout float c{_ROOM}, int component)", "{", *blocks(precisions),
+        "    return 0.0;", "}", "",
     ]  # fmt: skip
     return "\n".join(lines)

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.files import load_shipped_table, shipped_names
+from ..core.files import defined, load_shipped_table, shipped_names
 from ..core.paths import MODELS
 
-MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
+MAX_COMPONENTS = int(defined("common/limits.glsl", "MAX_")["COMPONENTS"])
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
 MIN_PRIOR_WIDTH = 0.02  # least fraction of a prior's width where it vanishes

@@ -5,7 +5,7 @@
 
 Material estimate_at(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     read_estimate(texel, c);
     return material_from(c);
 }

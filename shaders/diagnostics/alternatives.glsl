@@ -30,9 +30,9 @@ float independent_samples(Texel t, Material best)
     Observation o;
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(best, o.l, o.v));
-        float relative = relative_error(t, o);
+        float scale = error_scale(t, o);
         vec3 counted = o.weight * active_channels(o, error);
-        add_error(sums, error, relative * relative * counted, counted);
+        add_error(sums, error, scale * scale * counted, counted);
     }
     return max(degrees_of_freedom(sums), 0.0) / redundancy_of(sums);
 }
@@ -48,7 +48,7 @@ void refit(Texel t, Material best, inout Material s)
     Observation o;
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(best, o.l, o.v));
-        add_observation(e, s, o, reweighted(t, o, error, relative_error(t, o)));
+        add_observation(e, s, o, reweighted(t, o, error, error_scale(t, o)));
     }
     solve_linear(e, w);
     linear_to(w, s);
@@ -57,14 +57,14 @@ void refit(Texel t, Material best, inout Material s)
 
 bool texel_kernel(ivec2 texel)
 {
-    float deviance[12];  // a model has at most 12 components
-    for (int i = 0; i < 12; i++) {
+    float deviance[MAX_COMPONENTS];
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         deviance[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {
         Texel t = observed_texel(texel);
         Material best = estimate_at(texel);
-        float c[12];
+        float c[MAX_COMPONENTS];
         material_to(best, c);
         float samples = independent_samples(t, best);
         float weights;

@@ -5,7 +5,7 @@
 
 #include "common/estimate.glsl"
 #include "model.glsl"
-#include "fitness/relative_error.glsl"
+#include "fitness/error_scale.glsl"
 #include "fitness/with_priors.glsl"
 #include "fitness/differences.glsl"
 #include "diagnostics/freedom.glsl"
@@ -28,7 +28,7 @@
 
 // Returns two steps for a derivative of second order: one to each side or, at an end of the range, both inward. The
 // relative error of the stencil is (2⁻¹⁰)² f‴ / (6 f′), below 1 % in a lobe of m = 0.05.
-vec2 steps_of(inout float c[12], int u)
+vec2 steps_of(inout float c[MAX_COMPONENTS], int u)
 {
     FreeParameter free = free_at(u);
     if (is_normal(u)) {
@@ -41,8 +41,8 @@ vec2 steps_of(inout float c[12], int u)
 // Sums a = JᵀJ (upper triangle; J per range), the errors, and the squared radiances in energy. Clipped channels whose
 // lower bound is satisfied do not count. unexplained: sum of absolute errors over sum of absolute radiances.
 void accumulate(
-    ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums, out float energy,
-    out float unexplained)
+    ivec2 texel, inout float c[MAX_COMPONENTS], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums,
+    out float energy, out float unexplained)
 {
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
@@ -62,9 +62,9 @@ void accumulate(
         vec3 rho = reflectance(s, o.l, o.v);
         vec3 render = o.intensity * rho;
         vec3 error = error_of(o, rho);
-        float relative = relative_error(t, o);
+        float scale = error_scale(t, o);
         vec3 counted = o.weight * active_channels(o, error);
-        vec3 weight = relative * relative * counted;
+        vec3 weight = scale * scale * counted;
         add_error(sums, error, weight, counted);
         energy += dot(weight, render * render);
         absolute_error += dot(counted, abs(error));
@@ -88,7 +88,7 @@ void accumulate(
 }
 
 // Adds the precision of the model's priors to JᵀJ, in units of the samples' precision 1 / variance.
-void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FREE_COUNT])
+void add_priors(inout float c[MAX_COMPONENTS], float variance, inout float a[FREE_COUNT * FREE_COUNT])
 {
 #if PRIORS > 0
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -169,12 +169,12 @@ float variance_of(ivec2 texel, ErrorSums sums)
 
 bool texel_kernel(ivec2 texel)
 {
-    float sigma[12];
-    for (int i = 0; i < 12; i++) {
+    float sigma[MAX_COMPONENTS];
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         sigma[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {
-        float c[12];
+        float c[MAX_COMPONENTS];
         material_to(estimate_at(texel), c);
         float a[FREE_COUNT * FREE_COUNT];
         ErrorSums sums;

@@ -25,11 +25,11 @@ vec3 turned_normal(vec3 n, vec2 angles)
 }
 
 // Returns the material with free parameter u changed by a fraction of its range and clamped to the range.
-Material moved(inout float unmoved[12], int u, float fraction)
+Material moved(inout float unmoved[MAX_COMPONENTS], int u, float fraction)
 {
     // A copy is needed: these shaders pass arrays as inout, because Metal cannot pass them by value.
-    float c[12];
-    for (int i = 0; i < 12; i++) {
+    float c[MAX_COMPONENTS];
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         c[i] = unmoved[i];
     }
     FreeParameter free = free_at(u);
@@ -49,7 +49,7 @@ Material moved(inout float unmoved[12], int u, float fraction)
 }
 
 // Returns the lowest and highest step of free parameter u, as fractions of its range. A normal is unbounded: (−1, 1).
-vec2 step_bounds(inout float c[12], int u)
+vec2 step_bounds(inout float c[MAX_COMPONENTS], int u)
 {
     FreeParameter free = free_at(u);
     if (is_normal(u)) {
@@ -60,7 +60,7 @@ vec2 step_bounds(inout float c[12], int u)
 }
 
 // Returns the step of a one-sided difference. It points away from the nearer end of the range.
-float stride_of(inout float c[12], int u)
+float stride_of(inout float c[MAX_COMPONENTS], int u)
 {
     vec2 bounds = step_bounds(c, u);
     return bounds.y >= -bounds.x ? STEP : -STEP;

@@ -3,7 +3,7 @@
 
 #include "material.glsl"
 #include "model.glsl"
-#include "fitness/relative_error.glsl"
+#include "fitness/error_scale.glsl"
 #include "fitness/unfit.glsl"
 #include "fitness/with_priors.glsl"
 
@@ -22,7 +22,7 @@ float fitness_of(Texel t, Material s, out float weights)
         render = vec3(dot(o.lit_channels, render) / dot(o.lit_channels, vec3(1.0)));
 #endif
         vec3 error = error_of(o, render);
-        sum += o.weight * loss_of(inverse_delta * relative_error(t, o) * error);
+        sum += weighted_loss(o, error, inverse_delta * error_scale(t, o));
         weights += o.weight;
     }
     float mean = sum / (3.0 * weights);

@@ -1,5 +1,5 @@
 // Keeps interchangeable lobes in rising order.
-void order_lobes(inout float c[12])
+void order_lobes(inout float c[MAX_COMPONENTS])
 {
 #ifdef LOBE_FIRST
     if (c[LOBE_FIRST] > c[LOBE_SECOND]) {

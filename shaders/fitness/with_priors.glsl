@@ -7,12 +7,12 @@
 #include "priors.glsl"
 #include "fitness/loss.glsl"
 
-// Fitness of an error of 0.3 % of the brightness, about one step of 8 bits. A robust fitness is in units of δ², by
-// default 3 % of it; the others are in radiance.
+// Fitness of an error of 0.3 % of the mean irradiance/π, about one step of 8 bits. A robust fitness is in units of δ²,
+// by default 3 % of it; the others are in radiance.
 #if LOSS == LOSS_L1
-#define NOISE_FLOOR (0.003 * u_brightness)
+#define NOISE_FLOOR (0.003 * u_mean_irradiance)
 #elif LOSS == LOSS_L2
-#define NOISE_FLOOR (9e-6 * u_brightness * u_brightness)
+#define NOISE_FLOOR (9e-6 * u_mean_irradiance * u_mean_irradiance)
 #else
 #define NOISE_FLOOR 0.01
 #endif
@@ -28,7 +28,7 @@ float samples_of(float weights)
 float with_priors(float fitness, float weights, Material s)
 {
 #if PRIORS > 0
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     float x = min(prior_deviance(c) / samples_of(weights), MAX_PRIOR_PER_SAMPLE);
     // exp(x) − 1, by its series near 0, where the difference cancels.

@@ -11,11 +11,11 @@
 bool texel_kernel(ivec2 texel)
 {
     Material own_material = estimate_at(texel);
-    vec4 status = write_converged(texel, own_material);
+    Status status = write_converged(texel, own_material);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(own_material, c);
     float own_support = material_support_of(c);
 #if NORMAL_FREE >= 0
@@ -39,15 +39,16 @@ bool texel_kernel(ivec2 texel)
         }
         float support = material_support_of(c);
         float deviance = freedom > 0.0 ? deviance_of(freedom, fitness, support) : fitness;
-        if (is_worth_refining(fitness, status.x, support, own_support) && (!found || deviance < lowest)) {
+        if (is_worth_refining(fitness, status.fitness, support, own_support) && (!found || deviance < lowest)) {
             found = true;
             lowest = deviance;
             write_material(proposal);
         }
     }
-    o_status.w += float(count);
+    status.evaluations += float(count);
     if (found) {
-        o_status = fresh_status(o_status.w);
+        status = fresh_status(status.evaluations);
     }
+    o_status = stored_status(status);
     return true;
 }

@@ -15,7 +15,7 @@ float material_number(int row, int k, int u)
 }
 
 // Returns the fraction of the surface with a material similar to c, from 0 to 1.
-float surface_fraction_of(inout float c[12])
+float surface_fraction_of(inout float c[MAX_COMPONENTS])
 {
     float fraction = 0.0;
     int count = textureSize(u_materials, 0).x;
@@ -36,7 +36,7 @@ float surface_fraction_of(inout float c[12])
 }
 
 // Copies the numbers of material k to c, except the normal.
-void take_material(int k, inout float c[12])
+void take_material(int k, inout float c[MAX_COMPONENTS])
 {
     for (int u = 0; u < FREE_COUNT; u++) {
         if (is_normal(u)) {
@@ -48,7 +48,7 @@ void take_material(int k, inout float c[12])
     }
 }
 
-float material_support_of(inout float c[12])
+float material_support_of(inout float c[MAX_COMPONENTS])
 {
     return MATERIALS_WEIGHT * surface_fraction_of(c);
 }

@@ -8,7 +8,7 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     read_work(texel, c);
     if (state_at(texel) == TEXEL_SOLVED) {
         float weights;

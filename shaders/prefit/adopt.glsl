@@ -6,7 +6,7 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
     if (state_at(texel) == TEXEL_SOLVED) {
         vec3 n = texelFetch(u_prefit_0, texel, 0).xyz;

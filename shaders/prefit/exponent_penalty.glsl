@@ -15,14 +15,14 @@ float exponent_precision()
     return EXPONENT_UNIT / (EXPONENT_DEVIATION * EXPONENT_DEVIATION);
 }
 
-float penalty_of(ivec2 texel, inout float c[12])
+float penalty_of(ivec2 texel, inout float c[MAX_COMPONENTS])
 {
     float d = c[EXPONENT_COMPONENT] - 1.0;
     return exponent_precision() * d * d;
 }
 
 // JᵀWJ and JᵀWe are half the second and half the first derivative of the loss times δ², J per range.
-void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT],
+void add_penalty(ivec2 texel, inout float c[MAX_COMPONENTS], inout float a[FREE_COUNT * FREE_COUNT],
                  inout float gradient[FREE_COUNT])
 {
     float inverse_delta = inverse_delta_of(radiance_scale_at(texel));

@@ -394,7 +394,7 @@ bool texel_kernel(ivec2 texel)
     }
     Texel t = observed_texel(texel);
     t.shadow = 0.0;
-    float c[12];
+    float c[MAX_COMPONENTS];
     read_estimate(texel, c);
     vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
     Fit fit;

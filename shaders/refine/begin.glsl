@@ -7,7 +7,7 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
     if (state_at(texel) == TEXEL_SOLVED) {
         take_start(u_start, c);
@@ -18,6 +18,6 @@ bool texel_kernel(ivec2 texel)
 #endif
     }
     write_estimate(c);
-    o_status = fresh_status(texelFetch(u_status, texel, 0).w);
+    o_status = stored_status(fresh_status(status_from(texelFetch(u_status, texel, 0)).evaluations));
     return true;
 }

@@ -6,10 +6,10 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    vec4 before = texelFetch(u_status, texel, 0);
-    vec4 after = texelFetch(u_work_status, texel, 0);
-    bool better = state_at(texel) == TEXEL_SOLVED && after.x <= before.x;
-    float c[12];
+    Status before = status_from(texelFetch(u_status, texel, 0));
+    Status after = status_from(texelFetch(u_work_status, texel, 0));
+    bool better = state_at(texel) == TEXEL_SOLVED && after.fitness <= before.fitness;
+    float c[MAX_COMPONENTS];
     if (better) {
         read_work(texel, c);
     }
@@ -17,7 +17,6 @@ bool texel_kernel(ivec2 texel)
         read_estimate(texel, c);
     }
     write_estimate(c);
-    o_status = better ? after : before;
-    o_status.w = max(before.w, after.w);
+    o_status = stored_status(kept_status(before, after, better));
     return true;
 }

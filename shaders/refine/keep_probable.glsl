@@ -8,12 +8,12 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float own[12];
-    float work[12];
+    float own[MAX_COMPONENTS];
+    float work[MAX_COMPONENTS];
     read_estimate(texel, own);
     read_work(texel, work);
-    vec4 before = texelFetch(u_status, texel, 0);
-    vec4 after = texelFetch(u_work_status, texel, 0);
+    Status before = status_from(texelFetch(u_status, texel, 0));
+    Status after = status_from(texelFetch(u_work_status, texel, 0));
     bool better = false;
     if (state_at(texel) == TEXEL_SOLVED) {
         float weights = 0.0;
@@ -23,11 +23,11 @@ bool texel_kernel(ivec2 texel)
             weights += o.weight;
         }
         float freedom = degrees_of_freedom(weights);
-        better = after.x <= before.x;
-        if (freedom > 0.0 && max(before.x, after.x) < UNFIT) {
+        better = after.fitness <= before.fitness;
+        if (freedom > 0.0 && max(before.fitness, after.fitness) < UNFIT) {
             ivec4 place = surface_place_of(texel);
-            better = deviance_of(freedom, after.x, neighbour_support_of(place, work)) <=
-                     deviance_of(freedom, before.x, neighbour_support_of(place, own));
+            better = deviance_of(freedom, after.fitness, neighbour_support_of(place, work)) <=
+                     deviance_of(freedom, before.fitness, neighbour_support_of(place, own));
         }
     }
     if (better) {
@@ -36,7 +36,6 @@ bool texel_kernel(ivec2 texel)
     else {
         write_estimate(own);
     }
-    o_status = better ? after : before;
-    o_status.w = max(before.w, after.w);
+    o_status = stored_status(kept_status(before, after, better));
     return true;
 }

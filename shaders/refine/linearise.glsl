@@ -6,7 +6,8 @@
 #include "jacobian.glsl"
 
 // Sums a = JᵀWJ (upper triangle; J per range) and gradient = JᵀWe. Returns the sums of the losses and of the weights.
-vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float gradient[FREE_COUNT])
+vec2 linearise(Texel t, inout float c[MAX_COMPONENTS], out float a[FREE_COUNT * FREE_COUNT],
+               out float gradient[FREE_COUNT])
 {
     Material s = material_from(c);
     Steps steps;
@@ -21,10 +22,10 @@ vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT],
     EACH_OBSERVATION(t, o) {
         vec3 render = reflectance(s, o.l, o.v);
         vec3 error = error_of(o, render);
-        float relative = relative_error(t, o);
-        loss += o.weight * loss_of(inverse_delta * relative * error);
+        float scale = error_scale(t, o);
+        loss += weighted_loss(o, error, inverse_delta * scale);
         weights += o.weight;
-        vec3 weight = reweighted(t, o, error, relative) * o.intensity;
+        vec3 weight = reweighted(t, o, error, scale) * o.intensity;
         add_jacobian(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);
     }
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {

@@ -4,7 +4,7 @@
 
 #ifdef NORMAL_COMPONENT
 // level is the radiance over the light's intensity. If no half vector is in front of the surface, the normal stays.
-void turn_to_mirror(ivec2 texel, inout float c[12])
+void turn_to_mirror(ivec2 texel, inout float c[MAX_COMPONENTS])
 {
     float brightest = 0.0;
     Texel t = observed_texel(texel);

@@ -18,7 +18,7 @@
 // the mouth of rti_icon a ratio of 1 refines twice as many proposals and leaves a third fewer isolated texels.
 #define SUPPORT_RATIO 1.5
 
-float neighbour_support_of(ivec4 place, inout float c[12])
+float neighbour_support_of(ivec4 place, inout float c[MAX_COMPONENTS])
 {
     float support = material_support_of(c);
     for (int t = 0; t < SUPPORT_TAPS; t++) {
@@ -26,7 +26,7 @@ float neighbour_support_of(ivec4 place, inout float c[12])
         if (other.x < 0) {
             continue;
         }
-        float other_c[12];
+        float other_c[MAX_COMPONENTS];
         material_to(estimate_at(other), other_c);
         float squared_distance = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {

@@ -10,12 +10,12 @@
 #include "refine/proposals.glsl"
 
 // kind: 0 for the whole material of ``other``, else its searched numbers with the rest of ``own``.
-Material proposal_of(ivec2 other, Frame f, int kind, inout float own[12])
+Material proposal_of(ivec2 other, Frame f, int kind, inout float own[MAX_COMPONENTS])
 {
-    float c[12];
-    float other_c[12];
+    float c[MAX_COMPONENTS];
+    float other_c[MAX_COMPONENTS];
     material_to(estimate_at(other), other_c);
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         c[i] = own[i];
     }
     bool whole = kind == 0;
@@ -43,11 +43,11 @@ Material proposal_of(ivec2 other, Frame f, int kind, inout float own[12])
 bool texel_kernel(ivec2 texel)
 {
     Material own = estimate_at(texel);
-    vec4 status = write_converged(texel, own);
+    Status status = write_converged(texel, own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(own, c);
     Texel t = observed_texel(texel);
     ivec4 place = surface_place_of(texel);
@@ -69,14 +69,15 @@ bool texel_kernel(ivec2 texel)
     float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = inverse_delta * relative_error(t, o);
+        float scale_over_delta = inverse_delta * error_scale(t, o);
         for (int p = 0; p < PROPOSALS; p++) {
             vec3 error = error_of(o, reflectance(proposals[p], o.l, o.v));
-            sum[p] += o.weight * loss_of(relative * error);
+            sum[p] += weighted_loss(o, error, scale_over_delta);
         }
         weights += o.weight;
     }
-    o_status.w += float(PROPOSALS);
+    status.evaluations += float(PROPOSALS);
+    o_status = stored_status(status);
     float freedom = degrees_of_freedom(weights);
     bool support_counts = SEARCHED > 0 && NEIGHBOUR_WEIGHT > 0.0 && freedom > 0.0;
     float own_support = support_counts ? neighbour_support_of(place, c) : 0.0;
@@ -88,11 +89,11 @@ bool texel_kernel(ivec2 texel)
         if (!(exists[p] && fitness < UNFIT)) {
             continue;
         }
-        float proposed[12];
+        float proposed[MAX_COMPONENTS];
         material_to(proposals[p], proposed);
         float support = support_counts ? neighbour_support_of(place, proposed) : 0.0;
         float deviance = support_counts ? deviance_of(freedom, fitness, support) : fitness;
-        if (is_worth_refining(fitness, status.x, support, own_support) && (chosen < 0 || deviance < lowest)) {
+        if (is_worth_refining(fitness, status.fitness, support, own_support) && (chosen < 0 || deviance < lowest)) {
             lowest = deviance;
             chosen = p;
         }
@@ -100,7 +101,7 @@ bool texel_kernel(ivec2 texel)
     for (int p = 0; p < PROPOSALS; p++) {
         if (p == chosen) {
             write_material(proposals[p]);
-            o_status = fresh_status(o_status.w);
+            o_status = stored_status(fresh_status(status.evaluations));
         }
     }
     return true;

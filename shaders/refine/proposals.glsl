@@ -11,11 +11,12 @@ bool is_worth_refining(float fitness, float own_fitness, float support, float ow
     return fitness < CANDIDATE_RATIO * own_fitness || support > SUPPORT_RATIO * (1.0 + own_support);
 }
 
-// Writes the texel's own material, with the status of a converged texel. Returns the former status.
-vec4 write_converged(ivec2 texel, Material own)
+// Writes the texel's own material, with the status of a converged texel. Returns this status.
+Status write_converged(ivec2 texel, Material own)
 {
-    vec4 status = texelFetch(u_status, texel, 0);
-    o_status = vec4(status.xy, CONVERGED_AFTER, status.w);
+    Status status = status_from(texelFetch(u_status, texel, 0));
+    status.stalled = CONVERGED_AFTER;
+    o_status = stored_status(status);
     write_material(own);
     return status;
 }

@@ -1,5 +1,4 @@
-// State of a texel's refinement: its material, packed like the estimates, and o_status: (fitness, damping λ,
-// consecutive iterations without a change, evaluations so far).
+// State of a texel's refinement: its material, packed like the estimates, and its status, one texel of u_status.
 
 #include "common/estimate.glsl"
 #include "fitness/unfit.glsl"
@@ -7,14 +6,44 @@
 // A texel has converged after this many iterations without a change.
 #define CONVERGED_AFTER 2.0
 
-vec4 fresh_status(float evaluations)
+struct Status {
+    float fitness;
+    float damping;      // λ
+    float stalled;      // consecutive iterations without a change
+    float evaluations;  // so far
+};
+
+Status status_from(vec4 stored)
 {
-    return vec4(UNFIT, DAMPING, 0.0, evaluations);
+    Status status;
+    status.fitness = stored.x;
+    status.damping = stored.y;
+    status.stalled = stored.z;
+    status.evaluations = stored.w;
+    return status;
+}
+
+vec4 stored_status(Status status)
+{
+    return vec4(status.fitness, status.damping, status.stalled, status.evaluations);
+}
+
+Status fresh_status(float evaluations)
+{
+    return status_from(vec4(UNFIT, DAMPING, 0.0, evaluations));
+}
+
+// Returns the status of the material that is kept, with the evaluations of both.
+Status kept_status(Status before, Status after, bool better)
+{
+    Status kept = status_from(better ? stored_status(after) : stored_status(before));
+    kept.evaluations = max(before.evaluations, after.evaluations);
+    return kept;
 }
 
 void write_material(Material s)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     write_estimate(c);
 }

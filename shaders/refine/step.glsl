@@ -2,7 +2,7 @@
 // Reads the working estimates, u_status, geometry, sample stack, inputs of penalty.glsl; writes o_estimate, o_status.
 //
 // The first loop over the observations sums JᵀWJ and JᵀWe (linearise.glsl). The second evaluates the steps of
-// CANDIDATES dampings. penalty.glsl adds to the loss: no_penalty.glsl, or the penalty of the prefit or of a prior.
+// DAMPINGS dampings. penalty.glsl adds to the loss: no_penalty.glsl, or the penalty of the prefit or of a prior.
 
 #include "refine/linearise.glsl"
 #include "refine/status.glsl"
@@ -23,7 +23,7 @@
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D equals
 // that of n F + (F + NOISE_FLOOR) D, divided by F + NOISE_FLOOR. JᵀWJ and JᵀWe are half the second and half the first
 // derivative of the loss, times δ². For l1 they are the whole derivatives.
-void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
+void add_priors(ivec2 texel, inout float c[MAX_COMPONENTS], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
                 inout float gradient[FREE_COUNT])
 {
 #if PRIORS > 0
@@ -33,8 +33,8 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 #else
     float unit = (fitness + NOISE_FLOOR) / (inverse_delta * inverse_delta);
 #endif
-    float prior_gradient[12];
-    float prior_curvature[12];
+    float prior_gradient[MAX_COMPONENTS];
+    float prior_curvature[MAX_COMPONENTS];
     prior_derivatives(c, prior_gradient, prior_curvature);
     for (int u = 0; u < FREE_COUNT; u++) {
         FreeParameter free = free_at(u);
@@ -45,9 +45,9 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 }
 
 // Computes the components c after a step delta of all free parameters. The normal stays in its hemisphere.
-void take_step(inout float unmoved[12], inout float delta[FREE_COUNT], out float c[12])
+void take_step(inout float unmoved[MAX_COMPONENTS], inout float delta[FREE_COUNT], out float c[MAX_COMPONENTS])
 {
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         c[i] = unmoved[i];
     }
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -68,7 +68,7 @@ void take_step(inout float unmoved[12], inout float delta[FREE_COUNT], out float
 #endif
 }
 
-void improve(ivec2 texel, inout float c[12], inout vec4 status)
+void improve(ivec2 texel, inout float c[MAX_COMPONENTS], inout Status status)
 {
     Texel t = observed_texel(texel);
     float a[FREE_COUNT * FREE_COUNT];
@@ -78,11 +78,11 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     float fitness = (loss_and_weight.x + penalty_of(texel, c)) / (3.0 * loss_and_weight.y);
     float fitness_before = with_priors(fitness, loss_and_weight.y, material_from(c));
     add_priors(texel, c, fitness, a, gradient);
-    status.w += float(EVALUATIONS);
+    status.evaluations += float(EVALUATIONS);
     // Stops at NaN as well: a texel without a fitness cannot improve.
     if (!(loss_and_weight.y > 0.0 && fitness_before < UNFIT)) {
-        status.x = UNFIT;
-        status.z = CONVERGED_AFTER;
+        status.fitness = UNFIT;
+        status.stalled = CONVERGED_AFTER;
         return;
     }
     float norm[FREE_COUNT];
@@ -101,12 +101,12 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
             a[i * FREE_COUNT + k] = norms > 0.0 ? a[i * FREE_COUNT + k] / norms : 0.0;
         }
     }
-    Material candidates[CANDIDATES];
-    float dampings[CANDIDATES];
-    float step_size[CANDIDATES];
-    float sum[CANDIDATES];
-    float next_damping = status.y / DAMPING_RATIO;
-    for (int p = 0; p < CANDIDATES; p++) {
+    Material candidates[DAMPINGS];
+    float dampings[DAMPINGS];
+    float step_size[DAMPINGS];
+    float sum[DAMPINGS];
+    float next_damping = status.damping / DAMPING_RATIO;
+    for (int p = 0; p < DAMPINGS; p++) {
         dampings[p] = clamp(next_damping, MIN_DAMPING, MAX_DAMPING);
         next_damping *= DAMPING_RATIO;
         float delta[FREE_COUNT];
@@ -115,7 +115,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         for (int u = 0; u < FREE_COUNT; u++) {
             step_size[p] = max(step_size[p], abs(delta[u]));
         }
-        float candidate[12];
+        float candidate[MAX_COMPONENTS];
         take_step(c, delta, candidate);
         candidates[p] = material_from(candidate);
         sum[p] = penalty_of(texel, candidate);
@@ -123,15 +123,15 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     float inverse_delta = inverse_delta_of(t.radiance_scale);
     Observation o;
     EACH_OBSERVATION(t, o) {
-        float relative = inverse_delta * relative_error(t, o);
-        for (int p = 0; p < CANDIDATES; p++) {
+        float scale_over_delta = inverse_delta * error_scale(t, o);
+        for (int p = 0; p < DAMPINGS; p++) {
             vec3 error = error_of(o, reflectance(candidates[p], o.l, o.v));
-            sum[p] += o.weight * loss_of(relative * error);
+            sum[p] += weighted_loss(o, error, scale_over_delta);
         }
     }
     int chosen = -1;
     float best_fitness = fitness_before;
-    for (int p = 0; p < CANDIDATES; p++) {
+    for (int p = 0; p < DAMPINGS; p++) {
         float fitness = with_priors(sum[p] / (3.0 * loss_and_weight.y), loss_and_weight.y, candidates[p]);
         if (fitness < best_fitness) {
             best_fitness = fitness;
@@ -139,41 +139,41 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         }
     }
     float gain = (fitness_before - best_fitness) / fitness_before;
-    status.x = best_fitness;
+    status.fitness = best_fitness;
     if (chosen < 0) {
         // No step was better: the next damping exceeds all that were tried.
-        status.y = min(dampings[CANDIDATES - 1] * DAMPING_RATIO * DAMPING_RATIO, MAX_DAMPING);
-        status.z += 1.0;
+        status.damping = min(dampings[DAMPINGS - 1] * DAMPING_RATIO * DAMPING_RATIO, MAX_DAMPING);
+        status.stalled += 1.0;
         return;
     }
-    for (int p = 0; p < CANDIDATES; p++) {
+    for (int p = 0; p < DAMPINGS; p++) {
         if (p == chosen) {
             material_to(candidates[p], c);
             order_lobes(c);
-            status.y = dampings[p];
-            status.z = gain < FTOL || step_size[p] < XTOL ? status.z + 1.0 : 0.0;
+            status.damping = dampings[p];
+            status.stalled = gain < FTOL || step_size[p] < XTOL ? status.stalled + 1.0 : 0.0;
         }
     }
 }
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
-    vec4 status = texelFetch(u_status, texel, 0);
+    Status status = status_from(texelFetch(u_status, texel, 0));
 #ifdef RACE_RATIO
     // In the race, after the first steps from a start, a texel stops that is far behind its best material so far.
-    float best_fitness = texelFetch(u_best_status, texel, 0).x;
-    if (u_races != 0 && !(status.x + NOISE_FLOOR < RACE_RATIO * (best_fitness + NOISE_FLOOR))) {
-        status.z = CONVERGED_AFTER;
+    float best_fitness = status_from(texelFetch(u_best_status, texel, 0)).fitness;
+    if (u_races != 0 && !(status.fitness + NOISE_FLOOR < RACE_RATIO * (best_fitness + NOISE_FLOOR))) {
+        status.stalled = CONVERGED_AFTER;
     }
 #endif
-    if (state_at(texel) == TEXEL_SOLVED && status.z < CONVERGED_AFTER) {
+    if (state_at(texel) == TEXEL_SOLVED && status.stalled < CONVERGED_AFTER) {
         improve(texel, c, status);
         // Convergence does not count while δ still changes (u_settles = 0).
-        status.z = u_settles != 0 ? status.z : 0.0;
+        status.stalled = u_settles != 0 ? status.stalled : 0.0;
     }
     write_estimate(c);
-    o_status = status;
+    o_status = stored_status(status);
     return true;
 }

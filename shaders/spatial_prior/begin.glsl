@@ -10,16 +10,16 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
-    o_status = fresh_status(0.0);
+    Status status = fresh_status(0.0);
     o_penalty = 0.0;
     float max_influence = 0.0;
     if (state_at(texel) == TEXEL_SOLVED) {
         o_penalty = penalty_of(texel, c);
-        float own_sigma[12];
-        float mean[12];
-        float deviation[12];
+        float own_sigma[MAX_COMPONENTS];
+        float mean[MAX_COMPONENTS];
+        float deviation[MAX_COMPONENTS];
         read_own(texel, own_sigma);
         read_mean(texel, mean);
         read_deviation(texel, deviation);
@@ -37,8 +37,9 @@ bool texel_kernel(ivec2 texel)
     }
     if (!(max_influence >= MIN_INFLUENCE)) {
         material_to(estimate_at(texel), c);
-        o_status.z = CONVERGED_AFTER;
+        status.stalled = CONVERGED_AFTER;
     }
+    o_status = stored_status(status);
     write_estimate(c);
     return true;
 }

@@ -11,11 +11,11 @@
 bool texel_kernel(ivec2 texel)
 {
     Material result = estimate_at(texel);
-    float objective = texelFetch(u_work_status, texel, 0).x;
+    float objective = status_from(texelFetch(u_work_status, texel, 0)).fitness;
     if (state_at(texel) == TEXEL_SOLVED && objective < UNFIT) {
         vec4 noise = texelFetch(u_noise, texel, 0);
         float unit = loss_unit(texel);
-        float c[12];
+        float c[MAX_COMPONENTS];
         read_work(texel, c);
         order_lobes(c);
         Material work = material_from(c);

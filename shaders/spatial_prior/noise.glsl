@@ -16,12 +16,12 @@ bool texel_kernel(ivec2 texel)
         Observation o;
         EACH_OBSERVATION(t, o) {
             vec3 error = error_of(o, reflectance(s, o.l, o.v));
-            sum += o.weight * loss_of(inverse_delta * relative_error(t, o) * error);
+            sum += weighted_loss(o, error, inverse_delta * error_scale(t, o));
             channels += o.weight * dot(active_channels(o, error), vec3(1.0));
         }
     }
     o_noise = vec4(sum / loss_unit(texel), channels, 0.0, 0.0);
-    float c[12];
+    float c[MAX_COMPONENTS];
     read_estimate(texel, c);
     write_mean(c);
     return true;

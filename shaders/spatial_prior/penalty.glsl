@@ -4,10 +4,10 @@
 #include "spatial_prior/loss_unit.glsl"
 #include "free_parameters.glsl"
 
-float penalty_of(ivec2 texel, inout float c[12])
+float penalty_of(ivec2 texel, inout float c[MAX_COMPONENTS])
 {
-    float mean[12];
-    float deviation[12];
+    float mean[MAX_COMPONENTS];
+    float deviation[MAX_COMPONENTS];
     read_mean(texel, mean);
     read_deviation(texel, deviation);
     float sum = 0.0;
@@ -22,11 +22,11 @@ float penalty_of(ivec2 texel, inout float c[12])
 
 // Adds the prior to the normal equations, J per range. JᵀWJ and JᵀWe are half the second and half the first derivative:
 // of n σ² (noise of variance σ²) for losses that are squares, of n σ² / b for l1.
-void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT],
+void add_penalty(ivec2 texel, inout float c[MAX_COMPONENTS], inout float a[FREE_COUNT * FREE_COUNT],
                  inout float gradient[FREE_COUNT])
 {
-    float mean[12];
-    float deviation[12];
+    float mean[MAX_COMPONENTS];
+    float deviation[MAX_COMPONENTS];
     read_mean(texel, mean);
     read_deviation(texel, deviation);
     float noise = texelFetch(u_noise, texel, 0).w;

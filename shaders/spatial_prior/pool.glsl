@@ -20,15 +20,16 @@
 #define FINEST_DEVIATION (1.0 / 1024.0)
 
 struct Pooled {
-    float weight[12];
-    float sum[12];
-    float squares[12];
-    float weights_squared[12];
-    float count[12];
+    float weight[MAX_COMPONENTS];
+    float sum[MAX_COMPONENTS];
+    float squares[MAX_COMPONENTS];
+    float weights_squared[MAX_COMPONENTS];
+    float count[MAX_COMPONENTS];
 };
 
 // Returns s of the equation above.
-float similarity(inout float x[12], inout float sigma_x[12], inout float y[12], inout float sigma_y[12])
+float similarity(inout float x[MAX_COMPONENTS], inout float sigma_x[MAX_COMPONENTS], inout float y[MAX_COMPONENTS],
+                 inout float sigma_y[MAX_COMPONENTS])
 {
     float squared_distance = 0.0;
     for (int i = 0; i < COMPONENTS; i++) {
@@ -47,9 +48,10 @@ float similarity(inout float x[12], inout float sigma_x[12], inout float y[12], 
 }
 
 // Computes the sums over the neighbours. t2: t² of each number.
-void pool(ivec2 texel, inout float x[12], inout float sigma_x[12], inout float t2[12], out Pooled p)
+void pool(ivec2 texel, inout float x[MAX_COMPONENTS], inout float sigma_x[MAX_COMPONENTS],
+          inout float t2[MAX_COMPONENTS], out Pooled p)
 {
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         p.weight[i] = 0.0;
         p.sum[i] = 0.0;
         p.squares[i] = 0.0;
@@ -62,8 +64,8 @@ void pool(ivec2 texel, inout float x[12], inout float sigma_x[12], inout float t
         if (other.x < 0) {
             continue;
         }
-        float y[12];
-        float sigma_y[12];
+        float y[MAX_COMPONENTS];
+        float sigma_y[MAX_COMPONENTS];
         read_mean(other, y);
         read_deviation(other, sigma_y);
         float s = similarity(x, sigma_x, y, sigma_y);
@@ -89,17 +91,17 @@ void pool(ivec2 texel, inout float x[12], inout float sigma_x[12], inout float t
 
 bool texel_kernel(ivec2 texel)
 {
-    float x[12];
-    float sigma_x[12];
-    float mean[12];
-    float deviation[12];
+    float x[MAX_COMPONENTS];
+    float sigma_x[MAX_COMPONENTS];
+    float mean[MAX_COMPONENTS];
+    float deviation[MAX_COMPONENTS];
     material_to(estimate_at(texel), x);
     read_own(texel, sigma_x);
     read_mean(texel, mean);
     read_deviation(texel, deviation);
     if (state_at(texel) == TEXEL_SOLVED) {
-        float t2[12];
-        for (int i = 0; i < 12; i++) {
+        float t2[MAX_COMPONENTS];
+        for (int i = 0; i < MAX_COMPONENTS; i++) {
             t2[i] = 0.0;
         }
         Pooled p;

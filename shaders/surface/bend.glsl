@@ -9,7 +9,7 @@
 #include "spatial_prior/loss_unit.glsl"
 
 // Sets the normal n in c and moves the linear parameters to their optimum for it.
-void set_normal(ivec2 texel, vec3 n, inout float c[12])
+void set_normal(ivec2 texel, vec3 n, inout float c[MAX_COMPONENTS])
 {
     float a[FREE_COUNT * FREE_COUNT];
     eliminate_all_but_normal(texel, c, a);
@@ -31,7 +31,7 @@ void set_normal(ivec2 texel, vec3 n, inout float c[12])
 }
 
 // Returns whether the deviance of c exceeds the estimate's by at most TOLERANCE².
-bool fits_samples(ivec2 texel, inout float c[12])
+bool fits_samples(ivec2 texel, inout float c[MAX_COMPONENTS])
 {
     vec4 noise = texelFetch(u_noise, texel, 0);
     float weights;
@@ -41,7 +41,7 @@ bool fits_samples(ivec2 texel, inout float c[12])
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
     vec3 covariance = texelFetch(u_covariance, texel, 0).xyz;
     if (state_at(texel) == TEXEL_SOLVED && covariance.x + covariance.z > 0.0) {

@@ -8,7 +8,7 @@
 #include "surface/slopes.glsl"
 
 // Returns the covariance (xx, xy, yy) of the normal's two angles.
-vec3 covariance_of_angles(ivec2 texel, inout float c[12])
+vec3 covariance_of_angles(ivec2 texel, inout float c[MAX_COMPONENTS])
 {
     float a[FREE_COUNT * FREE_COUNT];
     float noise = eliminate_all_but_normal(texel, c, a);
@@ -35,7 +35,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(texel), c);
     vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
     Grid g = grid_at(texel);

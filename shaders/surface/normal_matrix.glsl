@@ -6,12 +6,12 @@
 // Returns the variance of the noise. a: the Schur complement of the normal's two angles, J per range; between them and
 // another parameter, minus its change per change of the angle. A weak prior (σ = the range) is added to every
 // parameter.
-float eliminate_all_but_normal(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT])
+float eliminate_all_but_normal(ivec2 texel, inout float c[MAX_COMPONENTS], out float a[FREE_COUNT * FREE_COUNT])
 {
     float slope[FREE_COUNT];
     linearise(observed_texel(texel), c, a, slope);
     // A lower bound for samples without noise: a millionth of the texel's scale.
-    float level = u_brightness * radiance_scale_at(texel);
+    float level = u_mean_irradiance * radiance_scale_at(texel);
     float noise = max(texelFetch(u_noise, texel, 0).w, 1e-12 * level * level);
     for (int u = 0; u < FREE_COUNT; u++) {
         a[u * FREE_COUNT + u] += noise;

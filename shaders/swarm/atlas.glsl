@@ -9,7 +9,7 @@ ivec2 atlas_texel(ivec2 texel, int block, int particle)
 }
 
 // Reads all dimensions of one particle, up to eight.
-void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[8])
+void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[MAX_DIMENSIONS])
 {
     vec4 part = texelFetch(atlas, atlas_texel(texel, 0, particle), 0);
     for (int i = 0; i < 4; i++) {
@@ -24,7 +24,7 @@ void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[8])
 }
 
 // Returns the four dimensions of a particle that one block stores.
-vec4 block_of(inout float x[8], int block)
+vec4 block_of(inout float x[MAX_DIMENSIONS], int block)
 {
     return vec4(x[4 * block], x[4 * block + 1], x[4 * block + 2], x[4 * block + 3]);
 }

@@ -6,7 +6,7 @@
 #include "common/packing.glsl"
 #include "swarm/encoding.glsl"
 
-void rotate_normal(Frame from, Frame to, inout float best[8])
+void rotate_normal(Frame from, Frame to, inout float best[MAX_DIMENSIONS])
 {
 #if NORMAL_SIZE == 2
     vec3 n = normal_from_hemisphere(vec2(best[NORMAL_AT], best[NORMAL_AT + 1]));
@@ -25,7 +25,7 @@ void rotate_normal(Frame from, Frame to, inout float best[8])
 }
 
 // Reads the global best of the packed texel ``other`` in the frame f of ``texel``.
-void read_neighbour(ivec2 other, ivec2 texel, Frame f, out float best[8])
+void read_neighbour(ivec2 other, ivec2 texel, Frame f, out float best[MAX_DIMENSIONS])
 {
     read_best(other, best);
 #if NORMAL_SIZE > 0 && !defined(CARD)
@@ -35,9 +35,9 @@ void read_neighbour(ivec2 other, ivec2 texel, Frame f, out float best[8])
 #endif
 }
 
-void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
+void neighbourhood_mean(ivec2 texel, Frame f, out float mean[MAX_DIMENSIONS])
 {
-    for (int i = 0; i < 8; i++) {
+    for (int i = 0; i < MAX_DIMENSIONS; i++) {
         mean[i] = 0.0;
     }
     float count = 0.0;
@@ -48,7 +48,7 @@ void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
             if (other.x < 0) {
                 continue;
             }
-            float best[8];
+            float best[MAX_DIMENSIONS];
             read_neighbour(other, texel, f, best);
             for (int i = 0; i < DIMENSIONS; i++) {
                 mean[i] += best[i];

@@ -7,7 +7,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_HALO) {
         return false;
     }
-    float received[8];
+    float received[MAX_DIMENSIONS];
     read_given(texel, received);
     write_best(received);
     return true;

@@ -20,9 +20,9 @@ ivec2 global_texel(ivec2 texel)
 
 // Initial position and velocity. If u_start_count > 0, particle 0 starts at the estimate, and particles up to
 // u_start_count − 1 near it in the dimensions whose bit is set in u_start_dimensions. All other coordinates are random.
-void initialise_particle(ivec2 texel, int particle, out float x[8], out float v[8])
+void initialise_particle(ivec2 texel, int particle, out float x[MAX_DIMENSIONS], out float v[MAX_DIMENSIONS])
 {
-    float start[8];
+    float start[MAX_DIMENSIONS];
     encode(estimate_at(texel), albedo_bound_of(radiance_scale_at(texel)), start);
     for (int block = 0; block < BLOCKS; block++) {
         ivec2 coord = global_texel(texel);
@@ -40,10 +40,11 @@ void initialise_particle(ivec2 texel, int particle, out float x[8], out float v[
 
 #else
 
-void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8], out float v[8])
+void move_particle(ivec2 texel, int particle, inout float mean[MAX_DIMENSIONS], out float x[MAX_DIMENSIONS],
+                   out float v[MAX_DIMENSIONS])
 {
-    float p[8];
-    float g[8];
+    float p[MAX_DIMENSIONS];
+    float g[MAX_DIMENSIONS];
     read_particle(u_particle_position, texel, particle, x);
     read_particle(u_particle_velocity, texel, particle, v);
     read_particle(u_particle_best, texel, particle, p);
@@ -73,7 +74,7 @@ void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8
 
 // Moves the particle to the global best of one of the eight adjacent texels, if that texel is solved. A neighbour's
 // best often fits here too. A swarm that has converged to a wrong optimum cannot leave it otherwise.
-void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
+void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[MAX_DIMENSIONS])
 {
     direction += direction >= 4 ? 1 : 0;
     ivec2 other = neighbour_at(surface_place_of(texel), ivec2(direction % 3 - 1, direction / 3 - 1));
@@ -85,7 +86,7 @@ void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
 #endif
 
 // Keeps interchangeable lobes in rising order, so that means over neighbours are meaningful.
-void order_lobes(inout float x[8], inout float v[8])
+void order_lobes(inout float x[MAX_DIMENSIONS], inout float v[MAX_DIMENSIONS])
 {
 #ifdef LOBE_FIRST
     if (x[LOBE_FIRST] > x[LOBE_SECOND]) {

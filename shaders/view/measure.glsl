@@ -3,7 +3,7 @@
 
 float measure_at(ivec2 texel, int number)
 {
-    float measured[12];
+    float measured[MAX_COMPONENTS];
     read_measure(texel, measured);
 #ifdef DEVIATIONS
     float least = texelFetch(u_least, texel, 0).x;

@@ -19,7 +19,7 @@ bool texel_kernel(ivec2 place)
         o_numbers = vec4(texelFetch(u_particle_fitness, atlas_texel(packed_texel, 0, particle), 0).x);
         return true;
     }
-    float x[8];
+    float x[MAX_DIMENSIONS];
     if (place.y < 3) {
         read_particle(u_particle_position, packed_texel, particle, x);
     }
@@ -31,7 +31,7 @@ bool texel_kernel(ivec2 place)
     }
     Material s = estimate_at(packed_texel);
     decode(x, albedo_bound_of(radiance_scale_at(packed_texel)), s);
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     int first = 4 * (place.y < 6 ? place.y % 3 : min(place.x, 2));
     for (int i = 0; i < 4; i++) {

@@ -14,7 +14,7 @@ bool texel_kernel(ivec2 place)
         return true;
     }
     Material s = estimate_at(packed_texel);
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     if (place.x < ESTIMATES) {
         for (int i = 0; i < 4; i++) {

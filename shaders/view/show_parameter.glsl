@@ -19,7 +19,7 @@ bool texel_kernel(ivec2 texel)
     if (packed_texel.x < 0) {
         return true;
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(estimate_at(packed_texel), c);
     vec3 value = vec3(0.0);
     for (int i = 0; i < min(u_components, 3); i++) {

@@ -33,7 +33,7 @@ vec3 toward(vec4 place, vec3 position, out float squared)
     return d * inversesqrt(squared);
 }
 
-vec3 lit(inout float c[12], vec2 at)
+vec3 lit(inout float c[MAX_COMPONENTS], vec2 at)
 {
     vec3 position = u_place[0] + at.x * u_place[1] + at.y * u_place[2];
     float squared, unused;
@@ -43,7 +43,7 @@ vec3 lit(inout float c[12], vec2 at)
     return srgb_from_linear(u_exposure * intensity * reflectance(material_from(c), l, v));
 }
 
-vec3 shown_parameter(inout float c[12])
+vec3 shown_parameter(inout float c[MAX_COMPONENTS])
 {
     int at = u_parameter.x;
     if (at == NORMAL) {
@@ -64,8 +64,8 @@ vec3 ramp(float x)
 
 vec4 maps_at(ivec2 first, vec2 f, vec2 at)
 {
-    float c[12];
-    for (int i = 0; i < 12; i++) {
+    float c[MAX_COMPONENTS];
+    for (int i = 0; i < MAX_COMPONENTS; i++) {
         c[i] = 0.0;
     }
     float share = add_texel(first, (1.0 - f.x) * (1.0 - f.y), c) + add_texel(first + ivec2(1, 0), f.x * (1.0 - f.y), c)

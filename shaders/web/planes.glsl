@@ -4,6 +4,7 @@
 // components, three per layer, as the square root of their fraction of the range. exports/web/planes.py also writes
 // "web/layout.glsl": PLANES, COMPONENTS, NORMAL (its first component), LOW and SPAN of the ranges.
 
+#include "common/limits.glsl"
 #include "web/layout.glsl"
 
 uniform highp sampler2DArray u_planes;
@@ -25,7 +26,7 @@ vec3 normal_of(vec3 bytes)
 }
 
 // Adds the components of a texel, times ``share``. Returns the share added: 0 where the texel is outside.
-float add_texel(ivec2 at, float share, inout float c[12])
+float add_texel(ivec2 at, float share, inout float c[MAX_COMPONENTS])
 {
     vec3 normal_bytes = bytes_at(at, 0);
     if (normal_bytes == vec3(0.0)) {

@@ -31,7 +31,7 @@ class Texel:
         level = self.intensities.mean() * scale
         self.unit = 1 / (delta * level) if loss == "cauchy" else 1.0
         brightest = np.maximum(self.radiance.max(axis=-1, keepdims=True), level)
-        self.relative = (level / brightest) ** power if loss == "cauchy" else np.ones_like(self.weight)
+        self.error_scale = (level / brightest) ** power if loss == "cauchy" else np.ones_like(self.weight)
         self.unknowns = [(p, i) for p in model.parameters for i in range(2 if p.is_normal else p.components)]
 
     def error(self, values):
@@ -43,7 +43,7 @@ class Texel:
 
     def residuals(self, values):
         """Return (K, 3) errors in units of δ."""
-        return self.unit * self.relative * self.error(values)
+        return self.unit * self.error_scale * self.error(values)
 
     def mean_loss(self, values):
         """Return the mean loss over weighted samples and channels."""
@@ -87,8 +87,8 @@ class Texel:
     def equations(self, values):
         """Return JᵀWJ (n, n) and JᵀWe (n,), with the weights of iteratively reweighted least squares."""
         e = self.error(values)
-        scaled = self.unit * self.relative * e
-        weight = (self.weight * self.relative**2 * loss_weight(self.loss, scaled) * ~(self.bound & (e == 0))).ravel()
+        scaled = self.unit * self.error_scale * e
+        weight = (self.weight * self.error_scale**2 * loss_weight(self.loss, scaled) * ~(self.bound & (e == 0))).ravel()
         j = []
         for u in range(len(self.unknowns)):
             ends = [self.error(self.moved(values, sign * _STEP * np.eye(len(self.unknowns))[u])) for sign in (-1, 1)]

@@ -8,7 +8,6 @@ import numpy as np
 
 from . import three_images
 
-NARROW = 0.3  # flatness of directions within about 33° of their mean; 0.19 of those within 22°, 0.4 within 45°
 _UNIT = 1e-3  # DiLiGenT's six printed digits stay within 1e-6; a table of three digits within 1e-3
 _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side
@@ -23,15 +22,6 @@ _PASS = 0.15  # cycles per pixel: width of the low pass that suppresses noise in
 def not_unit(vectors: np.ndarray) -> np.ndarray:
     """Return (K,) bool: directions (K, 3) whose length differs from 1 by more than 0.001."""
     return np.abs(np.linalg.norm(vectors, axis=1) - 1) > _UNIT
-
-
-def flatness(directions: np.ndarray) -> float:
-    """Return the smallest over the largest singular value of unit directions (K, 3): 0 if all lie in one plane.
-
-    The plane contains the origin: the images do not determine a normal's component perpendicular to it.
-    """
-    values = np.linalg.svd(directions, compute_uv=False)
-    return float(values[-1] / values[0]) if len(values) == 3 else 0.0
 
 
 def same_lights(directions: np.ndarray) -> list[tuple[int, int]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.encode import linear_from_srgb
-from .checks import flatness
+from ..light_geometry import flatness
 
 _EXPONENTS = np.geomspace(0.25, 4, 13)
 _LOWEST = 0.4  # of a pixel's bright code values: darker samples are mostly shadow

@@ -19,6 +19,7 @@ from ..framing import AUTO, axis_cosine, found_corner_steps, framed
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder
+from ..light_geometry import flatness
 from ..noise import images_read, noise_of
 from ..read import read_spec
 from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
@@ -245,7 +246,7 @@ def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
             f"{wheres[odd.argmax()]}: {counted(odd.sum(), 'direction is', 'directions are')} not of unit length; they"
             " are used as directions: if they are positions of lamps, give them as light_position in a capture.toml",
         )
-    flat = checks.flatness(directions)
+    flat = flatness(directions)
     if flat < _FLAT and lack is None:
         yield Finding(
             "lights_coplanar",
@@ -303,7 +304,7 @@ def _geometry_findings(
         if not near_lights(capture):  # else units.card_problems reports them
             yield Finding("lights_reversed", message)
         return
-    if checks.flatness(directions) < sufficiency.FLAT_USELESS:
+    if flatness(directions) < sufficiency.FLAT_USELESS:
         return
     if text := light_order_message(pixels, pixels > 0, (directions * power[:, None])[:, None]):
         yield Finding("lights_order", f"{spec.source}: {text}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...reflectance.glsl import material_declaration
-from ...reflectance.model import Parameter, ReflectanceModel
+from ...reflectance.model import MAX_COMPONENTS, Parameter, ReflectanceModel
 
 CODES = 4095  # of a normal's u and v
 _HIGHEST = 255
@@ -49,12 +49,14 @@ def octahedral(normals: np.ndarray) -> np.ndarray:
 def layout(model: ReflectanceModel, colours: int) -> str:
     """Return the text of "web/layout.glsl" for a model. colours: number of colours of the ramp."""
     count, at = model.components, model.offset(_normal_of(model).name)
-    low, span = (np.resize(np.append(values, np.zeros(12)), 12) for values in _ranges(model))
+    low, span = (np.resize(np.append(values, np.zeros(MAX_COMPONENTS)), MAX_COMPONENTS) for values in _ranges(model))
     lines = [f"#define {name} {value}" for name, value in (
         ("PLANES", 1 + -(-(count - 3) // 3)), ("COMPONENTS", count), ("NORMAL", at), ("RAMP", colours),
     )]  # fmt: skip
     for name, numbers in (("LOW", low), ("SPAN", span)):
-        lines.append(f"const float {name}[12] = float[12]({', '.join(repr(float(x)) for x in numbers)});")
+        lines.append(
+            f"const float {name}[MAX_COMPONENTS] = float[MAX_COMPONENTS]({', '.join(repr(float(x)) for x in numbers)});"
+        )
     return "\n".join([*lines, material_declaration(model)])
 
 

@@ -68,7 +68,7 @@ def samples_of(
     """Return the domain on the GPU, the sample stack to upload later, and the first guess."""
     prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
     packing = present(prepared.packing)
-    numbers = packing.pack(prepared.scale), prepared.brightness, prepared.arrays
+    numbers = packing.pack(prepared.scale), prepared.mean_irradiance, prepared.arrays
     held = DomainTextures(domain, packing, None, *numbers)
     return held, prepared.stack, prepared.guess
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ...core.files import defined
 from ...gpu.kernel import Defines, Includes, Packed, Samplers
-from ...gpu.library import defined
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -15,7 +15,7 @@ GEOMETRY: Samplers = {"u_geometry": LAYERS}
 PACKING: Samplers = {**GEOMETRY, "u_packed": FLOAT_2D}
 OBSERVATIONS: Samplers = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
 SIZE = {"u_width": "INT", "u_height": "INT"}
-LOSS_CONSTANTS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
+LOSS_CONSTANTS = {"u_observations": "INT", "u_delta": "FLOAT", "u_mean_irradiance": "FLOAT"}
 MOVE = {
     **SIZE, **LOSS_CONSTANTS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_start_count": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",

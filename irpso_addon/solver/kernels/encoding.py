@@ -8,8 +8,7 @@ from ...gpu.kernel import Packed
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
-
-_MAX_DIMENSIONS = 8  # of a particle
+from ..settings.schedule import MAX_DIMENSIONS
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Encoding:
     @property
     def packed(self) -> Packed:
         """Layout of a particle in textures."""
-        return Packed(self.blocks, _MAX_DIMENSIONS)
+        return Packed(self.blocks, MAX_DIMENSIONS)
 
 
 def blocks_of(dimensions: int) -> int:
@@ -71,10 +70,10 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
         defines |= {"LOBE_FIRST": offsets[model.ordered[0]], "LOBE_SECOND": offsets[model.ordered[1]]}
         if model.complement and model.complement[0] in offsets:
             defines["LOBE_WEIGHT"] = offsets[model.complement[0]]
-    clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
+    clear = "for (int i = 0; i < MAX_DIMENSIONS; i++) { x[i] = 0.0; }"
     source = "\n".join(
         ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
-         "void decode(inout float x[8], float albedo_bound, inout Material s) {", *decode, "}",
-         "void encode(Material s, float albedo_bound, out float x[8]) {", clear, *encode, "}", ""]
+         "void decode(inout float x[MAX_DIMENSIONS], float albedo_bound, inout Material s) {", *decode, "}",
+         "void encode(Material s, float albedo_bound, out float x[MAX_DIMENSIONS]) {", clear, *encode, "}", ""]
     )  # fmt: skip
     return Encoding(at, source, defines | {"DIMENSIONS": at, "BLOCKS": blocks_of(at)}, mask)

@@ -110,7 +110,7 @@ def _jacobian(
     parts = [
         ("struct Steps", ["float none;", *steps]),
         ("struct NormalSums", sums),
-        ("void take_steps(inout float c[12], inout Steps p)", steps_taken),
+        ("void take_steps(inout float c[MAX_COMPONENTS], inout Steps p)", steps_taken),
         ("void clear_sums(out NormalSums n)", clears),
         (
             "void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[FREE_COUNT])",
@@ -147,7 +147,7 @@ def _product(a: str, b: str, channel: str) -> str:
 
 
 def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
-    """Return ``void take_start(int start, inout float c[12])``, which sets the values of a start; −1 sets none.
+    """Return the GLSL of ``take_start(start, c)``, which sets the values of a start; −1 sets none.
 
     ``bool mirrors(int start)``: whether the start turns the normal to the brightest sample's mirror direction.
     """
@@ -159,7 +159,7 @@ def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
     turned = [k for k, start in enumerate(starts) if not all(row for _, row in start)]
     mirroring = " || ".join(f"start == {k}" for k in turned) or "false"
     return "\n".join(
-        ["void take_start(int start, inout float c[12])", "{", *lines, "}",
+        ["void take_start(int start, inout float c[MAX_COMPONENTS])", "{", *lines, "}",
          "bool mirrors(int start)", "{", f"    return {mirroring};", "}", ""]
     )  # fmt: skip
 

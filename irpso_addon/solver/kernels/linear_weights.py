@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...core.errors import InputError
+from ...core.files import defined
 from ...gpu.kernel import Packed
 from ...reflectance.model import Parameter, ReflectanceModel
 
-MAX_WEIGHTS = 8  # two RGBA texels hold the linear weights of a swarm's best
+MAX_WEIGHTS = int(defined("common/limits.glsl", "MAX_")["WEIGHTS"])
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ def _source(model: ReflectanceModel, colors: Sequence[Parameter], numbers: Seque
         "void linear_range(out vec2 color_range[COLOR_ROOM], out vec2 number_range[NUMBER_ROOM]) {", *ranges, "}",
         "void linear_to(Linear w, inout Material s) {", *assign, "}",
         "void clear_linear(out Linear w) {", *clear, "}",
-        "void numbers_of(Linear w, out float x[8]) {", "    for (int i = 0; i < 8; i++) { x[i] = 0.0; }", *pack, "}",
-        "void linear_from(inout float x[8], inout Material s) {", *unpack, "}", "",
+        "void numbers_of(Linear w, out float x[MAX_WEIGHTS]) {",
+        "    for (int i = 0; i < MAX_WEIGHTS; i++) { x[i] = 0.0; }", *pack, "}",
+        "void linear_from(inout float x[MAX_WEIGHTS], inout Material s) {", *unpack, "}", "",
     ]  # fmt: skip
     return "\n".join(lines)

@@ -26,7 +26,7 @@ from .free_parameters import FreeParameters, build_jacobian, build_starts
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**LOSS_CONSTANTS, "u_settles": "INT"}
-CANDIDATES = 3  # dampings tried in one step
+DAMPINGS = 3  # tried in one step
 # Largest distance, in texels, of proposals and support (shaders/refine/propagate.glsl, neighbour_support.glsl).
 PROPAGATION_RADIUS = 2
 _PROPOSALS = {True: 8, False: 4}  # neighbours' materials in a propagation: twice four where unknowns are searched
@@ -58,7 +58,7 @@ class RefinementPasses:
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
     """Return the renders of all observations per texel in a step and in a propagation."""
     free, _ = resolved_jacobian(model, resolved)
-    evaluations = jacobian_renders(free, resolved.refinement) + CANDIDATES
+    evaluations = jacobian_renders(free, resolved.refinement) + DAMPINGS
     if isinstance(resolved, ResolvedMaterials):
         return evaluations, resolved.materials.count
     return evaluations, _PROPOSALS[free.defines["SEARCHED"] > 0]
@@ -74,7 +74,7 @@ def jacobian_renders(free: FreeParameters, settings: Refinement) -> int:
 def step_defines(settings: Refinement) -> Defines:
     """Return the constants of a step that are compiled in."""
     return {
-        "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
+        "DAMPINGS": DAMPINGS, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
         "XTOL": f"{settings.xtol:.9f}", "CANDIDATE_RATIO": f"{settings.candidate_ratio:.9f}",
         "NEIGHBOUR_WEIGHT": f"{settings.neighbour_weight:.9f}",
     }  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...capture.inspect.checks import NARROW, flatness
+from ...capture.light_geometry import NARROW, flatness
 from ...core.errors import InputError
 from ...core.steps import blocking, map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples

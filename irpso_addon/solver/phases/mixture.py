@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...gpu.library import defined
+from ...core.files import defined
 from ...reflectance.model import Parameter, ReflectanceModel
 
 _SHADER = defined("materials/shared.glsl")

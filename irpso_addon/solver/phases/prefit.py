@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...capture.inspect.checks import NARROW, flatness
+from ...capture.light_geometry import NARROW, flatness
 from ...core.optional import present
 from ...core.paths import SHADERS
 from ...gpu import textures
@@ -250,7 +250,7 @@ def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
     """Return the same textures, for kernels that read grey samples under lights of intensity 1."""
     result = copy(domain)
     result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.prefit.shadow:.9f}"}
-    result.brightness = 1.0
+    result.mean_irradiance = 1.0
     return result
 
 

@@ -83,10 +83,10 @@ class SpatialPriorPhase(TexturePhase):
             if self.iteration == self._first_step:
                 targets = textures.of("work", "status", "penalty")
                 yield from self._in_bands("prior begin", passes.begin, targets, bands, seconds)
-            candidate = {f"u_estimate_{i}": texture for i, texture in enumerate(textures.of("work"))}
-            candidate["u_status"] = textures.of("status")[0]
+            bound = {f"u_estimate_{i}": texture for i, texture in enumerate(textures.of("work"))}
+            bound["u_status"] = textures.of("status")[0]
             targets = textures.spares("work", "status")
-            yield from self._in_bands("prior step", passes.step, targets, bands, seconds, candidate)
+            yield from self._in_bands("prior step", passes.step, targets, bands, seconds, bound)
             textures.swap("work", "status")
         self.iteration += 1
 
@@ -110,9 +110,9 @@ class SpatialPriorPhase(TexturePhase):
         targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
-        candidate: Mapping[str, Texture] = {},
+        bound: Mapping[str, Texture] = {},
     ) -> Iterator[None]:
-        inputs = {**self._inputs(), **candidate}
+        inputs = {**self._inputs(), **bound}
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_settles": 1}
         passes = self.passes
         counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)

@@ -10,13 +10,13 @@ from types import MappingProxyType
 from typing import Any
 
 from ...core.errors import InputError
-from ...core.files import load_shipped_table, shipped_names
+from ...core.files import defined, load_shipped_table, shipped_names
 from ...core.paths import PRESETS
 from .groups import Fitness, Interreflection, Materials, Prefit, Refinement, SpatialPrior, Stage, Surface, Swarm
 from .renamed import FORMAT, current_key, current_name, current_tables, hint
 from .setting import Setting, setting, settings_of
 
-MAX_DIMENSIONS = 8  # two RGBA texels a particle
+MAX_DIMENSIONS = int(defined("common/limits.glsl", "MAX_")["DIMENSIONS"])
 ALL = "all"
 REST = "rest"  # all parameters that no stage of the schedule names
 _TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")

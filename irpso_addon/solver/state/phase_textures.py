@@ -21,9 +21,9 @@ _SIDE = 16384  # of a texture, assumed for byte counts: it rarely changes the la
 class TextureGroup:
     """Textures that are allocated, written and swapped together.
 
-    samplers: names in shaders, one per texture. arrays: names in checkpoints; empty if no later iteration reads the
-    textures. value: initial content. in_atlas: one W×H tile per particle and block, otherwise W×H. double: a second
-    set, which a pass writes while it reads the first.
+    samplers: names in shaders, one per texture. arrays: names in checkpoints, which stay when a group is renamed; empty
+    if no later iteration reads the textures. value: initial content. in_atlas: one W×H tile per particle and block,
+    otherwise W×H. double: a second set, which a pass writes while it reads the first.
     """
 
     samplers: tuple[str, ...]
@@ -98,7 +98,7 @@ def _particle_groups(values: Sequence[float], double: bool) -> dict[str, Texture
 
 
 def refinement_table(estimates: int) -> TextureTable:
-    """Return the table of a refinement: the best material, the candidate in work, and a spare one, each with a status.
+    """Return the table of a refinement: the best material, the one in work, and a spare one, each with a status.
 
     estimates: RGBA textures of a material. result: status of the best so far.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from ...core.optional import present
 from .separation_record import SEPARATED_SHADOW, Separation
 
-# Arrays in checkpoints: field → name.
+# Arrays in checkpoints: field → name. A field that was renamed keeps the array of older checkpoints.
 _ARRAYS = {
     "fitness": "prefit_fitness",
     "indirect_misfit": "prefit_evidence",

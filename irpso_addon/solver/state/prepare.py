@@ -34,14 +34,14 @@ Report = Callable[[float], object]  # receives the fraction done, 0 to 1
 class Prepared:
     """Result of the preparation. scale: (H, W) of each texel. guess: parameter name → (H, W, components).
 
-    brightness: mean irradiance/π of the lights at the texels. It converts scales (radiance over irradiance) to
-    radiances and cancels the unit and the distance of the lights. packing, stack, arrays: for the upload to the GPU,
+    mean_irradiance: of the lights at the texels, over π. It converts scales (radiance over irradiance) to radiances
+    and cancels the unit and the distance of the lights. packing, stack, arrays: for the upload to the GPU,
     (K, h, w, 4) samples without shadow and the result of ``domain_arrays``; None where the recovery computes them.
     """
 
     scale: np.ndarray
     guess: dict[str, np.ndarray]
-    brightness: float
+    mean_irradiance: float
     packing: Packing | None = None
     stack: np.ndarray | None = None
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class Prepared:
         return Prepared(
             self.scale[rows, columns],
             {name: value[rows, columns] for name, value in self.guess.items()},
-            self.brightness,
+            self.mean_irradiance,
         )
 
     def packed(self, domain: Domain, schedule: Schedule, report: Report = lambda part: None) -> Prepared:
@@ -78,7 +78,7 @@ class Prepared:
         yield from chunk_steps(domain, work)
         stack = stack.reshape(-1, packing.height, packing.width, 4)
         arrays = domain_arrays(domain, packing, packing.pack(self.scale))
-        return Prepared(self.scale, self.guess, self.brightness, packing, stack, arrays)
+        return Prepared(self.scale, self.guess, self.mean_irradiance, packing, stack, arrays)
 
 
 def prepare(
@@ -111,18 +111,18 @@ def prepare_steps(
             elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
     scale = yield from map_steps(scale_steps(domain, schedule.fitness.scale_percentile), next(sweeps))
-    prepared = Prepared(scale, guess, brightness(domain))
+    prepared = Prepared(scale, guess, mean_irradiance(domain))
     if not pack:
         return prepared
     return (yield from map_steps(prepared.packing_steps(domain, schedule), next(sweeps)))
 
 
-def brightness(domain: Domain) -> float:
+def mean_irradiance(domain: Domain) -> float:
     """Return the mean irradiance/π of the lights at the texels, over lights, texels and channels."""
-    return brightness_of(domain, *brightness_sums(domain, domain.solvable))
+    return mean_irradiance_of(domain, *irradiance_sums(domain, domain.solvable))
 
 
-def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, int]:
+def irradiance_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, int]:
     """Return exact sums of the irradiances at some solvable texels, (H, W) bool, and the number of these texels.
 
     The sums are (280,) int64: for each exponent of a float32, the sum of the mantissas as whole numbers. They are
@@ -140,8 +140,8 @@ def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, in
     return sums, count
 
 
-def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
-    """Return the brightness from the ``brightness_sums`` of all texels of a domain."""
+def mean_irradiance_of(domain: Domain, sums: np.ndarray, count: int) -> float:
+    """Return ``mean_irradiance`` from the ``irradiance_sums`` of all texels of a domain."""
     if not domain.lights[:, 3].any():
         return float(domain.intensities.mean())
     total = sum(int(part) << place for place, part in enumerate(sums.tolist()))
@@ -188,11 +188,11 @@ def drop_shadow(
     """
     if fitness.loss != "cauchy" or fitness.shadow == 0:
         return
-    brightness = grey_of(stack)
+    grey = grey_of(stack)
     for layer in np.flatnonzero(lights[:, 3] > 0):
-        brightness[layer] *= ((lights[layer, :3] - position) ** 2).sum(axis=-1)
-    brightness /= intensities.mean(axis=-1)[:, None, None]
-    stack[..., 3] *= brightness >= fitness.shadow * scale
+        grey[layer] *= ((lights[layer, :3] - position) ** 2).sum(axis=-1)
+    grey /= intensities.mean(axis=-1)[:, None, None]
+    stack[..., 3] *= grey >= fitness.shadow * scale
 
 
 def lambert_steps(domain: Domain) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:

@@ -179,8 +179,8 @@ def separated_steps(
     if separation.any():
         domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(held.packing)))
     scale = yield from scale_steps(domain, schedule.fitness.scale_percentile)
-    prepared = yield from Prepared(scale, {}, held.brightness).packing_steps(domain, schedule)
-    numbers = held.packing.pack(scale), held.brightness, prepared.arrays
+    prepared = yield from Prepared(scale, {}, held.mean_irradiance).packing_steps(domain, schedule)
+    numbers = held.packing.pack(scale), held.mean_irradiance, prepared.arrays
     return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)
 
 

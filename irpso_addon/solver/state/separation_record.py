@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...gpu.library import defined
+from ...core.files import defined
 from .packing import Packing
 
 HARMONICS = int(defined("prefit/shadow_light.glsl")["HARMONICS"])  # spherical harmonics to order 2

@@ -8,9 +8,9 @@ from copy import copy
 
 import numpy as np
 
+from ...core.files import defined
 from ...geometry.domain import Domain
 from ...gpu import textures
-from ...gpu.library import defined
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from .packing import Packing
@@ -25,8 +25,8 @@ class DomainTextures:
     """A domain on the GPU, its solved texels packed.
 
     stack: (K, h, w, 4), the packed samples and weights; None if ``give_stack`` uploads them later, which takes 0.1 s
-    for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default the lights' mean
-    intensity. arrays: from ``domain_arrays``, None to compute them. separation: (h, w), packed, of the
+    for 128 MiB. scale: (h, w) for a robust fitness. mean_irradiance: as in prepare.Prepared, by default the lights'
+    mean intensity. arrays: from ``domain_arrays``, None to compute them. separation: (h, w), packed, of the
     indirect light that was subtracted from the samples (separation.py).
     """
 
@@ -36,13 +36,13 @@ class DomainTextures:
         packing: Packing,
         stack: np.ndarray | None,
         scale: np.ndarray,
-        brightness: float | None = None,
+        mean_irradiance: float | None = None,
         arrays: dict[str, np.ndarray] | None = None,
         separation: Separation | None = None,
     ):
         self.domain, self.packing = domain, packing
         self.separation = Separation.none(scale.shape) if separation is None else separation
-        self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
+        self.mean_irradiance = float(domain.intensities.mean()) if mean_irradiance is None else mean_irradiance
         self.defines = kernel_defines(domain)
         self.scale, self.shadow = scale, np.zeros_like(scale)
         arrays = arrays or domain_arrays(domain, packing, scale)
@@ -86,8 +86,8 @@ class DomainTextures:
 def loss_constants(domain: DomainTextures, delta: float) -> dict[str, int | float]:
     """Return the push constants of a fitness over a domain; delta: δ as a fraction of a texel's scale."""
     return {
-        "u_observations": domain.domain.observations, "u_delta": delta * domain.brightness,
-        "u_brightness": domain.brightness,
+        "u_observations": domain.domain.observations, "u_delta": delta * domain.mean_irradiance,
+        "u_mean_irradiance": domain.mean_irradiance,
     }  # fmt: skip
 
 

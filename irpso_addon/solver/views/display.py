@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.files import defined
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.kernel import Kernel, Output, Packed
-from ...gpu.library import defined
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel

@@ -7,7 +7,7 @@ bool texel_kernel(ivec2 texel)
     if (verdict.w < 0.0 || verdict.z == 0.0) {
         return false;
     }
-    float x[8];
+    float x[MAX_DIMENSIONS];
     read_candidate_position(texel, x);
     write_best(x);
     o_fitness = verdict.x;

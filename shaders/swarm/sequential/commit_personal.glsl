@@ -14,7 +14,7 @@ bool texel_kernel(ivec2 atlas_coord)
     if (int(verdict.w) != particle || verdict.y == 0.0) {
         return false;
     }
-    float x[8];
+    float x[MAX_DIMENSIONS];
     read_candidate_position(texel, x);
     o_best = block_of(x, block);
     o_fitness = verdict.x;

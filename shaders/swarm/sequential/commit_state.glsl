@@ -14,8 +14,8 @@ bool texel_kernel(ivec2 atlas_coord)
     if (int(texelFetch(u_verdict, texel, 0).w) != particle) {
         return false;
     }
-    float x[8];
-    float v[8];
+    float x[MAX_DIMENSIONS];
+    float v[MAX_DIMENSIONS];
     read_candidate_position(texel, x);
     read_candidate_velocity(texel, v);
     o_position = block_of(x, block);

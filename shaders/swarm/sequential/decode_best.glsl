@@ -9,11 +9,11 @@ bool texel_kernel(ivec2 texel)
 {
     Material s = estimate_at(texel);
     if (state_at(texel) != TEXEL_OUTSIDE) {
-        float best[8];
+        float best[MAX_DIMENSIONS];
         read_best(texel, best);
         decode(best, albedo_bound_of(radiance_scale_at(texel)), s);
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     write_estimate(c);
     return true;

@@ -9,9 +9,9 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float x[8];
-    float v[8];
-    for (int i = 0; i < 8; i++) {
+    float x[MAX_DIMENSIONS];
+    float v[MAX_DIMENSIONS];
+    for (int i = 0; i < MAX_DIMENSIONS; i++) {
         x[i] = 0.0;
         v[i] = 0.0;
     }
@@ -32,8 +32,8 @@ bool texel_kernel(ivec2 texel)
 #else
     uvec4 choice = random_bits(u_seed, u_iteration, global_texel(texel), 0, RANDOM_CHOICE) >> 8u;
     int particle = int(choice.x % uint(PARTICLES));
-    float mean[8];
-    for (int i = 0; i < 8; i++) {
+    float mean[MAX_DIMENSIONS];
+    for (int i = 0; i < MAX_DIMENSIONS; i++) {
         mean[i] = 0.0;
     }
     if (u_c3 != 0.0) {

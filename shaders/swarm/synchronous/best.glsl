@@ -6,8 +6,8 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float x[8];
-    float w[8];
+    float x[MAX_DIMENSIONS];
+    float w[MAX_WEIGHTS];
     read_best(texel, x);
     read_best_linear(texel, w);
     o_best_fitness = texelFetch(u_best_fitness, texel, 0).x;
@@ -19,7 +19,7 @@ bool texel_kernel(ivec2 texel)
         float best = o_best_fitness;
 #endif
         int leader = -1;
-        float fitness[16];
+        float fitness[MAX_PARTICLES];
         read_fitness(texel, fitness);
         for (int p = 0; p < PARTICLES; p++) {
             if (fitness[p] < best) {
@@ -28,7 +28,7 @@ bool texel_kernel(ivec2 texel)
             }
         }
         if (leader >= 0) {
-            float v[8];
+            float v[MAX_DIMENSIONS];
             moved_particle(texel, frame_at(texel), leader, x, v);
             read_linear(texel, w);
             o_best_fitness = best;

@@ -19,12 +19,12 @@ bool texel_kernel(ivec2 atlas_coord)
     if (state_at(texel) != TEXEL_SOLVED || texelFetch(u_best_fitness, texel, 0).x <= u_threshold) {
         return true;
     }
-    float x[8];
-    float v[8];
+    float x[MAX_DIMENSIONS];
+    float v[MAX_DIMENSIONS];
     moved_particle(texel, frame_at(texel), particle, x, v);
     o_position = block_of(x, block);
     o_velocity = block_of(v, block);
-    float fitness[16];
+    float fitness[MAX_PARTICLES];
     read_fitness(texel, fitness);
     // The initial position is always a personal best.
 #ifdef START

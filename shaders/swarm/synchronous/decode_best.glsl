@@ -8,7 +8,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) == TEXEL_SOLVED) {
         s = material_of_best(texel);
     }
-    float c[12];
+    float c[MAX_COMPONENTS];
     material_to(s, c);
     write_estimate(c);
     return true;

@@ -15,8 +15,8 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float fitness[16];
-    for (int i = 0; i < 16; i++) {
+    float fitness[MAX_PARTICLES];
+    for (int i = 0; i < MAX_PARTICLES; i++) {
         fitness[i] = UNFIT;
     }
 #if LINEAR_BLOCKS > 0
@@ -40,8 +40,8 @@ bool texel_kernel(ivec2 texel)
             Linear linear[CHUNK];
 #endif
             for (int p = 0; p < CHUNK; p++) {
-                float x[8];
-                float v[8];
+                float x[MAX_DIMENSIONS];
+                float v[MAX_DIMENSIONS];
                 moved_particle(texel, t.frame, min(first + p, PARTICLES - 1), x, v);
                 s[p] = estimate;
                 decode(x, albedo_bound, s[p]);
@@ -56,7 +56,7 @@ bool texel_kernel(ivec2 texel)
 #if LINEAR_BLOCKS > 0
             EACH_OBSERVATION(t, o) {
                 vec3 error = error_of(o, reflectance(incumbent, o.l, o.v));
-                vec3 weight = reweighted(t, o, error, relative_error(t, o));
+                vec3 weight = reweighted(t, o, error, error_scale(t, o));
                 for (int p = 0; p < CHUNK; p++) {
                     add_observation(equations[p], s[p], o, weight);
                 }
@@ -67,10 +67,10 @@ bool texel_kernel(ivec2 texel)
             }
 #endif
             EACH_OBSERVATION(t, o) {
-                float relative = inverse_delta * relative_error(t, o);
+                float scale_over_delta = inverse_delta * error_scale(t, o);
                 for (int p = 0; p < CHUNK; p++) {
                     vec3 error = error_of(o, reflectance(s[p], o.l, o.v));
-                    sum[p] += o.weight * loss_of(relative * error);
+                    sum[p] += weighted_loss(o, error, scale_over_delta);
                 }
                 weights += o.weight;
             }
@@ -90,7 +90,7 @@ bool texel_kernel(ivec2 texel)
     }
     write_fitness(fitness);
 #if LINEAR_BLOCKS > 0
-    float w[8];
+    float w[MAX_WEIGHTS];
     numbers_of(best_linear, w);
     write_linear(w);
 #endif

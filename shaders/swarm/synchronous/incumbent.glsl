@@ -8,8 +8,8 @@ Material material_of_best(ivec2 texel)
 {
     Material s = estimate_at(texel);
 #ifndef START
-    float best[8];
-    float w[8];
+    float best[MAX_DIMENSIONS];
+    float w[MAX_WEIGHTS];
     read_best(texel, best);
     read_best_linear(texel, w);
     decode(best, albedo_bound_of(radiance_scale_at(texel)), s);

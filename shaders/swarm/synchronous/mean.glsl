@@ -4,8 +4,8 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float mean[8];
-    for (int i = 0; i < 8; i++) {
+    float mean[MAX_DIMENSIONS];
+    for (int i = 0; i < MAX_DIMENSIONS; i++) {
         mean[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {

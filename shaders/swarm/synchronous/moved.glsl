@@ -3,12 +3,12 @@
 
 #include "swarm/update.glsl"
 
-void moved_particle(ivec2 texel, Frame f, int particle, out float x[8], out float v[8])
+void moved_particle(ivec2 texel, Frame f, int particle, out float x[MAX_DIMENSIONS], out float v[MAX_DIMENSIONS])
 {
 #ifdef START
     initialise_particle(texel, particle, x, v);
 #else
-    float mean[8];
+    float mean[MAX_DIMENSIONS];
     read_mean(texel, mean);
     move_particle(texel, particle, mean, x, v);
 #if NEIGHBOUR_INTERVAL > 0

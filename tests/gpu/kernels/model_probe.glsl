@@ -6,7 +6,7 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    float c[12];
+    float c[MAX_COMPONENTS];
     read_components(texel, c);
     Material s = material_from(c);
     vec3 l = texelFetch(u_light_in, texel, 0).xyz;

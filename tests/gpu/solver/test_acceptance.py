@@ -126,7 +126,7 @@ def test_the_acceptance_test_matches_float64():
     context.ensure()
     made = prepare(domain, PRINCIPLED, STANDARD)
     pack, scale = made.packing, made.scale
-    uploaded = DomainTextures(domain, pack, made.stack, pack.pack(scale), made.brightness)
+    uploaded = DomainTextures(domain, pack, made.stack, pack.pack(scale), made.mean_irradiance)
     estimates = Estimates(PRINCIPLED, {name: pack.pack(value) for name, value in made.guess.items()})
     off = {n: np.float32(truth[n]) for n in ("normal", "base_color", "roughness", "specular")}
     off["base_color"] = off["base_color"] * np.linspace(0.9, 1.1, 9, dtype=np.float32)[:, None]

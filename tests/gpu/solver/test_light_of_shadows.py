@@ -52,7 +52,7 @@ def found(domain, normal, misfit=1.0, least=0.05, entry="fragment", turn=0.0):
     prepared = prepare(domain, model, load_schedule("standard"))
     packing = prepared.packing
     held = DomainTextures(
-        domain, packing, prepared.stack, packing.pack(prepared.scale), prepared.brightness, prepared.arrays
+        domain, packing, prepared.stack, packing.pack(prepared.scale), prepared.mean_irradiance, prepared.arrays
     )
     values = {"normal": packing.pack(normal), "base_color": packing.pack(np.zeros((*domain.shape, 3)))}
     work = shadow_light_pass(model, least, turn, held.defines, entry)

@@ -102,7 +102,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
         DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), pack.pack(scale)),
         STANDARD.replaced(prefit_shadow=0.4),
     )
-    assert grey_textures.brightness == 1
+    assert grey_textures.mean_irradiance == 1
     outputs = tuple(Output(name) for name in ("o_light", "o_intensity", "o_radiance", "o_clipped"))
     kernel = Kernel(
         str(root / "tests/gpu/kernels/observe.glsl"),

@@ -7,6 +7,7 @@ from irpso_addon.capture import read_capture, write_exr
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.inspect import checks, sufficiency
 from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.capture.light_geometry import flatness
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.core.steps import run_steps
@@ -58,7 +59,7 @@ def test_lights_in_one_plane_are_reported(tmp_path):
     found = report(tmp_path / "nearly", shade(NORMALS, tilted), tilted)
     assert "lights_coplanar" in found.codes and found.usable
     # Of three orthogonal lights the singular values are all 1.
-    assert checks.flatness(np.eye(3)) == pytest.approx(1) and checks.flatness(np.eye(3)[:2]) == 0
+    assert flatness(np.eye(3)) == pytest.approx(1) and flatness(np.eye(3)[:2]) == 0
 
 
 def test_two_lights_are_too_few(tmp_path):
@@ -336,7 +337,7 @@ def test_checks_use_each_cameras_own_axes(tmp_path):
 
 
 def test_five_lights_about_the_axis_are_not_suspicious():
-    assert checks.flatness(LIGHTS) > 0.2 and not checks.same_lights(LIGHTS)
+    assert flatness(LIGHTS) > 0.2 and not checks.same_lights(LIGHTS)
 
 
 @pytest.mark.parametrize("shape", [(16, 17_000), (17_000, 16), (64, 16_384), (20, 300), (1, 500), (2, 2), (1, 1)])

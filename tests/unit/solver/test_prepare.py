@@ -80,7 +80,7 @@ def test_the_distance_of_near_lights_does_not_matter_to_scale_and_shadow(distanc
     near = replace(with_samples(domain, stack), lights=lights)
     scale = prepare.texel_scale(near, 80)
     np.testing.assert_allclose(scale, np.percentile(shade, 80, axis=0), rtol=1e-5)
-    assert prepare.brightness(near) == pytest.approx(domain.intensities.mean() * (1 / squared).mean(), rel=1e-6)
+    assert prepare.mean_irradiance(near) == pytest.approx(domain.intensities.mean() * (1 / squared).mean(), rel=1e-6)
     fitness = replace(load_schedule("swarm").fitness, loss="cauchy", shadow=0.5)
     prepare.drop_shadow(stack, lights, domain.intensities, domain.bake.position, scale, fitness)
     np.testing.assert_array_equal(stack[..., 3] > 0, shade >= 0.5 * scale)
@@ -212,7 +212,8 @@ def test_a_prepared_part_has_the_numbers_of_the_whole():
     part = whole.part(rows, columns).packed(tile(domain, 5, 3, 15, 8), load_schedule("standard"))
     np.testing.assert_array_equal(part.scale, whole.scale[rows, columns])
     np.testing.assert_array_equal(part.guess["normal"], whole.guess["normal"][rows, columns])
-    assert part.brightness == whole.brightness and part.stack.shape[1:3] == part.arrays["u_geometry"].shape[1:3]
+    assert part.mean_irradiance == whole.mean_irradiance
+    assert part.stack.shape[1:3] == part.arrays["u_geometry"].shape[1:3]
 
 
 @pytest.mark.parametrize("box", [(5, 3, 1, 2), (0, 0, 1, 30), (3, 4, 20, 9), (11, 0, 30, 1), (12, 12, 1, 1)])
@@ -229,12 +230,12 @@ def test_a_part_prepared_by_itself_has_the_bits_of_the_whole(options, box):
 
 
 @pytest.mark.parametrize("options", [{}, LENS, {"near": True, "card": False}], ids=str)
-def test_the_brightness_of_parts_adds_up_to_that_of_the_whole_exactly(options):
+def test_the_mean_irradiance_of_parts_adds_up_to_that_of_the_whole_exactly(options):
     domain = make_domain(37, 41, **options)
     sums, count = np.zeros(280, np.int64), 0
     for rows in (slice(20, 37), slice(0, 1), slice(1, 20)):
         counted = np.zeros(domain.shape, bool)
         counted[rows] = domain.solvable[rows]
-        part, number = prepare.brightness_sums(domain, counted)
+        part, number = prepare.irradiance_sums(domain, counted)
         sums, count = sums + part, count + number
-    assert prepare.brightness_of(domain, sums, count) == prepare.brightness(domain)
+    assert prepare.mean_irradiance_of(domain, sums, count) == prepare.mean_irradiance(domain)

@@ -12,26 +12,32 @@ float srgb_derivative(float radiance)
 // an outlier until the fit is within a few percent, and the descent never gets there.
 // NOISE is the standard deviation of the files' sRGB codes. It adds the noise in radiance to δ, in quadrature. In a
 // dark texel that only one lamp lights, the noise exceeds δ.
-float relative_error(Texel t, Observation o)
+float error_scale(Texel t, Observation o)
 {
 #if (LOSS == LOSS_CAUCHY || LOSS == LOSS_GEMAN_MCCLURE)
-    float level = t.radiance_scale * u_brightness;
+    float level = t.radiance_scale * u_mean_irradiance;
     float brightest = max(o.radiance.r, max(o.radiance.g, o.radiance.b));
-    float relative = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
+    float scale = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
 #if defined(NOISE) && !defined(GREY)
-    float delta = 1.0 / (inverse_delta_of(t.radiance_scale) * relative);
+    float delta = 1.0 / (inverse_delta_of(t.radiance_scale) * scale);
     float noise = NOISE * srgb_derivative(clamp(brightest, 0.0, 1.0));
-    relative *= delta * inversesqrt(delta * delta + noise * noise);
+    scale *= delta * inversesqrt(delta * delta + noise * noise);
 #endif
-    return relative;
+    return scale;
 #else
     return 1.0;
 #endif
 }
 
-// Returns the weight of an error in iteratively reweighted least squares.
-vec3 reweighted(Texel t, Observation o, vec3 error, float relative)
+// Returns the weighted loss of a sample's error. scale_over_delta: error_scale() / δ.
+float weighted_loss(Observation o, vec3 error, float scale_over_delta)
 {
-    vec3 weight = loss_weight(inverse_delta_of(t.radiance_scale) * relative * error);
-    return o.weight * relative * relative * active_channels(o, error) * weight;
+    return o.weight * loss_of(scale_over_delta * error);
+}
+
+// Returns the weight of an error in iteratively reweighted least squares. scale: error_scale().
+vec3 reweighted(Texel t, Observation o, vec3 error, float scale)
+{
+    vec3 weight = loss_weight(inverse_delta_of(t.radiance_scale) * scale * error);
+    return o.weight * scale * scale * active_channels(o, error) * weight;
 }
