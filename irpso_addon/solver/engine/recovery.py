@@ -20,7 +20,7 @@ from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.create_phase import check_seed, create_phase, made_by
-from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
+from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, PhaseContext, band_seconds
 from ..phases.prefit import AcceptanceTest
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
@@ -275,9 +275,9 @@ class Recovery(RecoveryEngine):
             del self._textures, self._estimates, self._diagnostics
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
-        settings = self._stages[index], index, self._model_with_priors(schedule), schedule, self.seed
-        held = self._textures, self._estimates
-        return create_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
+        model = self._model_with_priors(schedule)
+        shared = PhaseContext(model, schedule, self._textures, self._estimates, self.entry)
+        return create_phase(self._stages[index], index, shared, self.seed, self._acceptance, self._measurements)
 
     def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
         """Hold the measurements of the phases so far; apply them to the samples. Yields where that takes long."""

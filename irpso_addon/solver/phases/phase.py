@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -30,6 +31,20 @@ def band_seconds(time_budget_s: float | None) -> float:
     if time_budget_s is None:
         return BACKGROUND_BAND_SECONDS
     return min(max(BAND_SECONDS, time_budget_s / _BANDS), _SHARE * time_budget_s)
+
+
+@dataclass(frozen=True)
+class PhaseContext:
+    """What a phase shares with its recovery: model and settings, samples, estimates, and the entry of its shaders.
+
+    estimates: a phase reads the current ones and writes the next ones.
+    """
+
+    model: ReflectanceModel
+    schedule: Schedule
+    domain: DomainTextures
+    estimates: Estimates
+    entry: Entry
 
 
 class Phase(Protocol):
@@ -149,20 +164,12 @@ class TexturePhase(Phase):
     textures: PhaseTextures
     passes: Passes
 
-    def __init__(
-        self,
-        resolved: Resolved,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        acceptance: Acceptance | None = None,
-    ):
+    def __init__(self, resolved: Resolved, context: PhaseContext, acceptance: Acceptance | None = None):
         self.title, self.iterations = resolved.title, resolved.iterations
-        self.model, self.schedule, self.domain, self.estimates = model, schedule, domain, estimates
+        self.model, self.schedule = context.model, context.schedule
+        self.domain, self.estimates = context.domain, context.estimates
         self.acceptance = acceptance
-        self.reader = Reader(entry)
+        self.reader = Reader(context.entry)
 
     def _inputs(self) -> dict[str, Texture]:
         """Return the textures that the passes read, by sampler name: estimates, the phase's own, the domain's."""

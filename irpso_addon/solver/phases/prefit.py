@@ -13,7 +13,7 @@ from ...core.optional import present
 from ...core.paths import SHADERS
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.kernel import Defines, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
@@ -24,7 +24,7 @@ from ..settings.resolve import ResolvedPrefit
 from ..settings.schedule import Schedule
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates, loss_constants
-from .phase import Phase
+from .phase import Phase, PhaseContext
 from .refinement import RefinementPhase
 from .synchronous_swarm import SynchronousSwarmPhase
 
@@ -58,17 +58,8 @@ class PrefitPhase(Phase):
     estimate, kernels/encoding.py encodes it, initialise_particle (shaders/swarm/update.glsl) places them.
     """
 
-    def __init__(
-        self,
-        resolved: ResolvedPrefit,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        seed: int,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        measurements: PrefitMeasurements,
-    ):
+    def __init__(self, resolved: ResolvedPrefit, context: PhaseContext, seed: int, measurements: PrefitMeasurements):
+        schedule, domain = context.schedule, context.domain
         self._chosen: np.ndarray | None = None
         if resolved.indirect:
             self._chosen = (domain.shadow > 0) | domain.separation.separated
@@ -76,15 +67,15 @@ class PrefitPhase(Phase):
             self._chosen = present(measurements.fitness) >= _MIN_FITNESS
         if self._chosen is not None:
             schedule, domain = schedule.replaced(c3=0.0, neighbour_interval=0), domain.where(self._chosen)
-        self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
-        self._domain, self._estimates, self._measurements = grey(domain, schedule), estimates, measurements
+        self._resolved, self._schedule, self._entry = resolved, schedule, context.entry
+        self._domain, self._estimates, self._measurements = grey(domain, schedule), context.estimates, measurements
         self._model, self.title = resolved.model, resolved.title
         self._domain.defines |= {
             "EXPONENT_COMPONENT": self._model.offset("cosine_exponent"),
             "EXPONENT_DEVIATION": f"{_EXPONENT_DEVIATION:.9f}",
         }  # fmt: skip
-        self.own = _first_estimates(self._model, model, estimates, domain)
-        self._adopt = adopt_pass(model, domain.defines)
+        self.own = _first_estimates(self._model, context.model, context.estimates, domain)
+        self._adopt = adopt_pass(context.model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
         self._indirect_misfit = (
             _indirect_misfit_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
@@ -93,7 +84,7 @@ class PrefitPhase(Phase):
         if schedule.swarm.start == "given":  # a given guess has a normal, but no parameters of the prefit's model
             schedule = schedule.replaced(start="lambert")
         self.inner: SynchronousSwarmPhase | RefinementPhase = SynchronousSwarmPhase(
-            resolved.stage, self._model, schedule, seed, self._domain, self.own, entry
+            resolved.stage, self._inner_context(schedule), seed
         )
         self.iterations = resolved.iterations
 
@@ -201,14 +192,16 @@ class PrefitPhase(Phase):
             self._indirect_misfit.close()
         self.own.close()
 
+    def _inner_context(self, schedule: Schedule) -> PhaseContext:
+        return PhaseContext(self._model, schedule, self._domain, self.own, self._entry)
+
     def _begin_refinement(self) -> None:
         self.inner.close()
         lights = self._domain.domain.lights  # the same for all parts of a domain
         narrow = not lights[:, 3].any() and flatness(lights[:, :3].astype(np.float64)) < NARROW
         self.inner = RefinementPhase(
-            self._resolved.refinement, self._model, self._schedule, self._domain, self.own, self._entry,
-            penalty=_PENALTY if narrow else NO_PENALTY,
-        )  # fmt: skip
+            self._resolved.refinement, self._inner_context(self._schedule), penalty=_PENALTY if narrow else NO_PENALTY
+        )
         self._refining = True
 
 
@@ -283,21 +276,16 @@ def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
 
 
 def adopt_where(
-    adopt: Pass,
-    bands: Bands,
-    domain: DomainTextures,
-    estimates: Estimates,
-    model: ReflectanceModel,
-    chosen: np.ndarray,
-    normals: np.ndarray,
+    adopt: Pass, bands: Bands, context: PhaseContext, chosen: np.ndarray, normals: np.ndarray
 ) -> Iterator[None]:
     """Write normals (h, w, 3) into the next estimates where chosen, (h, w) bool; elsewhere the current ones stay.
 
     adopt: from ``adopt_pass``.
     """
-    normals = np.where(chosen[..., None], normals, normals_of(estimates, model))
+    estimates = context.estimates
+    normals = np.where(chosen[..., None], normals, normals_of(estimates, context.model))
     uploaded = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
-    inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": uploaded}
+    inputs = {**estimates.bindings(), **context.domain.textures, "u_prefit_0": uploaded}
     yield from adopt.in_one_draw(bands, estimates.next, inputs)
 
 

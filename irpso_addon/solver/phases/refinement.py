@@ -9,16 +9,13 @@ import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
-from ...reflectance.model import ReflectanceModel
 from ..kernels.refinement import NO_PENALTY, PROPAGATION_RADIUS, RefinementPasses, build_refinement_passes
 from ..settings.resolve import BEST, PROPAGATE, ResolvedRefinement, Track
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, refinement_table
-from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
-from .phase import Acceptance, TexturePhase
+from ..state.textures import HALO, loss_constants, packed_states
+from .phase import Acceptance, PhaseContext, TexturePhase
 
 
 class RefinementPhase(TexturePhase):
@@ -30,19 +27,16 @@ class RefinementPhase(TexturePhase):
     def __init__(
         self,
         resolved: ResolvedRefinement,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
+        context: PhaseContext,
         acceptance: Acceptance | None = None,
         penalty: Path = NO_PENALTY,
     ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+        super().__init__(resolved, context, acceptance)
         self.resolved, self.refinement = resolved, resolved.refinement
         self.tracks = resolved.tracks
-        self.passes = build_refinement_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
-        self.textures = PhaseTextures(refinement_table(estimates.count), *estimates.size)
+        fitness, defines = self.schedule.fitness, self.domain.defines
+        self.passes = build_refinement_passes(self.model, resolved, fitness, defines, context.entry, penalty)
+        self.textures = PhaseTextures(refinement_table(self.estimates.count), *self.estimates.size)
         self.best: list[Texture] = []
         self.work: list[Texture] = []
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
-from ...reflectance.model import ReflectanceModel
 from ..kernels.spatial_prior import (
     DEVIATION,
     FIRST_ROUND,
@@ -19,10 +17,9 @@ from ..kernels.spatial_prior import (
     stencil_radius_of,
 )
 from ..settings.resolve import ResolvedSpatialPrior
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, spatial_prior_table
-from ..state.textures import DomainTextures, Estimates, loss_constants
-from .phase import Acceptance, TexturePhase
+from ..state.textures import loss_constants
+from .phase import Acceptance, PhaseContext, TexturePhase
 
 
 class SpatialPriorPhase(TexturePhase):
@@ -37,20 +34,13 @@ class SpatialPriorPhase(TexturePhase):
     has_result = False  # nothing to show before the end, when the most probable material is compared with the samples
     passes: SpatialPriorPasses
 
-    def __init__(
-        self,
-        resolved: ResolvedSpatialPrior,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        acceptance: Acceptance | None = None,
-    ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+    def __init__(self, resolved: ResolvedSpatialPrior, context: PhaseContext, acceptance: Acceptance | None = None):
+        super().__init__(resolved, context, acceptance)
         self.resolved = resolved
-        self.passes = build_spatial_prior_passes(model, resolved, schedule, domain.defines, entry)
-        self.textures = PhaseTextures(spatial_prior_table(estimates.count), *estimates.size)
+        self.passes = build_spatial_prior_passes(
+            self.model, resolved, self.schedule, self.domain.defines, context.entry
+        )
+        self.textures = PhaseTextures(spatial_prior_table(self.estimates.count), *self.estimates.size)
         self._first_step = FIRST_ROUND + resolved.prior.rounds
 
     @property

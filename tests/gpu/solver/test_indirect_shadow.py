@@ -14,6 +14,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.phases.indirect import IndirectPhase
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -119,10 +120,9 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
         domain, pack, pack_layers(pack, domain.stack.values), pack.pack(np.ones(domain.shape, np.float32))
     )
     values = {p.name: pack.pack(np.zeros((*domain.shape, p.components), np.float32)) for p in LAMBERT.parameters}
-    phase = IndirectPhase(
-        ResolvedIndirect(), LAMBERT, RAISED, held, Estimates(LAMBERT, values), "fragment",
-        PrefitMeasurements(indirect_misfit=pack.pack(measured)),
-    )  # fmt: skip
+    shared = PhaseContext(LAMBERT, RAISED, held, Estimates(LAMBERT, values), "fragment")
+    measurements = PrefitMeasurements(indirect_misfit=pack.pack(measured))
+    phase = IndirectPhase(ResolvedIndirect(), shared, measurements)
     run_steps(phase.advance(Bands(), 1.0))
     found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).shadow)
     phase.close()

@@ -10,6 +10,7 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.spatial_prior import SpatialPriorPhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.groups import SpatialPrior
@@ -62,7 +63,7 @@ class Bench:
         self.uploaded = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = resolve(schedule, model, fixed)[-1]
-        self.prior = SpatialPriorPhase(resolved, model, schedule, self.uploaded, self.estimates, entry)
+        self.prior = SpatialPriorPhase(resolved, PhaseContext(model, schedule, self.uploaded, self.estimates, entry))
         self.bands = Bands()
 
     def run(self, iterations=None):

@@ -13,6 +13,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.sheen import SheenPhase
 from irpso_addon.solver.settings.resolve import ResolvedSheen
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -91,7 +92,7 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     sheen = pack.pack(np.concatenate([normals, second[..., None]], axis=-1))
     measurements = PrefitMeasurements(pack.pack(first), sheen=sheen)
     estimates = Estimates(LAMBERT, values)
-    phase = SheenPhase(ResolvedSheen(), LAMBERT, SHEEN, held, estimates, "fragment", measurements)
+    phase = SheenPhase(ResolvedSheen(), PhaseContext(LAMBERT, SHEEN, held, estimates, "fragment"), measurements)
     run_steps(phase.advance(Bands(), 1.0))
     run_steps(phase.write_estimates(Bands(), 1.0))
     known = {name: pack.unpack(array) for name, array in run_steps(phase.measuring(Bands(), 1.0)).arrays.items()}

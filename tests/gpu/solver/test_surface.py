@@ -16,6 +16,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.surface import SurfacePhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.resolve import resolve
@@ -55,7 +56,7 @@ class Bench:
         held = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         (resolved,) = resolve(schedule, model, set())[-1:]
-        self.phase = SurfacePhase(resolved, model, schedule, held, self.estimates, entry)
+        self.phase = SurfacePhase(resolved, PhaseContext(model, schedule, held, self.estimates, entry))
 
     def run(self, iterations=None):
         """Make iterations until so many were made, or all."""
