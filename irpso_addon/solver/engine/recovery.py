@@ -19,9 +19,9 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..phases.acceptance import AcceptanceTest
 from ..phases.create_phase import check_seed, create_phase, made_by
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, PhaseContext, band_seconds
-from ..phases.prefit import AcceptanceTest
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.levels import warm_started

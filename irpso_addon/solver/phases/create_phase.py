@@ -18,9 +18,10 @@ from ..settings.resolve import (
     ResolvedSurface,
 )
 from ..state.prefit_measurements import PrefitMeasurements
+from .acceptance import AcceptanceTest
 from .indirect import IndirectPhase
 from .phase import Phase, PhaseContext
-from .prefit import AcceptanceTest, PrefitPhase
+from .prefit import PrefitPhase
 from .refinement import RefinementPhase
 from .separation import SeparationPhase
 from .sequential_swarm import SequentialSwarmPhase

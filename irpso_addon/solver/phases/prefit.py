@@ -32,7 +32,6 @@ from .synchronous_swarm import SynchronousSwarmPhase
 # normals of metals (metallic of a gilding 0.056, not 0.042). With this limit the mean error in hollows of
 # bunny_specular, which few of its 50 lights reach, falls from 0.82 to 0.69°.
 _SAMPLES_PER_UNKNOWN = 3
-_ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally good
 # Least fitness of the first prefit for a second one with sheen: SheenPhase adopts none whose neighbourhood fits better
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
@@ -147,7 +146,7 @@ class PrefitPhase(Phase):
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(of_next=True), **self._domain.textures}
-        constants = _acceptance_constants(self._domain, self._schedule)
+        constants = acceptance_constants(self._domain, self._schedule)
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         fitness = textures.download(targets[0])[..., 0]
         if self._chosen is not None:
@@ -205,40 +204,6 @@ class PrefitPhase(Phase):
         self._refining = True
 
 
-class AcceptanceTest:
-    """Decides at every texel whether a phase of the recovery's model may replace the prefit's normal.
-
-    fitness: (h, w) of the prefit, packed. The accepted estimates become the next ones.
-    """
-
-    def __init__(
-        self,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        fitness: np.ndarray,
-    ):
-        self._domain, self._estimates = grey(domain, schedule), estimates
-        self._fitness = [textures.upload(fitness)]
-        self._schedule = schedule
-        self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
-        self._pass = _acceptance_pass(model, schedule, self._domain.defines)
-
-    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
-        work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.next)}
-        inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_prefit_fitness": self._fitness[0]}
-        constants = _acceptance_constants(self._domain, self._schedule)
-        yield from self._pass.in_bands("acceptance", bands, seconds, self._decided, inputs, constants)
-        self._estimates.next, self._decided = self._decided, self._estimates.next
-
-    def close(self) -> None:
-        """Free shader and textures."""
-        self._pass.close()
-        self._fitness, self._decided = [], []
-
-
 def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
     """Return the same textures, for kernels that read grey samples under lights of intensity 1."""
     result = copy(domain)
@@ -289,19 +254,6 @@ def adopt_where(
     yield from adopt.in_one_draw(bands, estimates.next, inputs)
 
 
-def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    packed = declarations.packed(model)
-    samplers: Samplers = {
-        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": declarations.FLOAT_2D, **declarations.OBSERVATIONS
-    }  # fmt: skip
-    defines = {
-        **defines, **declarations.fitness_defines(schedule.fitness, "geman_mcclure"),
-        "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
-    }  # fmt: skip
-    outputs, includes = (Output("o_estimate", packed),), declarations.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, declarations.LOSS_CONSTANTS, defines, includes))
-
-
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
     samplers: Samplers = {"u_estimate": declarations.packed(model), **declarations.OBSERVATIONS}
     defines = {
@@ -327,5 +279,6 @@ def _min_samples(model: ReflectanceModel, schedule: Schedule) -> int:
     return max(schedule.prefit.min_observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 
 
-def _acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
+def acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
+    """Return the constants of the losses that the acceptance test compares."""
     return loss_constants(domain, schedule.prefit.acceptance_delta)

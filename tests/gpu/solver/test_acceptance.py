@@ -8,7 +8,7 @@ from irpso_addon.capture.bounds import bounded
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
-from irpso_addon.solver.phases.prefit import AcceptanceTest
+from irpso_addon.solver.phases.acceptance import AcceptanceTest
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import prepare, texel_scale
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
