@@ -56,7 +56,7 @@ def result_maps(run: Run, maps: Maps, extras: DerivedMaps = _NO_EXTRAS) -> Resul
     written = maps if job.mesh is None else blender_maps(maps, job.mesh, surface_bake(domain.bake), domain.seams)
     derived, height = derived_maps(extras, maps, written, domain.bake, job.mesh, job.capture.cameras[0])
     if (share := run.indirect_share) is not None:
-        derived.append(indirect_map(share, maps.covered))
+        derived.append(indirect_map(share, maps.solved))
     return ResultMaps(maps, written, derived, height)
 
 
@@ -84,7 +84,7 @@ def report_of(
         report["held_out"] = [job.listed_numbers[k] for k in job.held_out_indices]
     if job.mesh is not None:
         report["solved_slots"] = list(job.mesh.solved_slots)
-    report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
+    report["unseen_texels"] = int((domain.bake.coverage & ~maps.solved).sum())
     if run.lights is not None:
         report["lights"] = run.lights.report(job.numbers)
     return report | ({} if recovered.height is None else {"height": recovered.height.described()})
@@ -102,7 +102,7 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     """Return a warning where the photographs show next to nothing of a mesh: it may stand elsewhere."""
-    whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
+    whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.solved)
     if domain.card or seen >= _MIN_SEEN * whole:
         return []
     return [
@@ -183,7 +183,7 @@ def make_material(
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)
     built = material.build_material(maps, job.name, folder, uv_map, height)
     if job.mesh is None:
-        rows, columns = maps.covered.shape
+        rows, columns = maps.solved.shape
         subject = material.card_object(job.name, rows, columns, height is not None)
     material.apply_material(subject, built, () if job.mesh is None else job.mesh.solved_slots)
     return built, subject

@@ -347,7 +347,7 @@ def test_a_recovery_has_deviations_and_zero_for_fixed_parameters():
         recovery.step()
         maps = recovery.maps()
         assert recovery.maps(confidence=False).confidence is None
-    covered = maps.covered
+    covered = maps.solved
     assert {name: v.shape for name, v in maps.confidence.items()} == {"base_color": (9, 11, 3), "normal": (9, 11, 1)}
     assert (maps.confidence["base_color"] == 0).all() and (maps.confidence["normal"][~covered] == 0).all()
     values = {name: v.astype(np.float64) for name, v in maps.values.items()}

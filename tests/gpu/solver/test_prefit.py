@@ -319,6 +319,6 @@ def test_normals_of_a_rendered_bunny_are_recovered_without_tuning(recover, share
     recovery = recover(domain, PRINCIPLED, load_schedule("standard"))
     recovery.step()
     maps = recovery.maps(confidence=False)
-    error = degrees(maps, truth)[maps.covered]
+    error = degrees(maps, truth)[maps.solved]
     assert error.size > 4000
     assert error.mean() < limit, error.mean()

@@ -338,11 +338,11 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, 
     run.step()
     maps = run.maps(confidence=False)
     for p in model.parameters:
-        value = maps.values[p.name][maps.covered]
+        value = maps.values[p.name][maps.solved]
         assert np.isfinite(value).all()
         assert (value >= p.range[0]).all() and (value <= p.range[1]).all()
     for first, second in zip(model.ordered, model.ordered[1:], strict=False):
-        assert (maps.values[first] <= maps.values[second])[maps.covered].all()
+        assert (maps.values[first] <= maps.values[second])[maps.solved].all()
 
 
 def test_a_prior_reads_and_renders_as_planned(prior):

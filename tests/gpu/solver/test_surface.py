@@ -327,7 +327,7 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover):
     run.step()
     maps = run.maps(confidence=False)
     for p in model.parameters:
-        value = maps.values[p.name][maps.covered]
+        value = maps.values[p.name][maps.solved]
         assert np.isfinite(value).all()
         assert (value >= p.range[0]).all() and (value <= p.range[1]).all()
 
