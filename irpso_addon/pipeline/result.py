@@ -25,7 +25,7 @@ from ..results.maps import Maps
 from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
 from ..solver.lights.checks import light_warnings
 from ..solver.lights.refine import contradiction
-from ..solver.settings.resolve import held_names
+from ..solver.settings.resolve import unsearched_names
 from ..solver.views.held_out import preview_names
 from ..solver.views.pictures import confidence_preview, error_preview
 from .job import Job
@@ -76,7 +76,7 @@ def report_of(
     report |= run.findings | run.relit[1] | {"warnings": [*maps_warnings(run, maps), *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
-    if priors and (shares := prior_shares(maps, held_names(job.schedule, job.model, job.fixed))):
+    if priors and (shares := prior_shares(maps, unsearched_names(job.schedule, job.model, job.fixed))):
         report["priors_decided"] = shares
     if job.capture.left_out:
         report["left_out"] = [asdict(image) for image in job.capture.left_out]
@@ -96,8 +96,8 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
     modes = mode_warnings(maps, job.schedule.fitness.priors)
     of_lights = _light_warnings(run, domain, maps)
     of_mesh = [*_coverage_warnings(domain, maps), *_unseen_warnings(domain, job.capture)]
-    held = held_names(job.schedule, job.model, job.fixed)
-    return [*limit_warnings(maps, held), *modes, *of_lights, *run.warnings, *of_mesh]
+    unsearched = unsearched_names(job.schedule, job.model, job.fixed)
+    return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh]
 
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:

@@ -23,7 +23,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import Phase
 from ..settings.fixed import full_map
-from ..settings.resolve import held_names
+from ..settings.resolve import unsearched_names
 from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
@@ -196,9 +196,9 @@ class RecoveryEngine(ABC):
         return False
 
     @property
-    def held(self) -> frozenset[str]:
+    def unsearched(self) -> frozenset[str]:
         """The parameters that are not searched now."""
-        return held_names(self.schedule, self.model, self.fixed)
+        return unsearched_names(self.schedule, self.model, self.fixed)
 
     @property
     def held_by_round(self) -> frozenset[str]:

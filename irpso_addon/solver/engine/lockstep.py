@@ -46,17 +46,17 @@ class LocalTransport:
         self._overlaps = overlaps_of(places)
         self.connected = any(self._overlaps)
         self._arriving: list[dict[int, Received]] = [{} for _ in places]
-        self._held: list[dict[int, Received]] = [{} for _ in places]
+        self._received: list[dict[int, Received]] = [{} for _ in places]
 
     def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
         for overlap in self._overlaps[tile]:
             self._arriving[overlap.other][tile] = overlap, overlap_values(overlap, results)
 
     def exchange(self) -> None:
-        self._held, self._arriving = self._arriving, [{} for _ in self._held]
+        self._received, self._arriving = self._arriving, [{} for _ in self._received]
 
     def received(self, tile: int) -> Sequence[Received]:
-        return list(self._held[tile].values())
+        return list(self._received[tile].values())
 
     def allgather(self, value: Value) -> list[Value]:
         return [value]

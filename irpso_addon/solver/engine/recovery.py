@@ -176,8 +176,8 @@ class Recovery(RecoveryEngine):
         yield {**self._textures.textures, **self._show()}
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        held, fitness, defines = self.held, self.schedule.fitness, self._textures.defines
-        work = deviation_pass(self._model_with_priors(self.schedule), held, fitness, defines)
+        unsearched, fitness, defines = self.unsearched, self.schedule.fitness, self._textures.defines
+        work = deviation_pass(self._model_with_priors(self.schedule), unsearched, fitness, defines)
         return work, loss_constants(self._textures, fitness.delta)
 
     def give_stack(self) -> None:
@@ -240,12 +240,12 @@ class Recovery(RecoveryEngine):
         stages = resolve(schedule, self.model, set(self.fixed), self.domain.observations)
         self._finish_iteration()
         goes_on = reusable(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
-        held, stack = self._textures, self._stack
+        domain_textures, stack = self._textures, self._stack
         if not goes_on.samples:
-            held, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
+            domain_textures, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
         known = made_by(self._stages[: goes_on.index], self._measurements)
-        begin = Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
+        begin = Begin(domain_textures, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         new._repeats = False  # it goes on with other swarms, or begins around what has been found
         if goes_on.phase:
@@ -302,7 +302,7 @@ class Recovery(RecoveryEngine):
 
     def _make_diagnostics(self) -> Diagnostics:
         model = self._model_with_priors(self.schedule)
-        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.held)
+        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.unsearched)
 
     def _model_with_priors(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""

@@ -25,8 +25,8 @@ from ..settings.resolve import (
     ResolvedSpatialPrior,
     ResolvedSurface,
     ResolvedSwarm,
-    held_names,
     resolve,
+    unsearched_names,
 )
 from ..settings.schedule import Schedule
 from ..state.alternatives import varied
@@ -167,7 +167,7 @@ def recovery_cost(
             for stage, phase in zip(stages, phases, strict=True)
         )
     free = model.without_priors({p.name for p in model.parameters})
-    numbers = sum(p.components for p in varied(free, held_names(schedule, model, fixed), schedule.fitness))
+    numbers = sum(p.components for p in varied(free, unsearched_names(schedule, model, fixed), schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
     transport = (rounds, max(light.resolution**2, MAX_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)

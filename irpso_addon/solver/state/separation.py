@@ -169,19 +169,21 @@ class SeparatedStack:
 
 
 def separated_steps(
-    domain: Domain, held: DomainTextures, separation: Separation, schedule: Schedule
+    domain: Domain, domain_textures: DomainTextures, separation: Separation, schedule: Schedule
 ) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
     """Return textures of a domain without its indirect light, and the stack to upload to them.
 
-    separation: (h, w), packed. held: current textures of the domain. Yields the fraction done of
+    separation: (h, w), packed. domain_textures: the current ones. Yields the fraction done of
     each sweep in turn.
     """
     if separation.any():
-        domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(held.packing)))
+        domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(domain_textures.packing)))
     scale = yield from scale_steps(domain, schedule.fitness.scale_percentile)
-    prepared = yield from Prepared(scale, {}, held.brightness).packing_steps(domain, schedule)
-    numbers = held.packing.pack(scale), held.brightness, prepared.arrays
-    return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)
+    prepared = yield from Prepared(scale, {}, domain_textures.brightness).packing_steps(domain, schedule)
+    numbers = domain_textures.packing.pack(scale), domain_textures.brightness, prepared.arrays
+    return DomainTextures(domain, domain_textures.packing, None, *numbers, separation=separation), present(
+        prepared.stack
+    )
 
 
 def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: Separation) -> np.ndarray:

@@ -131,7 +131,7 @@ class Display:
 
     def _follow_level(self, lent: Mapping[str, Texture]) -> None:
         """Restart if the recovery has reached a level of another size, or a round that searches other parameters."""
-        level = level_size(lent, self._defines), self._recovery.held
+        level = level_size(lent, self._defines), self._recovery.unsearched
         if level != self._level:
             self.close()
             self._level = level

@@ -331,7 +331,7 @@ def test_what_no_stage_searches_is_as_certain_as_if_it_were_fixed():
     for names in ((), ("roughness", "specular")):
         fixed = {p.name: np.float32(p.default) for p in subject.model.parameters if p.name in names}
         with Recovery(subject.domain, subject.model, schedule, fixed=fixed) as recovery:
-            assert recovery.held == {"roughness", "specular"}
+            assert recovery.unsearched == {"roughness", "specular"}
             recovery.step()
             found.append(recovery.maps())
     assert (found[0].confidence["roughness"] == 0).all() and not found[0].alternatives

@@ -116,11 +116,11 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
     measured[..., 2] = measured[..., 2] > 0.2
     measured *= domain.solvable[..., None]
     pack = Packing(domain.solvable)
-    held = DomainTextures(
+    domain_textures = DomainTextures(
         domain, pack, pack_layers(pack, domain.stack.values), pack.pack(np.ones(domain.shape, np.float32))
     )
     values = {p.name: pack.pack(np.zeros((*domain.shape, p.components), np.float32)) for p in LAMBERT.parameters}
-    shared = PhaseContext(LAMBERT, RAISED, held, Estimates(LAMBERT, values), "fragment")
+    shared = PhaseContext(LAMBERT, RAISED, domain_textures, Estimates(LAMBERT, values), "fragment")
     measurements = PrefitMeasurements(indirect_misfit=pack.pack(measured))
     phase = IndirectPhase(ResolvedIndirect(), shared, measurements)
     run_steps(phase.advance(Bands(), 1.0))

@@ -53,10 +53,10 @@ class Bench:
         context.ensure()
         self.model, self.domain, self.pack = model, domain, Packing(domain.solvable, domain.seams)
         scale = self.pack.pack(np.ones(domain.shape, np.float32))
-        held = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
+        domain_textures = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         (resolved,) = resolve(schedule, model, set())[-1:]
-        self.phase = SurfacePhase(resolved, PhaseContext(model, schedule, held, self.estimates, entry))
+        self.phase = SurfacePhase(resolved, PhaseContext(model, schedule, domain_textures, self.estimates, entry))
 
     def run(self, iterations=None):
         """Make iterations until so many were made, or all."""
