@@ -75,7 +75,7 @@ class LockStep:
         self._subsets: list[TexelSubset] = []  # of this process's tiles, for the next iteration
         self._subset: TexelSubset | None = None  # of all tiles
         self._iterations_made = 0  # iterations of the last round
-        self._work: Iterator[None] | None = None
+        self._pending: Iterator[None] | None = None
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> None:
         """Advance as RecoveryEngine.step.
@@ -85,34 +85,34 @@ class LockStep:
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
-        while self._work is not None or not self._done and (left is None or left > 0 or self._initialising):
-            if self._work is None:
+        while self._pending is not None or not self._done and (left is None or left > 0 or self._initialising):
+            if self._pending is None:
                 # Longer rounds only save turns. Without turns, short ones leave little for the next call to finish.
                 most = 1 if left is None and deadline is not None and self._pool.resident else left
-                self._work = self._round(0 if self._initialising else most, deadline is not None)
-            for _ in self._work:
+                self._pending = self._round(0 if self._initialising else most, deadline is not None)
+            for _ in self._pending:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return
-            self._work = None
+            self._pending = None
             left = None if left is None else left - self._iterations_made
             if deadline is not None and not self._pool.resident:
                 return  # all tiles are at the same iteration: a checkpoint now takes no extra turn
 
     def finish_round(self) -> None:
         """Bring all tiles to the same iteration."""
-        if self._work is not None:
-            for _ in self._work:
+        if self._pending is not None:
+            for _ in self._pending:
                 pass
-            self._work = None
+            self._pending = None
 
     def restart(self) -> None:
         """Discard the round and the published halos: the tiles' recoveries have changed."""
-        self._work, self._published, self._subset = None, False, None
+        self._pending, self._published, self._subset = None, False, None
 
     @property
     def settled(self) -> bool:
         """Whether all tiles are at the same iteration."""
-        return self._work is None
+        return self._pending is None
 
     @property
     def _done(self) -> bool:

@@ -86,7 +86,7 @@ class Recovery(RecoveryEngine):
         self._shown_at: tuple[int, int] | None = None  # … of a display's copy
         self._measuring: Iterator[None] | None = None
         self._bands = Bands()
-        self._work: Iterator[None] | None = None
+        self._pending: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its initialisation
         self._index, self._evaluations = begin.index, begin.evaluations
         self._begun = begin.evaluations  # at the begin of the stage
@@ -123,13 +123,13 @@ class Recovery(RecoveryEngine):
         self._bands.paced = time_budget_s is not None
         left, started = iterations, time.perf_counter()
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
-            if self._work is None:
-                self._work, self._measuring = self._iteration(self._phase, band_seconds(time_budget_s)), None
-            for _ in self._work:
+            if self._pending is None:
+                self._pending, self._measuring = self._iteration(self._phase, band_seconds(time_budget_s)), None
+            for _ in self._pending:
                 if time_budget_s is not None and time.perf_counter() >= started + time_budget_s:
                     yield
                     started = time.perf_counter()
-            self._work = None
+            self._pending = None
             left = left - 1 if left is not None and self._counts else left
 
     @property
@@ -148,7 +148,7 @@ class Recovery(RecoveryEngine):
     def _ensure_measured(self, confidence: bool) -> None:
         """Measure what maps() returns, unless it has been measured."""
         at = self.at
-        if self._work is not None or self._measured_at != at or (confidence and self._confidence_at != at):
+        if self._pending is not None or self._measured_at != at or (confidence and self._confidence_at != at):
             for _ in self._measure(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
 
@@ -156,7 +156,7 @@ class Recovery(RecoveryEngine):
         """Work as RecoveryEngine.refresh_confidence, after the current iteration; a step in between starts it anew."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         if self._measuring is None:
-            if self._work is None and self._measured_at == self._confidence_at == self.at:
+            if self._pending is None and self._measured_at == self._confidence_at == self.at:
                 return True
             self._measuring = self._measure(True, band_seconds(time_budget_s), deadline is not None)
         for _ in self._measuring:
@@ -177,8 +177,8 @@ class Recovery(RecoveryEngine):
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         unsearched, fitness, defines = self.unsearched, self.schedule.fitness, self._textures.defines
-        work = deviation_pass(self._model_with_priors(self.schedule), unsearched, fitness, defines)
-        return work, loss_constants(self._textures, fitness.delta)
+        pass_ = deviation_pass(self._model_with_priors(self.schedule), unsearched, fitness, defines)
+        return pass_, loss_constants(self._textures, fitness.delta)
 
     def give_stack(self) -> None:
         """Upload the packed samples, if they are still on the host: by default the first iteration does."""
@@ -213,7 +213,7 @@ class Recovery(RecoveryEngine):
     def restore_snapshot(self, saved: Checkpoint) -> None:
         """Continue from what ``snapshot`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
-        self._work = self._measuring = self._measured_at = self._confidence_at = self._shown_at = None
+        self._pending = self._measuring = self._measured_at = self._confidence_at = self._shown_at = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._begun, self._repeats = saved.begun, saved.begun != NEVER
@@ -266,7 +266,7 @@ class Recovery(RecoveryEngine):
         return Estimates(self.model, self._estimates.values(of_next=has_result))
 
     def close(self) -> None:
-        self._work = self._measuring = self._stack = None  # generators first: they hold textures
+        self._pending = self._measuring = self._stack = None  # generators first: they hold textures
         if self._phase is not None:
             self._phase.close()
             self._phase = None
@@ -347,19 +347,19 @@ class Recovery(RecoveryEngine):
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:
-        if self._work is not None:
-            for _ in self._work:
+        if self._pending is not None:
+            for _ in self._pending:
                 pass
-            self._work = None
+            self._pending = None
 
     def _measure(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Finish the iteration, then measure what maps() returns."""
         self.give_stack()
-        if self._work is not None:
+        if self._pending is not None:
             self._bands.paced = paced
-            for _ in self._work:  # yield from would close it where a caller stops early
+            for _ in self._pending:  # yield from would close it where a caller stops early
                 yield
-            self._work = None
+            self._pending = None
         at = self.at
         self._measured_at = self._confidence_at = None
         yield from self._diagnostics.measuring(self._phase, confidence, seconds, paced)

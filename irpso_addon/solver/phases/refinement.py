@@ -202,14 +202,14 @@ class RefinementPhase(TexturePhase):
         return {**constants, "u_start": start, "u_settles": int(delta_factor == 1), "u_races": int(races)}
 
     def _run(
-        self, bands: Bands, work: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
+        self, bands: Bands, pass_: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
     ) -> Iterator[None]:
-        return work.in_one_draw(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
+        return pass_.in_one_draw(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
 
     def _in_bands(
         self,
         name: str,
-        work: Pass,
+        pass_: Pass,
         targets: list[Texture],
         inputs: dict[str, Texture],
         bands: Bands,
@@ -217,4 +217,4 @@ class RefinementPhase(TexturePhase):
         delta_factor: float = 1.0,
     ) -> Iterator[None]:
         inputs, constants = {**inputs, **self.domain.textures}, self._constants(delta_factor=delta_factor)
-        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=work is self.passes.step)
+        return pass_.in_bands(name, bands, seconds, targets, inputs, constants, counted=pass_ is self.passes.step)

@@ -165,21 +165,21 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 
 
 def shadow_light_steps(
-    work: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
+    pass_: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
 ) -> Generator[None, None, np.ndarray]:
     """Return (H, W, SHADOW_LIGHT) float32: the output of shadow_light.glsl.
 
     0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss, at most 1; texels of 0 are skipped.
-    work: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
+    pass_: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
     """
     phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
-    with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:
+    with closing(pass_), closing(phase_textures), closing(Reader(pass_.entry)) as reader:
         if not (domain.domain.intensities > 0).all():
             return np.zeros((*domain.domain.shape, SHADOW_LIGHT), np.float32)
         phase_textures.upload("misfit", [domain.packing.pack(misfit[..., None].astype(np.float32))])
         yield from phase_textures.make()
         inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
         constants = {"u_observations": domain.domain.observations}
-        yield from work.in_bands("shadow light", bands, seconds, phase_textures.of("light"), inputs, constants)
+        yield from pass_.in_bands("shadow light", bands, seconds, phase_textures.of("light"), inputs, constants)
         packed = np.concatenate([reader.read(texture) for texture in phase_textures.of("light")], axis=-1)
     return domain.packing.unpack(packed)

@@ -66,8 +66,8 @@ class SpatialPriorPhase(TexturePhase):
             yield from self._copy(bands, textures.of("own"), textures.of("deviation"))
         elif self.iteration < self._first_step:
             last = self.iteration == self._first_step - 1
-            work, name = (passes.pool_last, "pool last") if last else (passes.pool, "pool")
-            yield from self._in_bands(name, work, textures.spares("mean", "deviation"), bands, seconds)
+            pass_, name = (passes.pool_last, "pool last") if last else (passes.pool, "pool")
+            yield from self._in_bands(name, pass_, textures.spares("mean", "deviation"), bands, seconds)
             textures.swap("mean", "deviation")
         else:
             if self.iteration == self._first_step:
@@ -100,7 +100,7 @@ class SpatialPriorPhase(TexturePhase):
     def _in_bands(
         self,
         name: str,
-        work: Pass,
+        pass_: Pass,
         targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
@@ -109,5 +109,5 @@ class SpatialPriorPhase(TexturePhase):
         inputs = {**self._inputs(), **candidate}
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_settles": 1}
         passes = self.passes
-        counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
-        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted)
+        counted = pass_ in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
+        return pass_.in_bands(name, bands, seconds, targets, inputs, constants, counted)

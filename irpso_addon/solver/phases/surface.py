@@ -99,7 +99,7 @@ class SurfacePhase(TexturePhase):
     def _in_bands(
         self,
         name: str,
-        work: Pass,
+        pass_: Pass,
         targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
@@ -108,4 +108,4 @@ class SurfacePhase(TexturePhase):
     ) -> Iterator[None]:
         inputs = self._inputs() | (self.textures.bound("field", field) if field else {})
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_momentum": momentum}
-        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)
+        return pass_.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)

@@ -173,17 +173,15 @@ def separated_steps(
 ) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
     """Return textures of a domain without its indirect light, and the stack to upload to them.
 
-    separation: (h, w), packed. domain_textures: the current ones. Yields the fraction done of
-    each sweep in turn.
+    separation: (h, w), packed. domain_textures: the current ones. Yields the fraction done of each sweep in turn.
     """
     if separation.any():
         domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(domain_textures.packing)))
     scale = yield from scale_steps(domain, schedule.fitness.scale_percentile)
     prepared = yield from Prepared(scale, {}, domain_textures.brightness).packing_steps(domain, schedule)
-    numbers = domain_textures.packing.pack(scale), domain_textures.brightness, prepared.arrays
-    return DomainTextures(domain, domain_textures.packing, None, *numbers, separation=separation), present(
-        prepared.stack
-    )
+    packing, stack = domain_textures.packing, present(prepared.stack)
+    numbers = packing.pack(scale), domain_textures.brightness, prepared.arrays
+    return DomainTextures(domain, packing, None, *numbers, separation=separation), stack
 
 
 def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: Separation) -> np.ndarray:

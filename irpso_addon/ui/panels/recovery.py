@@ -123,7 +123,7 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Lights", running.lights.summary())
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.work.scaled)
+    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.job_run.scaled)
     for text in (*running.warnings, *of_capture):
         _draw_warning(layout, context, text)
     if stopped:
