@@ -39,7 +39,7 @@ from .diagnostics import Diagnostics
 from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
 from .reconfigure import Begin, first_begin, reusable, samples_of
-from .watch import Note
+from .watch import TexelRecord
 
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
 
@@ -141,9 +141,9 @@ class Recovery(RecoveryEngine):
         self._ensure_measured(confidence)
         return replace(self._diagnostics.maps(confidence), model=self.model)
 
-    def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
+    def record(self, rows: np.ndarray, columns: np.ndarray) -> TexelRecord:
         self._ensure_measured(confidence=False)
-        return Note(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
+        return TexelRecord(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
 
     def _ensure_measured(self, confidence: bool) -> None:
         """Measure what maps() returns, unless it has been measured."""

@@ -26,7 +26,7 @@ from .halo import Box, own_of, own_rows, part_of, rectangle, tile_rows
 from .lockstep import LocalTransport, LockStep
 from .progress import Progress
 from .tiles import Tile, TilePool
-from .watch import Note, Watch, noted_by_all
+from .watch import TexelRecord, Watch, recorded_by_all
 
 
 class TiledRecovery(RecoveryEngine):
@@ -135,9 +135,9 @@ class TiledRecovery(RecoveryEngine):
                 part.watch = Watch(*there, due, last=part.progress.iteration_in_all)
                 self._watched.append((part.watch, np.flatnonzero(inside)))
 
-    def notes(self) -> list[Note]:
+    def records(self) -> list[TexelRecord]:
         # In a round the threshold may still end the stage.
-        return noted_by_all(self._watched) if self._driver.settled or self.progress.done else []
+        return recorded_by_all(self._watched) if self._driver.settled or self.progress.done else []
 
     @property
     def separation(self) -> Separation | None:

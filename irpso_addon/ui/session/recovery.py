@@ -311,9 +311,9 @@ class Session:
         context.ensure()
         yield from self.job_run.open()
         if self.job.resumed is not None:
-            notes = self.recovery.load(self.job.resumed)
-            self.history = [(int(iteration), float(error)) for iteration, error in notes[stored_recoveries.HISTORY]]
-            self.seconds = float(notes[stored_recoveries.SECONDS])
+            arrays = self.recovery.load(self.job.resumed)
+            self.history = [(int(iteration), float(error)) for iteration, error in arrays[stored_recoveries.HISTORY]]
+            self.seconds = float(arrays[stored_recoveries.SECONDS])
         self.display = display_of(self.recovery)
         self.state = "running"
         if self.job.resumed is not None:  # a stored recovery opens paused
