@@ -139,11 +139,11 @@ class LockStep:
             tile.round_maps = None
             self._receive(number)
             if most == 0:
-                yield from self._stepping(number, 0, budget)
+                yield from self._tile_steps(number, 0, budget)
             made = 0
             while (count is None or made < count) and not recovery.progress.done:
                 recovery.reached = False
-                yield from self._stepping(number, 1, budget)
+                yield from self._tile_steps(number, 1, budget)
                 made, tile.reached = made + 1, recovery.reached
                 yield
                 if turn == 0 and (recovery.reads_other_tiles or self._reached(recovery)):
@@ -158,10 +158,10 @@ class LockStep:
         if self._pool.active.checks_threshold and all(self._transport.allgather(reached)):
             yield from self._finish_stage()
 
-    def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
+    def _tile_steps(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
         """Run iterations of a tile, and record its progress."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
-        for _ in recovery.stepping(iterations, budget):
+        for _ in recovery.iteration_steps(iterations, budget):
             tile.progress = recovery.progress
             yield
         tile.progress = recovery.progress

@@ -111,10 +111,10 @@ class Recovery(RecoveryEngine):
         return self._separation
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        next(self.stepping(iterations, time_budget_s), None)
+        next(self.iteration_steps(iterations, time_budget_s), None)
         return self.progress
 
-    def stepping(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
+    def iteration_steps(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
         """Make exactly so many iterations, None for all, and place the swarms after them; yields when the time is over.
 
         Repeated calls of ``step`` are no substitute: one that stops while the next stage's swarms are initialised makes
@@ -336,7 +336,7 @@ class Recovery(RecoveryEngine):
         yield from phase.write_estimates(self._bands, seconds)
         if not phase.keeps_estimates:
             self._estimates.swap()
-        if (measurements := (yield from phase.measuring(self._bands, seconds))) is not None:
+        if (measurements := (yield from phase.measure_steps(self._bands, seconds))) is not None:
             yield from self._take_measurements(measurements)
             self.give_stack()
         yield  # the last one: view() must not see a closed phase
@@ -362,7 +362,7 @@ class Recovery(RecoveryEngine):
             self._pending = None
         at = self.at
         self._measured_at = self._confidence_at = None
-        yield from self._diagnostics.measuring(self._phase, confidence, seconds, paced)
+        yield from self._diagnostics.measure_steps(self._phase, confidence, seconds, paced)
         self._measured_at, self._confidence_at = at, at if confidence else None
 
     def _show(self) -> dict[str, Texture]:

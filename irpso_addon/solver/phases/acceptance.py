@@ -39,7 +39,7 @@ class AcceptanceTest:
         self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         self._pass = acceptance_pass(model, schedule, self._domain.defines)
 
-    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def decide_steps(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
         work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.next)}
         inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_prefit_fitness": self._fitness[0]}

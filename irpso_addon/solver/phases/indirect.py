@@ -37,8 +37,8 @@ class IndirectPhase(NeighbourTest):
         """Write nothing."""
         yield from ()
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements; the shadow threshold of each texel replaces the misfit of indirect light."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields once; returns the measurements, with shadow thresholds in place of the indirect misfit."""
         yield
         return replace(self._measurements, shadow=self.read(self.decided)[..., 0])
 

@@ -64,8 +64,8 @@ class NeighbourTest(TexturePhase):
         yield from self.passes.in_bands(self.title, bands, seconds, textures.of(self.decided), inputs, {})
         self.iteration += 1
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements after the decisions."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields often; returns the measurements after the decisions."""
         raise NotImplementedError
 
     def reached(self, threshold: float) -> bool:

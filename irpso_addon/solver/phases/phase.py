@@ -107,8 +107,8 @@ class Phase(Protocol):
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
         return False
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements | None]:
-        """Return, after the last iteration, all measurements for later phases; None if the phase makes none."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements | None]:
+        """Yields often; returns, after the last iteration, all measurements for later phases, None if it makes none."""
         yield from ()
         return None
 
@@ -139,7 +139,7 @@ class Phase(Protocol):
 class Acceptance(Protocol):
     """A test that decides which next estimates are accepted."""
 
-    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def decide_steps(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
 
     def close(self) -> None:

@@ -138,11 +138,10 @@ class PrefitPhase(Phase):
         prefit = {f"u_prefit_{i}": texture for i, texture in enumerate(own)}
         return {**self._estimates.bindings(), **self._domain.textures, **prefit}
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements, with the fitness of the next estimates of the prefit's model.
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields often; returns the measurements, with the fitness of the next estimates of the prefit's model.
 
-        Where the stage ``seeks`` indirect light, its misfit too; of a prefit with sheen, its normals and fitness. In
-        bands.
+        Where the stage ``seeks`` indirect light, its misfit too; of a prefit with sheen, its normals and fitness.
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(of_next=True), **self._domain.textures}

@@ -92,7 +92,7 @@ class RefinementPhase(TexturePhase):
         targets = [*self.estimates.next, *self.textures.of("result")]
         yield from self._run(bands, self.passes.keep, targets, self._comparable())
         if self.acceptance is not None:
-            yield from self.acceptance.deciding(bands, seconds)
+            yield from self.acceptance.decide_steps(bands, seconds)
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the best material so far into other textures, before the acceptance test."""

@@ -122,8 +122,8 @@ class SeparationPhase(Phase):
         normal, _ = yield from map_steps(steps, lambda part: None)
         yield from adopt_where(self._adopt, bands, self._context, packing.pack(chosen), packing.pack(normal))
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements, with the separation if any light was separated."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields once; returns the measurements, with the separation if any light was separated."""
         yield
         if not self._separation.any():
             return self._measurements

@@ -43,8 +43,8 @@ class SheenPhase(NeighbourTest):
         chosen, normals = self.read(self.decided)[..., 0] > 0, self._measurements.sheen_normal
         yield from adopt_where(self._adopt, bands, self._context, chosen, normals)
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements with the chosen texels, whose fitness is the one with sheen.
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields once; returns the measurements with the chosen texels, whose fitness is the one with sheen.
 
         Where sheen lowers the misfit much, it is divided by the acceptance ratio: a model without must fit as well.
         """

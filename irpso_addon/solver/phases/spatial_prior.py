@@ -87,7 +87,7 @@ class SpatialPriorPhase(TexturePhase):
             return
         yield from self._in_bands("prior keep", self.passes.keep, self.estimates.next, bands, seconds)
         if self.acceptance is not None:
-            yield from self.acceptance.deciding(bands, seconds)
+            yield from self.acceptance.decide_steps(bands, seconds)
 
     def reached(self, threshold: float) -> bool:
         """Return False: a prior does not lower the fitness."""

@@ -90,7 +90,7 @@ class SurfacePhase(TexturePhase):
             slopes = smoothed
         yield from self._in_bands("bend", passes.bend, self.estimates.next, bands, seconds, field=slopes)
         if self.acceptance is not None:
-            yield from self.acceptance.deciding(bands, seconds)
+            yield from self.acceptance.decide_steps(bands, seconds)
 
     def reached(self, threshold: float) -> bool:
         """Return False: bent normals do not lower the fitness."""

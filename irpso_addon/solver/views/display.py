@@ -262,9 +262,9 @@ class _Measure:
             size = lent["u_estimate_0"].width, lent["u_estimate_0"].height
             self._partial = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
-        self._pending = self._measuring(self._partial, budget)
+        self._pending = self._measure_steps(self._partial, budget)
 
-    def _measuring(self, targets: list[Texture], budget: float | None) -> Iterator[None]:
+    def _measure_steps(self, targets: list[Texture], budget: float | None) -> Iterator[None]:
         """Measure into ``targets``. The recovery may run between bands: each band reads its current state."""
         self._pass.compile()
         yield  # the first band waits for the compiler

@@ -291,7 +291,7 @@ class Session:
 
     def _relight(self) -> Generator[None, None, None]:
         maps = self.maps(confidence=False)  # here, an error ends the relighting alone
-        yield from self.job_run.relighting(maps)
+        yield from self.job_run.relight_steps(maps)
         self._check(maps)
 
     def _check(self, maps: Maps | None = None) -> None:

@@ -137,7 +137,7 @@ def test_the_acceptance_test_matches_float64():
     for factor, taken in ((1.001, True), (0.999, False)):
         work = list(estimates.next)
         acceptance = AcceptanceTest(PRINCIPLED, STANDARD, uploaded, estimates, pack.pack(np.float32(limit * factor)))
-        for _ in acceptance.deciding(Bands(), 1.0):
+        for _ in acceptance.decide_steps(Bands(), 1.0):
             pass
         result = pack.unpack(estimates.values()["base_color"])
         acceptance.close()

@@ -77,7 +77,7 @@ def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM, sh
     uploaded.raise_shadow(0.0 if shadow is None else pack.pack(np.float32(shadow)))
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
-    for _ in work.measuring(uploaded, estimates.bindings(), Bands(), seconds):
+    for _ in work.measure_steps(uploaded, estimates.bindings(), Bands(), seconds):
         pass
     found = work.read()
     work.close()

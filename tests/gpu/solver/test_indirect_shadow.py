@@ -93,7 +93,7 @@ def test_the_misfit_of_indirect_light_matches_float64(recover):
     domain, _, _ = corner((6, 10))
     recovery = recover(domain, LAMBERT, RAISED)
     phase, pack = ended_prefit(recovery), Packing(domain.solvable)
-    measured = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).indirect_misfit)
+    measured = pack.unpack(run_steps(phase.measure_steps(Bands(), 1.0)).indirect_misfit)
     own = {name: np.float64(pack.unpack(value)) for name, value in phase.own.values().items()}
     shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)
     scale = np.percentile(shown, RAISED.fitness.scale_percentile, axis=0)
@@ -124,7 +124,7 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
     measurements = PrefitMeasurements(indirect_misfit=pack.pack(measured))
     phase = IndirectPhase(ResolvedIndirect(), shared, measurements)
     run_steps(phase.advance(Bands(), 1.0))
-    found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).shadow)
+    found = pack.unpack(run_steps(phase.measure_steps(Bands(), 1.0)).shadow)
     phase.close()
     sums = around(measured)
     with np.errstate(all="ignore"):

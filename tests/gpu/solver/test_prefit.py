@@ -234,7 +234,7 @@ def test_the_prefits_misfit_matches_float64(recover, uneven):
     domain, _ = uneven
     recovery = recover(domain, PRINCIPLED, STANDARD)
     phase, pack = ended_prefit(recovery), Packing(domain.solvable)
-    fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).fitness)
+    fitness = pack.unpack(run_steps(phase.measure_steps(Bands(), 1.0)).fitness)
     own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.scale_percentile).astype(np.float64)
     wanted, samples = bounded_misfit(domain, "base_lobe", own, STANDARD.prefit, scale)

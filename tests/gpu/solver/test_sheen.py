@@ -97,7 +97,7 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     )
     run_steps(phase.advance(Bands(), 1.0))
     run_steps(phase.write_estimates(Bands(), 1.0))
-    known = {name: pack.unpack(array) for name, array in run_steps(phase.measuring(Bands(), 1.0)).arrays.items()}
+    known = {name: pack.unpack(array) for name, array in run_steps(phase.measure_steps(Bands(), 1.0)).arrays.items()}
     found = pack.unpack(estimates.values()["normal"])
     phase.close()
     counted = domain.solvable & (first < UNFIT)
