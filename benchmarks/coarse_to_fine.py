@@ -113,13 +113,13 @@ def solve(subject: Subject, variant: Variant, seed: int = 1) -> dict[str, Any]:
     seconds = time.process_time() - start
     rows = image_rows(subject.domain, maps, held_out, [str(k) for k in held_out])
     result = {
-        "subject": subject.name, "texels": int(maps.covered.sum()), "group": variant.group, "variant": variant.name,
+        "subject": subject.name, "texels": int(maps.solved.sum()), "group": variant.group, "variant": variant.name,
         "relit": float(np.mean([image_psnr(row) for row in rows])), "seconds": seconds,
-        "evaluations": evaluations / max(int(maps.covered.sum()), 1),
+        "evaluations": evaluations / max(int(maps.solved.sum()), 1),
     }  # fmt: skip
     if subject.truth is not None:
         normal = maps.values[next(p.name for p in maps.model.parameters if p.is_normal)]
-        error = subjects.angles(normal[maps.covered], subject.truth[maps.covered])
+        error = subjects.angles(normal[maps.solved], subject.truth[maps.solved])
         result |= {"normal": float(error.mean()), "median": float(np.median(error)),
                   "worst": float(np.quantile(error, 0.99))}  # fmt: skip
     report.say(f"coarse_to_fine: {result}")

@@ -105,7 +105,7 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
     domain = replace(domain, bake=bake, solvable=domain.solvable & inside)
     with TiledRecovery(domain, model, schedule, boxes=moved, halo=plan.halo, on_device=2) as recovery:
         recovery.step()
-        solved = recovery.maps().covered
+        solved = recovery.maps().solved
     done = now()
     texels = int(sum(solved[y : y + h, x : x + w].sum() for x, y, w, h in moved))
     facts = {

@@ -51,7 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("result", type=Path)
     result = read_result(parser.parse_args().result)
-    covered, lights = result.maps.covered, even_lights(_LIGHTS, _WIDEST)
+    covered, lights = result.maps.solved, even_lights(_LIGHTS, _WIDEST)
     size = covered.shape[::-1]
     shown = [
         srgb_from_linear(np.clip(made, 0, 1))

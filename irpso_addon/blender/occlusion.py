@@ -35,9 +35,9 @@ def mesh_open_sky(mesh: MeshData, maps: Maps, rays: int = RAYS) -> np.ndarray:
     """
     if mesh.tiles != maps.tiles:
         raise _other_mesh(mesh)
-    baked, share = _baked(mesh, _normals(maps), maps.covered.shape, rays)
+    baked, share = _baked(mesh, _normals(maps), maps.solved.shape, rays)
     written = share > 0
-    if (written & maps.covered).sum() < _MIN_COVERED * maps.covered.sum():
+    if (written & maps.solved).sum() < _MIN_COVERED * maps.solved.sum():
         raise _other_mesh(mesh)
     sky = np.divide(baked, share, out=baked, where=written)
     return np.clip(fill_margin(sky[..., None], written)[..., 0], 0, 1)
@@ -55,8 +55,8 @@ def _normals(maps: Maps) -> np.ndarray | None:
     name = next((parameter.name for parameter in maps.model.parameters if parameter.is_normal), None)
     if name is None or name not in maps.values:
         return None
-    normals = np.broadcast_to(np.asarray(maps.values[name], np.float32), (*maps.covered.shape, 3))
-    return fill_margin(normals, maps.covered, far=FLAT_NORMAL, keep=maps.margin)
+    normals = np.broadcast_to(np.asarray(maps.values[name], np.float32), (*maps.solved.shape, 3))
+    return fill_margin(normals, maps.solved, far=FLAT_NORMAL, keep=maps.margin)
 
 
 def _baked(

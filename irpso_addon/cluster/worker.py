@@ -15,7 +15,7 @@ from ..gpu import context
 from ..gpu.kernel import Entry
 from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
-from ..solver.engine.halo import Box, Part, Place, held_rows, own_of, own_rows, part_of, rectangle
+from ..solver.engine.halo import Box, Part, Place, own_of, own_rows, part_of, rectangle, tile_rows
 from ..solver.engine.lockstep import LockStep
 from ..solver.engine.progress import Progress
 from ..solver.engine.tiles import Tile, TilePool
@@ -132,12 +132,12 @@ class Worker:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
-        held: Mapping[str, np.ndarray],
+        more_fixed: Mapping[str, np.ndarray],
         entry: Entry,
     ) -> Progress:
         """Set up a recovery from some observations, from the guess if there is one.
 
-        held: parameters that are fixed besides the job's, as for RecoveryEngine.
+        more_fixed: parameters that are fixed besides the job's, as for RecoveryEngine.
         """
         self.model = model
         solvable = self.lit(fitted)
@@ -151,7 +151,8 @@ class Worker:
         mean_irradiance = self._mean_irradiance(part)
         team = self.ranks.among(part is not None)
         if box is not None and part is not None:
-            self._pool = self._pool_of(box, part, mean_irradiance, (schedule, seed, entry), {**self.fixed, **held})
+            fixed = {**self.fixed, **more_fixed}
+            self._pool = self._pool_of(box, part, mean_irradiance, (schedule, seed, entry), fixed)
         self._guess = None
         places = self.ranks.allgather(None if self._pool is None else self._pool.tiles[0].place)
         self.places: dict[int, Place] = {rank: place for rank, place in enumerate(places) if place is not None}
@@ -220,7 +221,7 @@ class Worker:
         if saved is not None:
             numbers = numbered(self.domain.solvable)
             for place in map(self.places.get, range(self.ranks.size)):
-                indices = None if place is None else held_rows(numbers, place)
+                indices = None if place is None else tile_rows(numbers, place)
                 parts.append(None if indices is None else {name: rows[indices] for name, rows in saved.arrays.items()})
         arrays = self.ranks.scattered(parts)
         if self._pool is not None and self._driver is not None and arrays is not None:

@@ -48,12 +48,12 @@ def _checked(options: Namespace, result: Result) -> Path:
 
 def _write_material(maps: Maps, name: str, folder: Path) -> None:
     made = material.build_material(maps, name)
-    material.apply_material(material.card_object(name, *maps.covered.shape), made)
+    material.apply_material(material.card_object(name, *maps.solved.shape), made)
     material.save_result_blend(folder)
 
 
 def _summary(name: str, tile: Tile, folder: Path) -> str:
-    rows, (_, _, side), (across, up) = len(tile.maps.covered), tile.cut.crop, tile.cut.period
+    rows, (_, _, side), (across, up) = len(tile.maps.solved), tile.cut.crop, tile.cut.period
     return (
         f"{rows} × {rows} texels, written to {folder}; {across} × {up} of the {side} × {side} of {name} repeat\n"
         f"steps across the path are {tile.cut.seam:.2f} times those elsewhere (repeated as it is:"

@@ -123,7 +123,7 @@ def staged_maps(runs: Mapping[str, Run]) -> Maps:
     model = last.model
     values = {p.name: runs[p.stage].maps.values[p.name] for p in model.parameters}
     deviations = {p.name: runs[p.stage].maps.confidence[p.name] for p in model.parameters}
-    return Maps(model, values, last.covered, last.residual, deviations)
+    return Maps(model, values, last.solved, last.residual, deviations)
 
 
 def _photograph(view: View, light: Light, values: dict[str, np.ndarray]) -> np.ndarray:

@@ -47,7 +47,7 @@ def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surfa
     fit = fit_ggx(surface)
     f0 = surface.f0 * fit.scale
     # Above 4 % the index of refraction has to rise: the factor is at most 1.
-    highest = max(F0_HALF, float(f0[maps.covered].max(initial=0)))
+    highest = max(F0_HALF, float(f0[maps.solved].max(initial=0)))
     pictures = Surface(
         name=name,
         base_color=pixels.colour(surface.base_color, maps),
@@ -57,12 +57,12 @@ def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surfa
         ior=(1 + highest**0.5) / (1 - highest**0.5),
         occluded=not isinstance(open_sky, float),
     )
-    return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None
+    return pictures, fit.error[maps.solved] if len(surface.lobes) > 1 else None
 
 
 def _specular(maps: Maps, factor: np.ndarray) -> np.ndarray | float:
     """Return the specular factor: a number where it is the same everywhere, else pixels with it in alpha."""
-    inside = factor[maps.covered]
+    inside = factor[maps.solved]
     if not inside.size or np.ptp(inside) < 1e-6:
         return float(inside.mean()) if inside.size else 1.0
     return pixels.packed(maps, 1, 1, 1, factor)

@@ -45,7 +45,7 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
         for number, maps in split_maps(result.maps):
             surface = surface_of(maps)
             fit = fit_ward(surface, _LOWEST, _HIGHEST)
-            widths = fit.alpha[maps.covered]
+            widths = fit.alpha[maps.solved]
             low, high = (float(widths.min()), float(widths.max())) if widths.size else (_LOWEST, _HIGHEST)
             # Slightly apart even if all widths are equal.
             limits = [round(low * 0.999, 6), round(max(high, 1.01 * low) * 1.001, 6)]
@@ -53,7 +53,7 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
             for channel, image in _images(surface, fit, limits, maps).items():
                 names[channel] = f"{tile_stem(channel, number, tiles)}.png"
                 encode_png(place / names[channel], image, bits=8)
-            height, width = maps.covered.shape
+            height, width = maps.solved.shape
             info = {
                 "type": "brdf", "layout": "image", "channels": names, "colorspaces": {"kd": "srgb", "ks": "srgb"},
                 "alphaLimits": limits, "brightness": math.pi, "gamma": _GAMMA, "kAmbient": _AMBIENT,
@@ -61,7 +61,7 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
             }  # fmt: skip
             stem = tile_stem("info", number, tiles)
             (place / f"{stem}.json").write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")
-            lit = maps.covered & (fit.scale * surface.f0 > 0)
+            lit = maps.solved & (fit.scale * surface.f0 > 0)
             report[stem] = {"alphaLimits": limits, "ward_error": plain(quantiles(fit.error[lit]))}
     return {"output": str(folder), **report}
 
@@ -75,7 +75,7 @@ def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, 
     return {
         "kd": pixels.colour(kd, maps),
         "ks": pixels.colour(f0 * fit.scale[..., None], maps),
-        "normals": np.where(maps.covered[..., None], encode_normal(surface.normal), _OUTSIDE),
+        "normals": np.where(maps.solved[..., None], encode_normal(surface.normal), _OUTSIDE),
         "gloss": pixels.packed(maps, gloss_of(fit.alpha, limits)),
     }
 

@@ -11,7 +11,7 @@ from ..results.maps import Maps
 def filled(values: np.ndarray, maps: Maps) -> np.ndarray:
     """Return values (H, W) or (H, W, C) as (H, W, C), with filled margins outside the covered texels."""
     values = values[..., None] if values.ndim == 2 else values
-    return fill_margin(values, maps.covered, keep=maps.margin)
+    return fill_margin(values, maps.solved, keep=maps.margin)
 
 
 def colour(values: np.ndarray, maps: Maps) -> np.ndarray:
@@ -21,12 +21,12 @@ def colour(values: np.ndarray, maps: Maps) -> np.ndarray:
 
 def normal(values: np.ndarray, maps: Maps, directx: bool = False) -> np.ndarray:
     """Return (H, W, 3) pixels in 0…1 of a tangent-space normal map, OpenGL, or DirectX with inverted green."""
-    vectors = fill_margin(values, maps.covered, far=FLAT_NORMAL, keep=maps.margin)
+    vectors = fill_margin(values, maps.solved, far=FLAT_NORMAL, keep=maps.margin)
     return encode_normal(vectors * np.float32([1, -1, 1]) if directx else vectors)
 
 
 def packed(maps: Maps, *channels: np.ndarray | float) -> np.ndarray:
     """Return (H, W, C) pixels in 0…1 of several maps (H, W) or constants."""
-    shape = maps.covered.shape
+    shape = maps.solved.shape
     stack = [np.broadcast_to(np.asarray(channel, np.float32), shape) for channel in channels]
     return np.clip(filled(np.stack(stack, axis=-1), maps), 0, 1)

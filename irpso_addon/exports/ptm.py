@@ -46,7 +46,7 @@ def write_ptm(result: Result, path: str | Path, replace: bool = True) -> dict[st
             coefficients = _fitted(renderer, basis)
             codes, scale, bias = quantised(coefficients)
             shown = (codes - bias) * scale
-            report[file.name] = {"lights": _LIGHTS, "psnr_db": round(_psnr(renderer, basis, shown, maps.covered), 2)}
+            report[file.name] = {"lights": _LIGHTS, "psnr_db": round(_psnr(renderer, basis, shown, maps.solved), 2)}
         finally:
             renderer.close()
         with replacing_file(file) as partial:
@@ -86,9 +86,9 @@ def ptm_bytes(codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> bytes:
 
 def card_renderer(maps: Maps, lights: np.ndarray) -> Renderer:
     """Return the renderer of maps on a flat card, seen straight from above; lights: (K, 3), toward distant lights."""
-    height, width = maps.covered.shape
+    height, width = maps.solved.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    bake = flat_bake(np.stack([x, y, np.zeros_like(x)], axis=-1), maps.covered, np.stack([x, y], axis=-1))
+    bake = flat_bake(np.stack([x, y, np.zeros_like(x)], axis=-1), maps.solved, np.stack([x, y], axis=-1))
     values = {
         p.name: np.broadcast_to(
             np.asarray(maps.values.get(p.name, p.default), np.float32), (height, width, p.components)

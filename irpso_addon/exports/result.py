@@ -163,6 +163,6 @@ def _height(folder: Path, report: dict[str, Any], maps: Maps) -> Height | None:
         return None
     parts = [next(iter(next(iter(read_exr(folder / f"{stem}.exr").values())).values())) for stem in stems]
     values = np.concatenate(parts, axis=1)
-    if values.shape != maps.covered.shape:
+    if values.shape != maps.solved.shape:
         raise InputError(f"{folder}: its height is of another size than its maps; recover again")
-    return Height(values, maps.covered, str(described.get("unit")), int(described.get("steps", 0)))
+    return Height(values, maps.solved, str(described.get("unit")), int(described.get("steps", 0)))

@@ -70,7 +70,7 @@ def unused_parameters(model: ReflectanceModel) -> tuple[str, ...]:
 
 
 def _principled(maps: Maps) -> Surface:
-    shape = maps.covered.shape
+    shape = maps.solved.shape
     settings = dict(maps.model.material.get("settings", {}))
     settings.pop("distribution", None)
     ior = float(settings.get("IOR", _IOR))
@@ -85,7 +85,7 @@ def _principled(maps: Maps) -> Surface:
 
 
 def _two_lobes(maps: Maps) -> Surface:
-    shape, settings = maps.covered.shape, settings_of(maps.model)
+    shape, settings = maps.solved.shape, settings_of(maps.model)
     first = _map(maps, "Weight", 0.5)
     lobes = []
     for number, weight in ((1, first), (2, 1 - first)):
@@ -109,7 +109,7 @@ def _map(maps: Maps, socket: str, otherwise: float) -> np.ndarray:
     """Return (H, W) float32 of the parameter that drives a socket, or ``otherwise`` everywhere."""
     parameter = _named(maps.model, socket)
     if parameter is None:
-        return np.full(maps.covered.shape, otherwise, np.float32)
+        return np.full(maps.solved.shape, otherwise, np.float32)
     return _values(maps, parameter)[..., 0]
 
 
@@ -123,12 +123,12 @@ def _color(maps: Maps) -> np.ndarray:
 def _normal(maps: Maps) -> np.ndarray:
     parameter = next((p for p in maps.model.parameters if p.is_normal), None)
     if parameter is None:
-        return np.broadcast_to(np.float32([0, 0, 1]), (*maps.covered.shape, 3))
+        return np.broadcast_to(np.float32([0, 0, 1]), (*maps.solved.shape, 3))
     return _values(maps, parameter)
 
 
 def _values(maps: Maps, parameter: Parameter) -> np.ndarray:
     """Return (H, W, components) float32, the default for a parameter without a map."""
-    shape = (*maps.covered.shape, parameter.components)
+    shape = (*maps.solved.shape, parameter.components)
     value = np.asarray(maps.values.get(parameter.name, parameter.default), np.float32)
     return value.reshape(shape) if value.size == np.prod(shape) else np.broadcast_to(value.reshape(-1), shape)

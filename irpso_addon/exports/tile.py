@@ -40,7 +40,7 @@ class Tile:
             "seam_of_plain_repetition": round(self.cut.plain, 4),
         }  # fmt: skip
         original = {name: former[name] for name in ("model", "settings", "seed", "versions") if name in former}
-        rows, columns = self.maps.covered.shape
+        rows, columns = self.maps.solved.shape
         more = {} if self.height is None else {"height": self.height.described()}
         shape = {"size": [columns, rows], "texels": rows * columns}
         return plain({**original, **shape, **more, "tile": seams})
@@ -55,7 +55,7 @@ class Tile:
 
 def tiled(maps: Maps, relief: bool, size: int | None = None, overlap: float | None = None) -> Tile:
     """Return a seamless tile of a card's maps; see ``seamless``. relief: with heights. Raises InputError."""
-    cut = seamless(maps.model, maps.values, maps.covered, size, overlap)
+    cut = seamless(maps.model, maps.values, maps.solved, size, overlap)
     side = len(next(iter(cut.values.values())))
     repeating = Maps(maps.model, cut.values, np.ones((side, side), bool), wrapped=True)
     normal = next((parameter.name for parameter in maps.model.parameters if parameter.is_normal), None)

@@ -108,19 +108,19 @@ def chosen_entry(probed: Mapping[str, Any]) -> Entry:
 
 def _run(entry: Entry) -> tuple[np.ndarray, float]:
     kernel = Kernel("common/probe.glsl", (Output("o_value"),), {}, {"u_rounds": "INT"}, {})
-    work = Pass(kernel, entry)
+    pass_ = Pass(kernel, entry)
     copy = Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
     target, result = textures.empty(_SIZE, _SIZE), textures.empty(_SIZE, _SIZE)
     times = []
     for _ in range(4):
-        work.fence([target])
+        pass_.fence([target])
         start = time.perf_counter()
-        work.run([target], {}, {"u_rounds": _ROUNDS})
-        work.fence([target])
+        pass_.run([target], {}, {"u_rounds": _ROUNDS})
+        pass_.fence([target])
         times.append(time.perf_counter() - start)
     copy.run([result], {"u_source": target})
     value = textures.download(result)[..., 0]
-    work.close()
+    pass_.close()
     copy.close()
     return value, statistics.median(times[1:])
 

@@ -17,13 +17,13 @@ from ..core.interrupt import delayed_signals
 from ..core.progress_bar import ProgressBar
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.progress import TimeLeft
-from ..solver.state.checkpoint import read_note
+from ..solver.state.checkpoint import read_extra_array
 from ..solver.views.history import History
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between updates of the progress bar and checks for Ctrl-C
 _SLOW_SAVE, _MAX_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
-_ELAPSED, _PREVIEWED = "seconds", "previewed"  # keys among a checkpoint's notes: the run's seconds, its preview
+_ELAPSED, _PREVIEWED = "seconds", "previewed"  # keys among a checkpoint's arrays: the run's seconds, its preview
 _MAX_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
 
 
@@ -43,7 +43,7 @@ class Saving:
 def was_previewed(path: Path) -> bool:
     """Return whether the run of a checkpoint wrote a preview; True if it does not say."""
     with suppress(CheckpointError):
-        return bool(read_note(path, _PREVIEWED))
+        return bool(read_extra_array(path, _PREVIEWED))
     return True
 
 
@@ -62,10 +62,10 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, silent: bo
     """
     saver = _Saver(recovery, history, saving)
     if saving.resume and saving.path:
-        notes = recovery.load(saving.path)
-        saver.before = float(notes.pop(_ELAPSED, 0.0))
-        notes.pop(_PREVIEWED, None)
-        history.take(notes)
+        arrays = recovery.load(saving.path)
+        saver.before = float(arrays.pop(_ELAPSED, 0.0))
+        arrays.pop(_PREVIEWED, None)
+        history.take(arrays)
     bar, time_left = ProgressBar("recover", silent, extrapolated=False), TimeLeft()
     iterations = 1
     with delayed_signals() as interrupted:
@@ -124,7 +124,7 @@ class _Saver:
             self._recovery.step(0)
             self._history.record_due()
         own = {_ELAPSED: np.array(self.seconds), _PREVIEWED: np.array(self._saving.previewed)}
-        more = self._recovery.save(path, {**self._history.notes, **own}, running)
+        more = self._recovery.save(path, {**self._history.arrays, **own}, running)
         self._saved_stage = None if more else self._recovery.progress.stage
 
     def save_when_due(self) -> None:

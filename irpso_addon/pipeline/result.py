@@ -25,7 +25,7 @@ from ..results.maps import Maps
 from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
 from ..solver.lights.checks import light_warnings
 from ..solver.lights.refine import contradiction
-from ..solver.settings.resolve import held_names
+from ..solver.settings.resolve import unsearched_names
 from ..solver.views.held_out import preview_names
 from ..solver.views.pictures import confidence_preview, error_preview
 from .job import Job
@@ -56,7 +56,7 @@ def result_maps(run: Run, maps: Maps, extras: DerivedMaps = _NO_EXTRAS) -> Resul
     written = maps if job.mesh is None else blender_maps(maps, job.mesh, surface_bake(domain.bake), domain.seams)
     derived, height = derived_maps(extras, maps, written, domain.bake, job.mesh, job.capture.cameras[0])
     if (share := run.indirect_share) is not None:
-        derived.append(indirect_map(share, maps.covered))
+        derived.append(indirect_map(share, maps.solved))
     return ResultMaps(maps, written, derived, height)
 
 
@@ -76,7 +76,7 @@ def report_of(
     report |= run.findings | run.relit[1] | {"warnings": [*maps_warnings(run, maps), *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
-    if priors and (shares := prior_shares(maps, held_names(job.schedule, job.model, job.fixed))):
+    if priors and (shares := prior_shares(maps, unsearched_names(job.schedule, job.model, job.fixed))):
         report["priors_decided"] = shares
     if job.capture.left_out:
         report["left_out"] = [asdict(image) for image in job.capture.left_out]
@@ -84,7 +84,7 @@ def report_of(
         report["held_out"] = [job.listed_numbers[k] for k in job.held_out_indices]
     if job.mesh is not None:
         report["solved_slots"] = list(job.mesh.solved_slots)
-    report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
+    report["unseen_texels"] = int((domain.bake.coverage & ~maps.solved).sum())
     if run.lights is not None:
         report["lights"] = run.lights.report(job.numbers)
     return report | ({} if recovered.height is None else {"height": recovered.height.described()})
@@ -96,13 +96,13 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
     modes = mode_warnings(maps, job.schedule.fitness.priors)
     of_lights = _light_warnings(run, domain, maps)
     of_mesh = [*_coverage_warnings(domain, maps), *_unseen_warnings(domain, job.capture)]
-    held = held_names(job.schedule, job.model, job.fixed)
-    return [*limit_warnings(maps, held), *modes, *of_lights, *run.warnings, *of_mesh]
+    unsearched = unsearched_names(job.schedule, job.model, job.fixed)
+    return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh]
 
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     """Return a warning where the photographs show next to nothing of a mesh: it may stand elsewhere."""
-    whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.covered)
+    whole, seen = np.count_nonzero(domain.bake.coverage), np.count_nonzero(maps.solved)
     if domain.card or seen >= _MIN_SEEN * whole:
         return []
     return [
@@ -183,7 +183,7 @@ def make_material(
     uv_map = "" if job.mesh is None else material.other_uv_map(subject, job.mesh.uv_map)
     built = material.build_material(maps, job.name, folder, uv_map, height, subject)
     if job.mesh is None:
-        rows, columns = maps.covered.shape
+        rows, columns = maps.solved.shape
         subject = material.card_object(job.name, rows, columns, height is not None)
     material.apply_material(subject, built, () if job.mesh is None else job.mesh.solved_slots)
     return built, subject

@@ -129,7 +129,7 @@ class Run:
         return with_modes(recovery.maps(confidence))
 
     def indirect(self, observation: int) -> np.ndarray | float:
-        """Return the indirect light, (H, W, 3) or 0: the subtracted one, or if held out that of ``relighting``."""
+        """Return the indirect light, (H, W, 3) or 0: the subtracted one, or if held out that of ``relight_steps``."""
         if observation in self.job.fitted:
             return present(self.recovery).indirect(observation)
         held_out = self.job.held_out_indices
@@ -144,7 +144,7 @@ class Run:
         """Return warnings about the devices of the recovery."""
         return []
 
-    def relighting(self, maps: Maps) -> Generator[None, None, None]:
+    def relight_steps(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
         domain, evaluations = present(self.domain), present(self.progress).evaluations
         held_out = self.job.held_out_indices
@@ -166,9 +166,9 @@ class Run:
         return self._relit[1:]
 
     def relight(self, maps: Maps) -> None:
-        """Do ``relighting`` at once, if ``relit`` is older than the last maps."""
+        """Do ``relight_steps`` at once, if ``relit`` is older than the last maps."""
         if self.job.held_out and self._relit[0] != present(self.progress).evaluations:
-            run_steps(self.relighting(maps))
+            run_steps(self.relight_steps(maps))
 
     def change(self, schedule: Schedule) -> None:
         """Continue with another schedule from the current state. Raises InputError; then nothing has changed."""

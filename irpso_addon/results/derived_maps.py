@@ -50,17 +50,17 @@ def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
 
 
 def derived_maps(
-    extras: DerivedMaps, solved: Maps, written: Maps, bake: GeometryBake, mesh: MeshData | None, camera: Camera
+    extras: DerivedMaps, recovered: Maps, written: Maps, bake: GeometryBake, mesh: MeshData | None, camera: Camera
 ) -> tuple[list[DerivedMap], Height | None]:
     """Compute the chosen maps; return them and the relief, None if not chosen.
 
-    solved: maps with normals in the solver's frames. written: with normals in the frames of Blender's normal maps.
+    recovered: maps with normals in the solver's frames. written: with normals in the frames of Blender's normal maps.
     bake: the domain's. mesh: None for a card; then object space is that of ``camera``, and world space the capture's.
     """
-    name = next((parameter.name for parameter in solved.model.parameters if parameter.is_normal), None)
+    name = next((parameter.name for parameter in recovered.model.parameters if parameter.is_normal), None)
     if name is None or not (extras.normals or extras.relief):
         return [], None
-    solver, tangent = (_everywhere(maps.values[name], solved.covered.shape) for maps in (solved, written))
+    solver, tangent = (_everywhere(maps.values[name], recovered.solved.shape) for maps in (recovered, written))
     spaces = {}
     for space in extras.normals:
         if space == "directx":
@@ -70,13 +70,13 @@ def derived_maps(
         else:
             world = world_normals(bake, solver)
             spaces[space] = world if space == "world" else object_normals(mesh.matrix, world)
-    maps = normal_maps(spaces, solved.covered, written.margin)
+    maps = normal_maps(spaces, recovered.solved, written.margin)
     if not extras.relief:
         return maps, None
     if mesh is None:
-        height = card_height(camera, solver, solved.covered)
+        height = card_height(camera, solver, recovered.solved)
     else:
-        height = mesh_height(mesh, surface_bake(bake), solver, solved.covered)
+        height = mesh_height(mesh, surface_bake(bake), solver, recovered.solved)
     return [*maps, height_map(height)], height
 
 

@@ -73,7 +73,7 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
 
     Texels outside the margin have the mean, or a flat normal. Missing parameters have their default.
     """
-    shape = maps.covered.shape
+    shape = maps.solved.shape
     values = [
         np.asarray(maps.values[p.name], np.float32).reshape(*shape, p.components)
         if p.name in maps.values
@@ -81,7 +81,7 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
         for p in table.parameters
     ]
     far = FLAT_NORMAL if table.is_normal else None
-    return fill_margin(np.concatenate(values, axis=-1), maps.covered, far=far, keep=maps.margin)
+    return fill_margin(np.concatenate(values, axis=-1), maps.solved, far=far, keep=maps.margin)
 
 
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:

@@ -29,21 +29,21 @@ class Maps:
     """Recovered parameters of H×W texels, row 0 at the bottom.
 
     values: parameter name → (H, W, components) float32 in the parameter's own units; a normal is a unit vector in
-    tangent space (mesh) or camera space (card). covered: (H, W) bool, the solved texels. residual: (H, W) mean
+    tangent space (mesh) or camera space (card). solved: (H, W) bool, the solved texels. residual: (H, W) mean
     absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
     parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
     one component, at most π/2. tiles: the maps' UDIM tiles, side by side from the left. margin: (H, W) bool, texels
     past UV seams with the values of the seam's other side, or None. wrapped: whether the UV square may continue at its
     opposite border, as of a mesh unwrapped all around. alternatives: parameter name → (H, W, components), the deviance,
     −9 to 9, of materials far from the estimate in that number against the estimate (solver/state/alternatives.py);
-    measured with the confidence, else None. two_modes: parameter name → (H, W) bool, covered texels whose material
+    measured with the confidence, else None. two_modes: parameter name → (H, W) bool, solved texels whose material
     leaves that number open; {} before solver.modes.with_modes. unknown_texels: parameter name → cause → (H, W) bool,
     texels that are unknown whatever their estimate; their ``confidence`` is the widest (RecoveryEngine.unknown_texels).
     """
 
     model: ReflectanceModel
     values: dict[str, np.ndarray]
-    covered: np.ndarray
+    solved: np.ndarray
     residual: np.ndarray | None = None
     confidence: dict[str, np.ndarray] | None = field(default=None)
     tiles: tuple[int, ...] = ONE_SQUARE
@@ -71,7 +71,7 @@ class Maps:
                     Cause.NOTHING_DETERMINED: nothing & wide, Cause.WIDE_DEVIATION: wide,
                     Cause.TWO_MODES: self.two_modes.get(p.name, np.zeros_like(wide)),
                 }  # fmt: skip
-                left, result[p.name] = self.covered, {}
+                left, result[p.name] = self.solved, {}
                 for cause, mask in masks.items():
                     result[p.name][cause], left = left & mask, left & ~mask
         return result
@@ -90,7 +90,7 @@ def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
             replace(
                 maps,
                 values={name: part(value) for name, value in maps.values.items()},
-                covered=part(maps.covered),
+                solved=part(maps.solved),
                 residual=None if maps.residual is None else part(maps.residual),
                 confidence=maps.confidence and {name: part(value) for name, value in maps.confidence.items()},
                 tiles=(number,),

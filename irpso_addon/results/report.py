@@ -34,15 +34,15 @@ def build_report(
     parameter's units, row 0 at the bottom. evaluated: (H, W) bool, texels of the error statistics, by default the
     covered ones; the report has the excluded fraction. noise: the domain's, reported in 8-bit codes unless 0.
     """
-    texels = maps.covered if evaluated is None else maps.covered & evaluated
-    covered = int(maps.covered.sum())
+    texels = maps.solved if evaluated is None else maps.solved & evaluated
+    covered = int(maps.solved.sum())
     report: dict[str, Any] = {
         "model": maps.model.name,
         "settings": plain(settings),
         "seed": int(seed),
         "versions": versions(),
         "gpu": gpu,
-        "size": [int(n) for n in maps.covered.shape[::-1]],
+        "size": [int(n) for n in maps.solved.shape[::-1]],
         "texels": covered,
         "excluded_fraction": round(1 - int(texels.sum()) / covered, 6) if covered else 0.0,
         "iterations": int(iterations),
@@ -52,7 +52,7 @@ def build_report(
     if noise:
         report["noise_codes"] = round(255 * noise, 2)
     if maps.residual is not None:
-        report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
+        report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.solved.shape)[texels])
     if covered and (unknown := maps.unknown_by_cause()):
         shares = {
             name: {str(cause): int(mask.sum()) / covered for cause, mask in masks.items() if mask.any()}
@@ -77,10 +77,10 @@ def limit_warnings(maps: Maps, fixed: Collection[str] = ()) -> list[str]:
     """
     lines = []
     for parameter in maps.model.parameters:
-        if not parameter.is_albedo or parameter.name in fixed or not maps.covered.any():
+        if not parameter.is_albedo or parameter.name in fixed or not maps.solved.any():
             continue
         limit = parameter.range[1]
-        share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= limit * (1 - _LIMIT_NEAR)).mean())
+        share = float((maps.values[parameter.name][maps.solved].max(axis=-1) >= limit * (1 - _LIMIT_NEAR)).mean())
         if share > _LIMIT_SHARE:
             lines.append(
                 f"{parameter.name} is at its limit {limit:g} on {share:.0%} of the texels: the images are brighter than"
@@ -91,7 +91,7 @@ def limit_warnings(maps: Maps, fixed: Collection[str] = ()) -> list[str]:
 
 def mode_shares(maps: Maps) -> dict[str, float]:
     """Return parameter name → fraction of the covered texels with two modes, for each tested parameter."""
-    return {name: round(float(there[maps.covered].mean()), 4) for name, there in maps.two_modes.items()}
+    return {name: round(float(there[maps.solved].mean()), 4) for name, there in maps.two_modes.items()}
 
 
 def mode_warnings(maps: Maps, priors: bool) -> list[str]:
@@ -116,14 +116,14 @@ def prior_shares(maps: Maps, fixed: Collection[str] = ()) -> dict[str, float]:
     """
     model, shares = maps.model, {}
     for p in model.parameters:
-        if p.prior is None or p.name in fixed or maps.confidence is None or not maps.covered.any():
+        if p.prior is None or p.name in fixed or maps.confidence is None or not maps.solved.any():
             continue
         place = None
         if p.prior.vanishes_with:
             other = model.parameter(p.prior.vanishes_with)
-            place = (maps.values[other.name][maps.covered] - other.range[0]) / (other.range[1] - other.range[0])
-        variance = p.prior.variance(maps.values[p.name][maps.covered], p.width, place)
-        measured = np.square(maps.confidence[p.name][maps.covered])
+            place = (maps.values[other.name][maps.solved] - other.range[0]) / (other.range[1] - other.range[0])
+        variance = p.prior.variance(maps.values[p.name][maps.solved], p.width, place)
+        measured = np.square(maps.confidence[p.name][maps.solved])
         decided = (2 * measured if p.prior.kind == "normal" else measured) > variance
         shares[p.name] = round(float(decided.mean()), 4)
     return shares

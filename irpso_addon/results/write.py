@@ -151,7 +151,7 @@ def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Calla
         encode_png(folder / f"{stem}.png", encoded_values(table, values), bits=16)
         files[f"{stem}.exr"] = {table.name: everything[table.name]}
         names.append(f"{stem}.png")
-    outside = ~maps.covered
+    outside = ~maps.solved
     if maps.residual is not None:
         residual = np.where(outside, 0, np.asarray(maps.residual, np.float32).reshape(outside.shape))
         everything["residual"] = exr_channels(residual[..., None])
@@ -163,7 +163,7 @@ def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Calla
             parts[f"confidence_{name}"] = exr_channels(np.where(outside[..., None], 0, deviation))
         files[f"{stem_of('confidence')}.exr"] = parts
         everything |= parts
-    everything["coverage"] = exr_channels(maps.covered[..., None].astype(np.float32))
+    everything["coverage"] = exr_channels(maps.solved[..., None].astype(np.float32))
     files[f"{stem_of('maps')}.exr"] = everything
     with ThreadPoolExecutor(len(available_cores())) as pool:  # OpenEXR compresses without the interpreter's lock
         list(pool.map(lambda name: write_exr(folder / name, files[name]), reversed(files)))  # the largest first

@@ -5,9 +5,10 @@
 // After hundreds of samples in float32, a pivot below 2⁻²⁰ of the unit diagonal is rounding: its parameter stays.
 #define PIVOT (1.0 / 1048576.0)
 
-// Solves (A + λ) y = −gradient for the parameters that are not held. Held ones keep their y. Cholesky: A + λ = L D Lᵀ.
+// Solves (A + λ) y = −gradient for the parameters that are not at a bound; the others keep their y.
+// Cholesky: A + λ = L D Lᵀ.
 void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[FREE_COUNT], float lambda,
-                  inout bool held[FREE_COUNT], inout float y[FREE_COUNT])
+                  inout bool at_bound[FREE_COUNT], inout float y[FREE_COUNT])
 {
     float l[FREE_COUNT * FREE_COUNT];
     float pivot[FREE_COUNT];
@@ -16,7 +17,7 @@ void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[F
     for (int i = 0; i < FREE_COUNT; i++) {
         rhs[i] = -gradient[i];
         for (int k = 0; k < FREE_COUNT; k++) {
-            if (held[k] && k != i) {
+            if (at_bound[k] && k != i) {
                 rhs[i] -= a[min(i, k) * FREE_COUNT + max(i, k)] * y[k];
             }
         }
@@ -26,7 +27,7 @@ void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[F
         for (int k = 0; k < j; k++) {
             d -= dropped[k] ? 0.0 : l[j * FREE_COUNT + k] * l[j * FREE_COUNT + k] * pivot[k];
         }
-        dropped[j] = held[j] || !(d > PIVOT);
+        dropped[j] = at_bound[j] || !(d > PIVOT);
         pivot[j] = dropped[j] ? 1.0 : d;
         for (int i = j + 1; i < FREE_COUNT; i++) {
             float sum = a[j * FREE_COUNT + i];
@@ -46,35 +47,36 @@ void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[F
         for (int k = i + 1; k < FREE_COUNT; k++) {
             sum -= dropped[k] ? 0.0 : l[k * FREE_COUNT + i] * y[k];
         }
-        if (!held[i]) {
+        if (!at_bound[i]) {
             y[i] = dropped[i] ? 0.0 : sum;
         }
     }
 }
 
-// Iterations of the active set: the parameters held at a bound. After the last one, steps are clamped to the bounds.
+// Iterations of the active set: the parameters at a bound. After the last one, steps are clamped to the bounds.
 #define BOX_ROUNDS 3
 
 // Computes the bounded step delta. lower and upper bound each parameter's step. delta, lower and upper are fractions of
-// the ranges. A parameter whose step exceeds a bound is held there, and the others are solved again.
+// the ranges. A parameter whose step exceeds a bound is set to it, and the others are solved again.
 void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float gradient[FREE_COUNT], inout float norm[FREE_COUNT],
                 float lambda, inout float lower[FREE_COUNT], inout float upper[FREE_COUNT], out float delta[FREE_COUNT])
 {
-    bool held[FREE_COUNT];
+    bool at_bound[FREE_COUNT];
     float y[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
-        // Holds a parameter on which the render does not depend, or that is at a bound and would cross it.
-        held[i] = norm[i] == 0.0 || (gradient[i] > 0.0 && lower[i] >= 0.0) || (gradient[i] < 0.0 && upper[i] <= 0.0);
+        // At a bound and would cross it. A parameter on which the render does not depend stays like one at a bound.
+        at_bound[i] = norm[i] == 0.0 || (gradient[i] > 0.0 && lower[i] >= 0.0)
+                      || (gradient[i] < 0.0 && upper[i] <= 0.0);
         y[i] = 0.0;
     }
     for (int round = 0; round < BOX_ROUNDS; round++) {
-        solve_damped(a, gradient, lambda, held, y);
+        solve_damped(a, gradient, lambda, at_bound, y);
         bool inside = true;
         for (int i = 0; i < FREE_COUNT; i++) {
             float unscaled = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
-            if (!held[i] && (unscaled < lower[i] || unscaled > upper[i])) {
+            if (!at_bound[i] && (unscaled < lower[i] || unscaled > upper[i])) {
                 y[i] = norm[i] * clamp(unscaled, lower[i], upper[i]);
-                held[i] = true;
+                at_bound[i] = true;
                 inside = false;
             }
         }

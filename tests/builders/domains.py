@@ -116,7 +116,7 @@ def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
 
 def bits_of(maps):
     """Return all values of maps as bytes, for bitwise comparison."""
-    return {name: np.ascontiguousarray(v[maps.covered]).tobytes() for name, v in maps.values.items()}
+    return {name: np.ascontiguousarray(v[maps.solved]).tobytes() for name, v in maps.values.items()}
 
 
 def ended_prefit(recovery):

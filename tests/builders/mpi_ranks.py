@@ -89,7 +89,7 @@ def cases():
 def digest(maps, progress):
     """Return a hash of maps and progress."""
     sha256 = hashlib.sha256(repr(progress).encode())
-    arrays = {**maps.values, "residual": maps.residual, "covered": maps.covered}
+    arrays = {**maps.values, "residual": maps.residual, "covered": maps.solved}
     for array in [*arrays.values(), *(maps.confidence or {}).values(), *(maps.alternatives or {}).values()]:
         sha256.update(np.ascontiguousarray(array).tobytes())
     return sha256.hexdigest()

@@ -8,6 +8,7 @@ from irpso_addon.capture.bounds import bounded
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.refinement import RefinementPhase
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.resolve import ResolvedRefinement
@@ -38,7 +39,7 @@ class Bench:
         uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scales)
         self.estimates = Estimates(model, {name: pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = ResolvedRefinement(model.parameters, schedule.refinement, starts)
-        self.refinement = RefinementPhase(resolved, model, schedule, uploaded, self.estimates, entry)
+        self.refinement = RefinementPhase(resolved, PhaseContext(model, schedule, uploaded, self.estimates, entry))
         self.bands = Bands()
 
     def run(self, iterations=None):

@@ -42,5 +42,5 @@ def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT, **options):
 
 def errors(maps):
     """Return the mean error of the normals in degrees, and the base colour's mean over the true one."""
-    tilt = np.degrees(np.arccos(np.clip(maps.values["normal"][maps.covered][:, 2], -1, 1)))
-    return tilt.mean(), maps.values["base_color"][maps.covered].mean(axis=0) / ALBEDO
+    tilt = np.degrees(np.arccos(np.clip(maps.values["normal"][maps.solved][:, 2], -1, 1)))
+    return tilt.mean(), maps.values["base_color"][maps.solved].mean(axis=0) / ALBEDO

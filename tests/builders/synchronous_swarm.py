@@ -9,6 +9,7 @@ import numpy as np
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.phases.synchronous_swarm import SynchronousSwarmPhase
 from irpso_addon.solver.settings.resolve import resolve
@@ -55,7 +56,8 @@ class Bench:
         self.packing = pack = Packing(self.domain.solvable)
         self.textures = DomainTextures(self.domain, pack, pack_layers(pack, self.domain.stack.values), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in self.values.items()})
-        self.stage = SynchronousSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
+        shared = PhaseContext(self.model, self.schedule, self.textures, self.estimates, entry)
+        self.stage = SynchronousSwarmPhase(stage, shared, seed)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))
         self.problem = oracle.SynchronousSwarm(
             self.domain, self.model, stage, self.schedule, self.values, scale.astype(np.float64), count, seed

@@ -50,7 +50,7 @@ def oracle(maps, light, view=UP):
 def opened(browser, folder, maps, photographs=None, state="", name="leaf"):
     """Write a page and open it at the size of the maps; return the folder."""
     write_page(Result(name, maps), folder, photographs)
-    browser.resize(*maps.covered.shape[::-1])
+    browser.resize(*maps.solved.shape[::-1])
     browser.open(folder / "index.html", f"{PLAIN}&{state}")
     return folder
 
@@ -70,7 +70,7 @@ def lit(browser, light):
 
 def near_photographs(maps, count=3):
     """Return photographs, by the oracle, of a card under near lamps and a perspective camera."""
-    height, width = maps.covered.shape
+    height, width = maps.solved.shape
     place = np.array([[-1.2, 0.9, -3.0], [2.4 / width, 0, 0], [0, -1.8 / height, 0]])
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     points = place[0] + x[..., None] * place[1] + y[..., None] * place[2]

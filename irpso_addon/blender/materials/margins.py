@@ -29,9 +29,9 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
     """
     values = converted_normals(maps.model, maps.values, mesh, bake, to_blender)
     maps, solved = replace(maps, values=values, tiles=mesh.tiles, wrapped=True), maps
-    if seams is None or maps.covered.all() or not maps.covered.any():
+    if seams is None or maps.solved.all() or not maps.solved.any():
         return maps
-    place, beside, taps, weights = _across(seams, maps.covered)
+    place, beside, taps, weights = _across(seams, maps.solved)
     filled = {}
     for p in maps.model.parameters:
         if p.name not in values:
@@ -45,7 +45,7 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
             margin_values = np.einsum("nt,ntc->nc", weights, array.reshape(-1, p.components)[taps])
         array.reshape(-1, array.shape[-1])[place] = margin_values
         filled[p.name] = array
-    margin = np.zeros(maps.covered.shape, bool)
+    margin = np.zeros(maps.solved.shape, bool)
     margin.ravel()[place] = True
     return replace(maps, values={**values, **filled}, margin=margin)
 

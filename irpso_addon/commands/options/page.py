@@ -53,7 +53,7 @@ def page_photographs(result: Result, options: Namespace) -> Photographs | None:
     capture = file_capture(Namespace(**{**settings, "json": True, "quiet": True}))
     if settings.get("preview") == PART:  # the result is a preview
         capture = smaller_capture(capture)
-    if card_bake(capture).coverage.shape != result.maps.covered.shape:
+    if card_bake(capture).coverage.shape != result.maps.solved.shape:
         raise InputError(
             f"{settings['capture']}: has other pictures than when {result.folder} was made; recover again, or give"
             " --photographs 0"

@@ -74,7 +74,7 @@ def write_page(
         bytes_of["maps"] = writer.write("maps", _material_levels(maps), partial(material_planes, maps.model), _webp)
         shares, entries = _uncertainties(maps)
         if shares is not None:
-            pyramid = levels(shares[::-1], maps.covered[::-1])
+            pyramid = levels(shares[::-1], maps.solved[::-1])
             bytes_of["uncertainty"] = writer.write("sigma", pyramid, share_planes, _webp)
         for k in range(len(photographs.names) if photographs else 0):
             pyramid = _photograph_levels(photographs, k)
@@ -123,7 +123,7 @@ class _TileWriter:
 def _material_levels(maps: Maps) -> Iterable[Level]:
     """Return the levels of all components of the model; normals stay unit vectors."""
     model = maps.model
-    values = components_of(model, maps.values, maps.covered.shape)
+    values = components_of(model, maps.values, maps.solved.shape)
     at = next(model.offset(p.name) for p in model.parameters if p.is_normal)
 
     def normalise(means: np.ndarray) -> np.ndarray:
@@ -131,7 +131,7 @@ def _material_levels(maps: Maps) -> Iterable[Level]:
         means[..., at : at + 3] /= np.maximum(length, 1e-9)
         return means
 
-    return levels(values[::-1], maps.covered[::-1], normalise)
+    return levels(values[::-1], maps.solved[::-1], normalise)
 
 
 def _photograph_levels(photographs: Photographs, k: int) -> Iterable[Level]:
@@ -152,7 +152,7 @@ def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, 
             entries[p.name] = len(channels), f"{np.degrees(most):.0f}°" if p.is_normal else f"{most:.2g}"
             channels.append(maps.confidence[p.name].max(axis=-1) / most)
     if maps.residual is not None:
-        most = default_maximum([100 * maps.residual], maps.covered)
+        most = default_maximum([100 * maps.residual], maps.solved)
         entries["residual"] = len(channels), f"{most:g} %"
         channels.append(100 * maps.residual / most)
     return (np.stack(channels, axis=-1) if channels else None), entries
@@ -161,7 +161,7 @@ def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, 
 def _description(
     result: Result, maps: Maps, photographs: Photographs | None, entries: dict[str, tuple[int, str]]
 ) -> dict[str, Any]:
-    model, (height, width) = maps.model, maps.covered.shape
+    model, (height, width) = maps.model, maps.solved.shape
     shown = [_view(model, p, entries.get(p.name)) for p in model.parameters]
     if "residual" in entries:
         shown.append({"name": "residual", "title": "Residual", "uncertainty": entries["residual"]})

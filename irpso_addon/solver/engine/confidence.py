@@ -46,7 +46,7 @@ class Confidence:
         self._pass = deviation_pass(model, self._fixed, fitness, domain_defines)
         self._targets: list[Texture] = []  # reused: the pass keeps the frame buffer of every target
 
-    def measuring(
+    def measure_steps(
         self, domain: DomainTextures, materials: Mapping[str, Texture], bands: Bands, seconds: float
     ) -> Iterator[None]:
         """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each.

@@ -23,7 +23,7 @@ _SAMPLED_WIDTH = 64
 
 
 class Diagnostics:
-    """The next estimates, their residual, deviations and alternatives: ``measuring`` measures, ``maps`` returns them.
+    """The next estimates, their residual, deviations and alternatives: for ``maps``, by ``measure_steps``.
 
     Raises ShaderError where the model does not compile.
     """
@@ -47,7 +47,7 @@ class Diagnostics:
         self._sample: tuple[Texture, Texture] | None = None  # places of texels, and their residuals
         self._sampled = sampled_residual_pass(model, domain.defines)
 
-    def measuring(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
+    def measure_steps(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Write a phase's estimates and measure them, in bands of about ``seconds``; yields after each.
 
         phase: None after the last one. confidence: measure deviations and alternatives too. paced: as in Bands.
@@ -69,10 +69,10 @@ class Diagnostics:
                 self._measures = Confidence(*settings), Alternatives(*settings)
             materials = self._estimates.bindings(self._of_next)
             for measure in self._measures:
-                yield from measure.measuring(self._domain, materials, self._bands, seconds)
+                yield from measure.measure_steps(self._domain, materials, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:
-        """Return the last measure of ``measuring``."""
+        """Return the last measure of ``measure_steps``."""
         packing, solvable = self._domain.packing, self._domain.domain.solvable
         values = {
             name: packing.unpack(value, self._model.parameter(name).default)

@@ -23,7 +23,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Cause, Maps
 from ..phases.phase import Phase
 from ..settings.fixed import full_map
-from ..settings.resolve import held_names
+from ..settings.resolve import unsearched_names
 from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
@@ -33,7 +33,7 @@ from ..state.separation import SeparatedStack
 from ..state.separation_record import Separation
 from .halo import Box
 from .progress import Progress
-from .watch import Note, note_of
+from .watch import TexelRecord, record_of
 
 _MAX_RUNNING = 1 << 21  # solvable texels: above it, checkpoints omit the running stage (about a gigabyte)
 _DIVIDED = "the recovery runs in tiles or over ranks: no texture holds all of it; lower the resolution to view it"
@@ -117,9 +117,9 @@ class RecoveryEngine(ABC):
         confidence: find standard deviations and alternatives too, which takes as long as ten to fifteen iterations.
         """
 
-    def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
+    def record(self, rows: np.ndarray, columns: np.ndarray) -> TexelRecord:
         """Return the values of maps() at n texels; fast if one recovery holds the whole domain."""
-        return note_of(self.maps(confidence=False), self.progress.iteration_in_all, rows, columns)
+        return record_of(self.maps(confidence=False), self.progress.iteration_in_all, rows, columns)
 
     @abstractmethod
     def mean_error(self) -> float:
@@ -129,14 +129,14 @@ class RecoveryEngine(ABC):
         """
 
     def watch(self, rows: np.ndarray, columns: np.ndarray, due: Callable[[Progress], bool]) -> None:
-        """Record from now on the values of maps() at n texels after ``due`` iterations; ``notes`` returns them.
+        """Record from now on the values of maps() at n texels after ``due`` iterations; ``records`` returns them.
 
         For tiles that take turns: a call of maps() after an iteration would end their turns.
         """
         raise NotImplementedError
 
-    def notes(self) -> list[Note]:
-        """Return the notes of watched texels since the last call, in the order of iterations."""
+    def records(self) -> list[TexelRecord]:
+        """Return the records of watched texels since the last call, in the order of iterations."""
         raise NotImplementedError
 
     @property
@@ -197,9 +197,9 @@ class RecoveryEngine(ABC):
         return False
 
     @property
-    def held(self) -> frozenset[str]:
+    def unsearched(self) -> frozenset[str]:
         """The parameters that are not searched now."""
-        return held_names(self.schedule, self.model, self.fixed)
+        return unsearched_names(self.schedule, self.model, self.fixed)
 
     def unknown_texels(self, name: str) -> dict[Cause, np.ndarray]:
         """Return cause → (H, W) bool: texels of which a parameter is unknown, whatever its estimate in ``view``.
@@ -255,27 +255,30 @@ class RecoveryEngine(ABC):
         return digest_of_texels(self.domain)
 
     def save(
-        self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({}), running: bool | None = None
+        self,
+        path: str | Path,
+        extra_arrays: Mapping[str, np.ndarray] = MappingProxyType({}),
+        running: bool | None = None,
     ) -> bool:
         """Write a checkpoint atomically. ``load`` continues from it to the same maps bit for bit.
 
-        notes: arrays of the caller, which ``load`` returns. running: as for ``state``; None: True unless the domain is
+        extra_arrays: of the caller, which ``load`` returns. running: as for ``state``; None: True unless the domain is
         large. Returns whether a later checkpoint in the same stage would hold more.
         """
         if running is None:
             running = bool(np.count_nonzero(self.domain.solvable) <= _MAX_RUNNING)
         state = self.state(running)
-        checkpoint.write(Path(path), self.identity, replace(state, notes=notes))
+        checkpoint.write(Path(path), self.identity, replace(state, extra_arrays=extra_arrays))
         return running or any(name.startswith(checkpoint.PHASE) for name in state.arrays)
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
-        """Continue from a checkpoint of the same domain, model, schedule and seed, and return its notes.
+        """Continue from a checkpoint of the same domain, model, schedule and seed, and return its extra arrays.
 
         Raises InputError for a checkpoint of another recovery.
         """
         saved = checkpoint.read(Path(path), self.identity)
         self.restore(saved)
-        return dict(saved.notes)
+        return dict(saved.extra_arrays)
 
     def preparation(self, domain: Domain, schedule: Schedule) -> Generator[None, None, Prepared | None]:
         """Yield often; return the preparation of a recovery of this kind, or None if it prepares itself."""

@@ -98,11 +98,11 @@ def own_rows(numbers: np.ndarray, box: Box) -> np.ndarray:
     return own[own >= 0]
 
 
-def held_rows(numbers: np.ndarray, place: Place) -> np.ndarray:
+def tile_rows(numbers: np.ndarray, place: Place) -> np.ndarray:
     """Return the rows of all texels of a tile's textures: own and halo, then the ghosts."""
     rows, columns = rectangle(place.box, place.halo)
-    held, (x, y) = numbers[rows, columns], (place.ghosts - place.origin + (columns.start, rows.start)).T
-    return np.concatenate([held[held >= 0], numbers[y, x]])
+    inside, (x, y) = numbers[rows, columns], (place.ghosts - place.origin + (columns.start, rows.start)).T
+    return np.concatenate([inside[inside >= 0], numbers[y, x]])
 
 
 def _in_halo(place: Place, other: Place, width: int | None) -> tuple[Part, Part]:

@@ -46,17 +46,17 @@ class LocalTransport:
         self._overlaps = overlaps_of(places)
         self.connected = any(self._overlaps)
         self._arriving: list[dict[int, Received]] = [{} for _ in places]
-        self._held: list[dict[int, Received]] = [{} for _ in places]
+        self._received: list[dict[int, Received]] = [{} for _ in places]
 
     def publish(self, tile: int, results: np.ndarray, halo: int) -> None:
         for overlap in self._overlaps[tile]:
             self._arriving[overlap.other][tile] = overlap, overlap_values(overlap, results)
 
     def exchange(self) -> None:
-        self._held, self._arriving = self._arriving, [{} for _ in self._held]
+        self._received, self._arriving = self._arriving, [{} for _ in self._received]
 
     def received(self, tile: int) -> Sequence[Received]:
-        return list(self._held[tile].values())
+        return list(self._received[tile].values())
 
     def allgather(self, value: Value) -> list[Value]:
         return [value]
@@ -75,7 +75,7 @@ class LockStep:
         self._subsets: list[TexelSubset] = []  # of this process's tiles, for the next iteration
         self._subset: TexelSubset | None = None  # of all tiles
         self._iterations_made = 0  # iterations of the last round
-        self._work: Iterator[None] | None = None
+        self._pending: Iterator[None] | None = None
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> None:
         """Advance as RecoveryEngine.step.
@@ -85,34 +85,34 @@ class LockStep:
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
-        while self._work is not None or not self._done and (left is None or left > 0 or self._initialising):
-            if self._work is None:
+        while self._pending is not None or not self._done and (left is None or left > 0 or self._initialising):
+            if self._pending is None:
                 # Longer rounds only save turns. Without turns, short ones leave little for the next call to finish.
                 most = 1 if left is None and deadline is not None and self._pool.resident else left
-                self._work = self._round(0 if self._initialising else most, deadline is not None)
-            for _ in self._work:
+                self._pending = self._round(0 if self._initialising else most, deadline is not None)
+            for _ in self._pending:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return
-            self._work = None
+            self._pending = None
             left = None if left is None else left - self._iterations_made
             if deadline is not None and not self._pool.resident:
                 return  # all tiles are at the same iteration: a checkpoint now takes no extra turn
 
     def finish_round(self) -> None:
         """Bring all tiles to the same iteration."""
-        if self._work is not None:
-            for _ in self._work:
+        if self._pending is not None:
+            for _ in self._pending:
                 pass
-            self._work = None
+            self._pending = None
 
     def restart(self) -> None:
         """Discard the round and the published halos: the tiles' recoveries have changed."""
-        self._work, self._published, self._subset = None, False, None
+        self._pending, self._published, self._subset = None, False, None
 
     @property
     def settled(self) -> bool:
         """Whether all tiles are at the same iteration."""
-        return self._work is None
+        return self._pending is None
 
     @property
     def _done(self) -> bool:
@@ -139,11 +139,11 @@ class LockStep:
             tile.round_maps = None
             self._receive(number)
             if most == 0:
-                yield from self._stepping(number, 0, budget)
+                yield from self._tile_steps(number, 0, budget)
             made = 0
             while (count is None or made < count) and not recovery.progress.done:
                 recovery.reached = False
-                yield from self._stepping(number, 1, budget)
+                yield from self._tile_steps(number, 1, budget)
                 made, tile.reached = made + 1, recovery.reached
                 yield
                 if turn == 0 and (recovery.reads_other_tiles or self._reached(recovery)):
@@ -158,10 +158,10 @@ class LockStep:
         if self._pool.active.checks_threshold and all(self._transport.allgather(reached)):
             yield from self._finish_stage()
 
-    def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
+    def _tile_steps(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
         """Run iterations of a tile, and record its progress."""
         tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
-        for _ in recovery.stepping(iterations, budget):
+        for _ in recovery.iteration_steps(iterations, budget):
             tile.progress = recovery.progress
             yield
         tile.progress = recovery.progress

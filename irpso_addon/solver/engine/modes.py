@@ -26,7 +26,7 @@ def with_modes(maps: Maps) -> Maps:
     texels. A number has two modes in a material where the mean of its texels' ``alternatives``, times _TEXELS (or the
     number of texels, if smaller), is under _CONTRADICTED.
     """
-    if not maps.alternatives or not maps.covered.any():
+    if not maps.alternatives or not maps.solved.any():
         return maps
     parameters, names = maps.model.parameters, list(maps.alternatives)
     subset = reduce(lambda a, b: merged_subset([a, b]), (chosen_texels(*texels) for texels in _texels(maps)))
@@ -37,7 +37,7 @@ def with_modes(maps: Maps) -> Maps:
     materials = mixture(features[finite], np.ones(np.count_nonzero(finite)), Materials().count)
     count = len(materials[0])
     weights, deviance_sums = np.zeros(count), np.zeros((count, len(names)))
-    material = np.zeros(maps.covered.shape, np.uint8)
+    material = np.zeros(maps.solved.shape, np.uint8)
     for rows, columns, values in _texels(maps):
         weight = memberships(features_of(maps.model, parameters, values), *materials)
         material[rows, columns] = weight.argmax(axis=1)
@@ -46,14 +46,14 @@ def with_modes(maps: Maps) -> Maps:
         deviance_sums += weight.T @ deviances.astype(np.float64)
     mean = deviance_sums / np.maximum(weights, 1e-9)[:, None]
     bimodal = mean * np.minimum(weights, _TEXELS)[:, None] < _CONTRADICTED
-    return replace(maps, two_modes={name: bimodal[material, i] & maps.covered for i, name in enumerate(names)})
+    return replace(maps, two_modes={name: bimodal[material, i] & maps.solved for i, name in enumerate(names)})
 
 
 def _texels(maps: Maps) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield (n,) rows, (n,) columns and (n, C) float64 components of the covered texels, some rows at a time."""
-    height, width = maps.covered.shape
+    height, width = maps.solved.shape
     step = max(1, _AT_ONCE // width)
     for first in range(0, height, step):
-        rows, columns = np.nonzero(maps.covered[first : first + step])
+        rows, columns = np.nonzero(maps.solved[first : first + step])
         values = [maps.values[p.name][first : first + step][rows, columns] for p in maps.model.parameters]
         yield rows + first, columns, np.concatenate(values, axis=-1).astype(np.float64)

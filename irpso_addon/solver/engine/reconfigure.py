@@ -57,9 +57,9 @@ def first_begin(
     guess: Mapping[str, np.ndarray] | None,
 ) -> Begin:
     """Return the begin of a new recovery. The arguments are as for a Recovery."""
-    held, stack, found = samples_of(domain, model, schedule, prepared)
-    values = {name: held.packing.pack(value) for name, value in {**(guess or found), **fixed}.items()}
-    return Begin(held, stack, Estimates(model, values))
+    domain_textures, stack, found = samples_of(domain, model, schedule, prepared)
+    values = {name: domain_textures.packing.pack(value) for name, value in {**(guess or found), **fixed}.items()}
+    return Begin(domain_textures, stack, Estimates(model, values))
 
 
 def samples_of(
@@ -69,8 +69,8 @@ def samples_of(
     prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
     packing = present(prepared.packing)
     numbers = packing.pack(prepared.scale), prepared.mean_irradiance, prepared.arrays
-    held = DomainTextures(domain, packing, None, *numbers)
-    return held, prepared.stack, prepared.guess
+    domain_textures = DomainTextures(domain, packing, None, *numbers)
+    return domain_textures, prepared.stack, prepared.guess
 
 
 def reusable(

@@ -19,9 +19,9 @@ from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..phases.acceptance import AcceptanceTest
 from ..phases.create_phase import check_seed, create_phase, made_by
-from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
-from ..phases.prefit import AcceptanceTest
+from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, PhaseContext, band_seconds
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.levels import warm_started
@@ -39,7 +39,7 @@ from .diagnostics import Diagnostics
 from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
 from .reconfigure import Begin, first_begin, reusable, samples_of
-from .watch import Note
+from .watch import TexelRecord
 
 _THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
 
@@ -86,7 +86,7 @@ class Recovery(RecoveryEngine):
         self._shown_at: tuple[int, int] | None = None  # … of a display's copy
         self._measuring: Iterator[None] | None = None
         self._bands = Bands()
-        self._work: Iterator[None] | None = None
+        self._pending: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its initialisation
         self._index, self._evaluations = begin.index, begin.evaluations
         self._begun = begin.evaluations  # at the begin of the stage
@@ -114,10 +114,10 @@ class Recovery(RecoveryEngine):
         return self._separation
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        next(self.stepping(iterations, time_budget_s), None)
+        next(self.iteration_steps(iterations, time_budget_s), None)
         return self.progress
 
-    def stepping(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
+    def iteration_steps(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
         """Make exactly so many iterations, None for all, and place the swarms after them; yields when the time is over.
 
         Repeated calls of ``step`` are no substitute: one that stops while the next stage's swarms are initialised makes
@@ -126,13 +126,13 @@ class Recovery(RecoveryEngine):
         self._bands.paced = time_budget_s is not None
         left, started = iterations, time.perf_counter()
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
-            if self._work is None:
-                self._work, self._measuring = self._iteration(self._phase, band_seconds(time_budget_s)), None
-            for _ in self._work:
+            if self._pending is None:
+                self._pending, self._measuring = self._iteration(self._phase, band_seconds(time_budget_s)), None
+            for _ in self._pending:
                 if time_budget_s is not None and time.perf_counter() >= started + time_budget_s:
                     yield
                     started = time.perf_counter()
-            self._work = None
+            self._pending = None
             left = left - 1 if left is not None and self._counts else left
 
     @property
@@ -144,14 +144,14 @@ class Recovery(RecoveryEngine):
         self._ensure_measured(confidence)
         return replace(self._diagnostics.maps(confidence), model=self.model)
 
-    def note(self, rows: np.ndarray, columns: np.ndarray) -> Note:
+    def record(self, rows: np.ndarray, columns: np.ndarray) -> TexelRecord:
         self._ensure_measured(confidence=False)
-        return Note(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
+        return TexelRecord(self.progress.iteration_in_all, *self._diagnostics.at(rows, columns))
 
     def _ensure_measured(self, confidence: bool) -> None:
         """Measure what maps() returns, unless it has been measured."""
         at = self.at
-        if self._work is not None or self._measured_at != at or (confidence and self._confidence_at != at):
+        if self._pending is not None or self._measured_at != at or (confidence and self._confidence_at != at):
             for _ in self._measure(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
 
@@ -159,7 +159,7 @@ class Recovery(RecoveryEngine):
         """Work as RecoveryEngine.refresh_confidence, after the current iteration; a step in between starts it anew."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         if self._measuring is None:
-            if self._work is None and self._measured_at == self._confidence_at == self.at:
+            if self._pending is None and self._measured_at == self._confidence_at == self.at:
                 return True
             self._measuring = self._measure(True, band_seconds(time_budget_s), deadline is not None)
         for _ in self._measuring:
@@ -179,9 +179,9 @@ class Recovery(RecoveryEngine):
         yield {**self._textures.textures, **self._show()}
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        held, fitness, defines = self.held, self.schedule.fitness, self._textures.defines
-        work = deviation_pass(self._model_with_priors(self.schedule), held, fitness, defines)
-        return work, loss_constants(self._textures, fitness.delta)
+        unsearched, fitness, defines = self.unsearched, self.schedule.fitness, self._textures.defines
+        pass_ = deviation_pass(self._model_with_priors(self.schedule), unsearched, fitness, defines)
+        return pass_, loss_constants(self._textures, fitness.delta)
 
     def give_stack(self) -> None:
         """Upload the packed samples, if they are still on the host: by default the first iteration does."""
@@ -216,7 +216,7 @@ class Recovery(RecoveryEngine):
     def restore_snapshot(self, saved: Checkpoint) -> None:
         """Continue from what ``snapshot`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
-        self._work = self._measuring = self._measured_at = self._confidence_at = self._shown_at = None
+        self._pending = self._measuring = self._measured_at = self._confidence_at = self._shown_at = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._begun, self._repeats = saved.begun, saved.begun != NEVER
@@ -243,12 +243,12 @@ class Recovery(RecoveryEngine):
         stages = resolve(schedule, self.model, set(self.fixed), self.domain.observations)
         self._finish_iteration()
         goes_on = reusable(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
-        held, stack = self._textures, self._stack
+        domain_textures, stack = self._textures, self._stack
         if not goes_on.samples:
-            held, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
+            domain_textures, stack, _ = samples_of(self.domain, self.model, schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
         known = made_by(self._stages[: goes_on.index], self._measurements)
-        begin = Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
+        begin = Begin(domain_textures, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         new._repeats = False  # it goes on with other swarms, or begins around what has been found
         if goes_on.phase:
@@ -269,7 +269,7 @@ class Recovery(RecoveryEngine):
         return Estimates(self.model, self._estimates.values(of_next=has_result))
 
     def close(self) -> None:
-        self._work = self._measuring = self._stack = None  # generators first: they hold textures
+        self._pending = self._measuring = self._stack = None  # generators first: they hold textures
         if self._phase is not None:
             self._phase.close()
             self._phase = None
@@ -278,9 +278,9 @@ class Recovery(RecoveryEngine):
             del self._textures, self._estimates, self._diagnostics
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
-        settings = self._stages[index], index, self._model_with_priors(schedule), schedule, self.seed
-        held = self._textures, self._estimates
-        return create_phase(*settings, *held, self.entry, self._acceptance, self._measurements)
+        model = self._model_with_priors(schedule)
+        shared = PhaseContext(model, schedule, self._textures, self._estimates, self.entry)
+        return create_phase(self._stages[index], index, shared, self.seed, self._acceptance, self._measurements)
 
     def _take_measurements(self, measurements: PrefitMeasurements) -> Generator[None, None, None]:
         """Hold the measurements of the phases so far; apply them to the samples. Yields where that takes long."""
@@ -305,7 +305,7 @@ class Recovery(RecoveryEngine):
 
     def _make_diagnostics(self) -> Diagnostics:
         model = self._model_with_priors(self.schedule)
-        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.held)
+        return Diagnostics(model, self.schedule.fitness, self._textures, self._estimates, self.unsearched)
 
     def _model_with_priors(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
@@ -339,7 +339,7 @@ class Recovery(RecoveryEngine):
         yield from phase.write_estimates(self._bands, seconds)
         if not phase.keeps_estimates:
             self._estimates.swap()
-        if (measurements := (yield from phase.measuring(self._bands, seconds))) is not None:
+        if (measurements := (yield from phase.measure_steps(self._bands, seconds))) is not None:
             yield from self._take_measurements(measurements)
             self.give_stack()
         yield  # the last one: view() must not see a closed phase
@@ -350,22 +350,22 @@ class Recovery(RecoveryEngine):
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:
-        if self._work is not None:
-            for _ in self._work:
+        if self._pending is not None:
+            for _ in self._pending:
                 pass
-            self._work = None
+            self._pending = None
 
     def _measure(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Finish the iteration, then measure what maps() returns."""
         self.give_stack()
-        if self._work is not None:
+        if self._pending is not None:
             self._bands.paced = paced
-            for _ in self._work:  # yield from would close it where a caller stops early
+            for _ in self._pending:  # yield from would close it where a caller stops early
                 yield
-            self._work = None
+            self._pending = None
         at = self.at
         self._measured_at = self._confidence_at = None
-        yield from self._diagnostics.measuring(self._phase, confidence, seconds, paced)
+        yield from self._diagnostics.measure_steps(self._phase, confidence, seconds, paced)
         self._measured_at, self._confidence_at = at, at if confidence else None
 
     def _show(self) -> dict[str, Texture]:

@@ -130,8 +130,8 @@ class Successive(RecoveryEngine):
         return self._live.separation if self._live.domain.shape == self.domain.shape else None
 
     @property
-    def held(self) -> frozenset[str]:
-        return self._live.held
+    def unsearched(self) -> frozenset[str]:
+        return self._live.unsearched
 
     @property
     def settled(self) -> bool:

@@ -23,11 +23,11 @@ from ..state.checkpoint import NEVER, Checkpoint
 from ..state.layout import TexelLayout, joined, numbered
 from ..state.separation_record import Separation
 from .engine import Capabilities, RecoveryEngine
-from .halo import Box, held_rows, own_of, own_rows, part_of, rectangle
+from .halo import Box, own_of, own_rows, part_of, rectangle, tile_rows
 from .lockstep import LocalTransport, LockStep
 from .progress import Progress
 from .tiles import Tile, TilePool
-from .watch import Note, Watch, noted_by_all
+from .watch import TexelRecord, Watch, recorded_by_all
 
 
 class TiledRecovery(RecoveryEngine):
@@ -139,9 +139,9 @@ class TiledRecovery(RecoveryEngine):
                 part.watch = Watch(*there, due, last=part.progress.iteration_in_all)
                 self._watched.append((part.watch, np.flatnonzero(inside)))
 
-    def notes(self) -> list[Note]:
+    def records(self) -> list[TexelRecord]:
         # In a round the threshold may still end the stage.
-        return noted_by_all(self._watched) if self._driver.settled or self.progress.done else []
+        return recorded_by_all(self._watched) if self._driver.settled or self.progress.done else []
 
     @property
     def separation(self) -> Separation | None:
@@ -185,8 +185,8 @@ class TiledRecovery(RecoveryEngine):
         self._once = saved.stage if saved.begun == NEVER else None
         numbers, limit = numbered(self.domain.solvable), context.max_texture_size()
         for number, part in enumerate(self._pool.tiles):
-            held = held_rows(numbers, part.place)
-            arrays = TexelLayout(part.domain).arrays({n: rows[held] for n, rows in saved.arrays.items()}, limit)
+            of_tile = tile_rows(numbers, part.place)
+            arrays = TexelLayout(part.domain).arrays({n: rows[of_tile] for n, rows in saved.arrays.items()}, limit)
             made, begun = (max(0, n) // max(1, self._solved) * part.solved for n in (saved.evaluations, saved.begun))
             self._pool.wait(number, replace(saved, evaluations=made, begun=begun, arrays=arrays))
         self._pool.fill()

@@ -111,9 +111,9 @@ class Tile:
         return place_of(self.box, self.domain)
 
     def record_due(self) -> None:
-        """Record a note of the watched texels if one is due."""
+        """Record the values of the watched texels if they are due."""
         if self.watch is not None and self.recovery is not None:
-            self.watch.record_due(self.recovery.progress, self.recovery.note)
+            self.watch.record_due(self.recovery.progress, self.recovery.record)
 
 
 class TilePool:

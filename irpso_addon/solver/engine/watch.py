@@ -13,7 +13,7 @@ from .progress import Progress
 
 
 @dataclass(frozen=True)
-class Note:
+class TexelRecord:
     """The values of ``maps`` at n texels after an iteration, which is counted over all stages.
 
     values: parameter name → (n, components). residual: (n,).
@@ -24,48 +24,48 @@ class Note:
     residual: np.ndarray
 
 
-def note_of(maps: Maps, iteration: int, rows: np.ndarray, columns: np.ndarray) -> Note:
-    """Return the note of (n,) texels of maps that have a residual."""
+def record_of(maps: Maps, iteration: int, rows: np.ndarray, columns: np.ndarray) -> TexelRecord:
+    """Return the record of (n,) texels of maps that have a residual."""
     values = {name: value[rows, columns] for name, value in maps.values.items()}
-    return Note(iteration, values, present(maps.residual)[rows, columns])
+    return TexelRecord(iteration, values, present(maps.residual)[rows, columns])
 
 
 @dataclass
 class Watch:
-    """Records notes of n texels of a recovery, (n,) rows and columns, after the iterations that are ``due``."""
+    """Records the values of n texels of a recovery, (n,) rows and columns, after the iterations that are ``due``."""
 
     rows: np.ndarray
     columns: np.ndarray
     due: Callable[[Progress], bool]
-    notes: list[Note] = field(default_factory=list)
-    last: int = 0  # iteration of the last note: the initialisation of a stage's swarms is no new one
+    records: list[TexelRecord] = field(default_factory=list)
+    last: int = 0  # iteration of the last record: the initialisation of a stage's swarms is no new one
 
-    def record_due(self, progress: Progress, note: Callable[[np.ndarray, np.ndarray], Note]) -> None:
-        """Record a note if one is due. progress, note: of the texels' recovery."""
+    def record_due(self, progress: Progress, record: Callable[[np.ndarray, np.ndarray], TexelRecord]) -> None:
+        """Record the values if they are due. progress, record: of the texels' recovery."""
         if progress.iteration_in_all != self.last and self.due(progress):
             self.last = progress.iteration_in_all
-            self.notes.append(note(self.rows, self.columns))
+            self.records.append(record(self.rows, self.columns))
 
     def discard(self, iteration: int) -> None:
-        """Remove the note of an iteration that was the last of its stage."""
-        self.notes = [note for note in self.notes if note.iteration != iteration]
+        """Remove the record of an iteration that was the last of its stage."""
+        self.records = [record for record in self.records if record.iteration != iteration]
 
 
-def noted_by_all(watches: Sequence[tuple[Watch, np.ndarray]]) -> list[Note]:
-    """Remove from watches the notes that all of them have, and return these merged.
+def recorded_by_all(watches: Sequence[tuple[Watch, np.ndarray]]) -> list[TexelRecord]:
+    """Remove from watches the records that all of them have, and return these merged.
 
     watches: each with the indices of its texels among all watched texels.
     """
     merged = []
     texels = sum(len(numbers) for _, numbers in watches)
-    for notes in zip(*(watch.notes for watch, _ in watches), strict=False):
-        whole = {name: np.empty((texels, value.shape[1]), np.float32) for name, value in notes[0].values.items()}
+    for records in zip(*(watch.records for watch, _ in watches), strict=False):
+        whole = {name: np.empty((texels, value.shape[1]), np.float32) for name, value in records[0].values.items()}
         residual = np.empty(texels, np.float32)
-        for note, (_, numbers) in zip(notes, watches, strict=True):
-            residual[numbers] = note.residual
-            for name, value in note.values.items():
+        for record, (_, numbers) in zip(records, watches, strict=True):
+            residual[numbers] = record.residual
+            for name, value in record.values.items():
                 whole[name][numbers] = value
-        merged.append(Note(notes[0].iteration, whole, residual))
+        merged.append(TexelRecord(records[0].iteration, whole, residual))
     for watch, _ in watches:
-        del watch.notes[: len(merged)]
+        del watch.records[: len(merged)]
     return merged

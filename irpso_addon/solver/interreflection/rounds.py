@@ -23,7 +23,7 @@ from ..engine.recovery import Recovery
 from ..engine.successive import Successive
 from ..phases.phase import BAND_SECONDS
 from ..planning.cost import works_of_rounds
-from ..settings.resolve import held_names
+from ..settings.resolve import unsearched_names
 from ..settings.round_schedules import RoundSchedules, round_schedules
 from ..settings.schedule import Schedule
 from ..state.checkpoint import Checkpoint
@@ -327,10 +327,10 @@ class InterreflectionRounds(Successive):
         colour = next((values[p.name][solved] for p in self.model.parameters if p.is_albedo), None)
         if colour is None:
             return values
-        held = held_names(self.schedule, self.model, self.fixed)
+        unsearched = unsearched_names(self.schedule, self.model, self.fixed)
         for p in self.model.parameters:
             deviation = (maps.confidence or {}).get(p.name)
-            if not (p.is_normal or p.is_albedo or p.name in held or deviation is None):
+            if not (p.is_normal or p.is_albedo or p.name in unsearched or deviation is None):
                 values[p.name] = values[p.name].copy()
                 own = values[p.name][solved], deviation[solved]
                 values[p.name][solved] = shrunk_to_similar_colours(*own, colour, well_fitted[solved])

@@ -50,9 +50,9 @@ class RefinementPasses:
 
     def close(self) -> None:
         """Free the shaders."""
-        for work in (self.begin, self.step, self.propagate, self.keep, self.keep_probable):
-            if work is not None:
-                work.close()
+        for pass_ in (self.begin, self.step, self.propagate, self.keep, self.keep_probable):
+            if pass_ is not None:
+                pass_.close()
 
 
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:

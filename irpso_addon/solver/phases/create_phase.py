@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ...core.errors import InputError
-from ...gpu.kernel import Entry
-from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import (
     Resolved,
     ResolvedIndirect,
@@ -19,12 +17,11 @@ from ..settings.resolve import (
     ResolvedSpatialPrior,
     ResolvedSurface,
 )
-from ..settings.schedule import Schedule
 from ..state.prefit_measurements import PrefitMeasurements
-from ..state.textures import DomainTextures, Estimates
+from .acceptance import AcceptanceTest
 from .indirect import IndirectPhase
-from .phase import Phase
-from .prefit import AcceptanceTest, PrefitPhase
+from .phase import Phase, PhaseContext
+from .prefit import PrefitPhase
 from .refinement import RefinementPhase
 from .separation import SeparationPhase
 from .sequential_swarm import SequentialSwarmPhase
@@ -52,12 +49,8 @@ def check_seed(seed: int) -> None:
 def create_phase(
     stage: Resolved,
     index: int,
-    model: ReflectanceModel,
-    schedule: Schedule,
+    context: PhaseContext,
     seed: int,
-    domain: DomainTextures,
-    estimates: Estimates,
-    entry: Entry,
     acceptance: Callable[[], AcceptanceTest | None],
     measurements: PrefitMeasurements,
 ) -> Phase:
@@ -70,21 +63,21 @@ def create_phase(
     if isinstance(stage, ResolvedRefinement):
         test = acceptance() if any(p.is_normal for p in stage.parameters) else None
         kind = SharedMaterialsPhase if isinstance(stage, ResolvedMaterials) else RefinementPhase
-        return kind(stage, model, schedule, domain, estimates, entry, test)
+        return kind(stage, context, test)
     if isinstance(stage, ResolvedSpatialPrior):
-        return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
+        return SpatialPriorPhase(stage, context, acceptance())
     if isinstance(stage, ResolvedSurface):
-        return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())
+        return SurfacePhase(stage, context, acceptance())
     if isinstance(stage, ResolvedPrefit):
-        return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, measurements)
+        return PrefitPhase(stage, context, seed, measurements)
     if isinstance(stage, ResolvedSheen):
-        return SheenPhase(stage, model, schedule, domain, estimates, entry, measurements)
+        return SheenPhase(stage, context, measurements)
     if isinstance(stage, ResolvedIndirect):
-        return IndirectPhase(stage, model, schedule, domain, estimates, entry, measurements)
+        return IndirectPhase(stage, context, measurements)
     if isinstance(stage, ResolvedSeparation):
-        return SeparationPhase(stage, model, schedule, domain, estimates, entry, measurements)
-    kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
-    return kind_of_swarm(stage, model, schedule, seed, domain, estimates, entry)
+        return SeparationPhase(stage, context, measurements)
+    kind_of_swarm = SynchronousSwarmPhase if context.schedule.swarm.update == "all" else SequentialSwarmPhase
+    return kind_of_swarm(stage, context, seed)
 
 
 def made_by(stages: Sequence[Resolved], measurements: PrefitMeasurements) -> PrefitMeasurements:

@@ -6,14 +6,12 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
-from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedIndirect
 from ..settings.schedule import Schedule
 from ..state.phase_textures import indirect_table
 from ..state.prefit_measurements import PrefitMeasurements
-from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
+from .phase import PhaseContext
 
 # Share of texels above both limits on rendered captures like DiLiGenT's: goblet 38 % and concave mix 23 %, with normal
 # errors of 55 and 27° there; convex metal 3 %, velvet 2 %, a bunny that only casts shadows 0.
@@ -23,20 +21,11 @@ _MIN_MISFIT, _MIN_SURPLUS = 0.2, 0.03
 class IndirectPhase(NeighbourTest):
     """A NeighbourTest of the indirect misfit. It raises the shadow threshold of texels above the limits."""
 
-    def __init__(
-        self,
-        resolved: ResolvedIndirect,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        measurements: PrefitMeasurements,
-    ):
+    def __init__(self, resolved: ResolvedIndirect, context: PhaseContext, measurements: PrefitMeasurements):
         self._measurements = replace(measurements, indirect_misfit=None)
         super().__init__(
-            resolved, model, schedule, domain, estimates, entry, indirect_table(), "prefit/indirect.glsl",
-            limits(schedule), measurements.indirect_misfit,
+            resolved, context, indirect_table(), "prefit/indirect.glsl",
+            limits(context.schedule), measurements.indirect_misfit,
         )  # fmt: skip
 
     @property
@@ -48,8 +37,8 @@ class IndirectPhase(NeighbourTest):
         """Write nothing."""
         yield from ()
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements; the shadow threshold of each texel replaces the misfit of indirect light."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields once; returns the measurements, with shadow thresholds in place of the indirect misfit."""
         yield
         return replace(self._measurements, shadow=self.read(self.decided)[..., 0])
 

@@ -7,18 +7,15 @@ from collections.abc import Generator, Iterator, Mapping
 import numpy as np
 
 from ...gpu.bands import Bands
-from ...gpu.kernel import Defines, Entry, Kernel, Output
+from ...gpu.kernel import Defines, Kernel, Output
 from ...gpu.passes import Pass
-from ...reflectance.model import ReflectanceModel
 from ..kernels import declarations
 from ..kernels.spatial_prior import taps_of
 from ..settings.groups import SpatialPrior
 from ..settings.resolve import ResolvedIndirect, ResolvedSheen
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, TextureTable
 from ..state.prefit_measurements import PrefitMeasurements
-from ..state.textures import DomainTextures, Estimates
-from .phase import TexturePhase
+from .phase import PhaseContext, TexturePhase
 
 STENCIL_RADIUS, TAPS = 8, taps_of(SpatialPrior(scales=3))
 
@@ -36,21 +33,17 @@ class NeighbourTest(TexturePhase):
     def __init__(
         self,
         resolved: ResolvedIndirect | ResolvedSheen,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
+        context: PhaseContext,
         table: TextureTable,
         source: str,
         limits: Mapping[str, float],
         compared: np.ndarray | None,
     ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry)
+        super().__init__(resolved, context)
         self._compared_group, self.decided = table.groups
         self.shared = (self._compared_group,)
-        self.textures = PhaseTextures(table, *estimates.size)
-        self.passes = decision_pass(source, self.decided, limits, domain.defines)
+        self.textures = PhaseTextures(table, *self.estimates.size)
+        self.passes = decision_pass(source, self.decided, limits, self.domain.defines)
         self._compared = compared
 
     @property
@@ -71,8 +64,8 @@ class NeighbourTest(TexturePhase):
         yield from self.passes.in_bands(self.title, bands, seconds, textures.of(self.decided), inputs, {})
         self.iteration += 1
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements after the decisions."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields often; returns the measurements after the decisions."""
         raise NotImplementedError
 
     def read(self, *names: str) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -30,6 +31,20 @@ def band_seconds(time_budget_s: float | None) -> float:
     if time_budget_s is None:
         return BACKGROUND_BAND_SECONDS
     return min(max(BAND_SECONDS, time_budget_s / _BANDS), _SHARE * time_budget_s)
+
+
+@dataclass(frozen=True)
+class PhaseContext:
+    """What a phase shares with its recovery: model and settings, samples, estimates, and the entry of its shaders.
+
+    estimates: a phase reads the current ones and writes the next ones.
+    """
+
+    model: ReflectanceModel
+    schedule: Schedule
+    domain: DomainTextures
+    estimates: Estimates
+    entry: Entry
 
 
 class Phase(Protocol):
@@ -92,8 +107,8 @@ class Phase(Protocol):
         """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
         return False
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements | None]:
-        """Return, after the last iteration, all measurements for later phases; None if the phase makes none."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements | None]:
+        """Yields often; returns, after the last iteration, all measurements for later phases, None if it makes none."""
         yield from ()
         return None
 
@@ -124,7 +139,7 @@ class Phase(Protocol):
 class Acceptance(Protocol):
     """A test that decides which next estimates are accepted."""
 
-    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
+    def decide_steps(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
 
     def close(self) -> None:
@@ -149,20 +164,12 @@ class TexturePhase(Phase):
     textures: PhaseTextures
     passes: Passes
 
-    def __init__(
-        self,
-        resolved: Resolved,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        acceptance: Acceptance | None = None,
-    ):
+    def __init__(self, resolved: Resolved, context: PhaseContext, acceptance: Acceptance | None = None):
         self.title, self.iterations = resolved.title, resolved.iterations
-        self.model, self.schedule, self.domain, self.estimates = model, schedule, domain, estimates
+        self.model, self.schedule = context.model, context.schedule
+        self.domain, self.estimates = context.domain, context.estimates
         self.acceptance = acceptance
-        self.reader = Reader(entry)
+        self.reader = Reader(context.entry)
 
     def _inputs(self) -> dict[str, Texture]:
         """Return the textures that the passes read, by sampler name: estimates, the phase's own, the domain's."""

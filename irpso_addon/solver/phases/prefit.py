@@ -13,7 +13,7 @@ from ...core.optional import present
 from ...core.paths import SHADERS
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
+from ...gpu.kernel import Defines, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
@@ -24,7 +24,7 @@ from ..settings.resolve import ResolvedPrefit
 from ..settings.schedule import Schedule
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.textures import DomainTextures, Estimates, loss_constants
-from .phase import Phase
+from .phase import Phase, PhaseContext
 from .refinement import RefinementPhase
 from .synchronous_swarm import SynchronousSwarmPhase
 
@@ -32,7 +32,6 @@ from .synchronous_swarm import SynchronousSwarmPhase
 # normals of metals (metallic of a gilding 0.056, not 0.042). With this limit the mean error in hollows of
 # bunny_specular, which few of its 50 lights reach, falls from 0.82 to 0.69°.
 _SAMPLES_PER_UNKNOWN = 3
-_ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally good
 # Least fitness of the first prefit for a second one with sheen: SheenPhase adopts none whose neighbourhood fits better
 # than 0.37. On captures like DiLiGenT's the limit reduces the time to 0.35 to 0.47 on clay and glaze, not on velvet and
 # metal paint; the normals' mean error changes by less than 0.03°.
@@ -58,17 +57,8 @@ class PrefitPhase(Phase):
     estimate, kernels/encoding.py encodes it, initialise_particle (shaders/swarm/update.glsl) places them.
     """
 
-    def __init__(
-        self,
-        resolved: ResolvedPrefit,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        seed: int,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        measurements: PrefitMeasurements,
-    ):
+    def __init__(self, resolved: ResolvedPrefit, context: PhaseContext, seed: int, measurements: PrefitMeasurements):
+        schedule, domain = context.schedule, context.domain
         self._chosen: np.ndarray | None = None
         if resolved.indirect:
             self._chosen = (domain.shadow > 0) | domain.separation.separated
@@ -76,15 +66,15 @@ class PrefitPhase(Phase):
             self._chosen = present(measurements.fitness) >= _MIN_FITNESS
         if self._chosen is not None:
             schedule, domain = schedule.replaced(c3=0.0, neighbour_interval=0), domain.where(self._chosen)
-        self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
-        self._domain, self._estimates, self._measurements = grey(domain, schedule), estimates, measurements
+        self._resolved, self._schedule, self._entry = resolved, schedule, context.entry
+        self._domain, self._estimates, self._measurements = grey(domain, schedule), context.estimates, measurements
         self._model, self.title = resolved.model, resolved.title
         self._domain.defines |= {
             "EXPONENT_COMPONENT": self._model.offset("cosine_exponent"),
             "EXPONENT_DEVIATION": f"{_EXPONENT_DEVIATION:.9f}",
         }  # fmt: skip
-        self.own = _first_estimates(self._model, model, estimates, domain)
-        self._adopt = adopt_pass(model, domain.defines)
+        self.own = _first_estimates(self._model, context.model, context.estimates, domain)
+        self._adopt = adopt_pass(context.model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
         self._indirect_misfit = (
             _indirect_misfit_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
@@ -93,7 +83,7 @@ class PrefitPhase(Phase):
         if schedule.swarm.start == "given":  # a given guess has a normal, but no parameters of the prefit's model
             schedule = schedule.replaced(start="lambert")
         self.inner: SynchronousSwarmPhase | RefinementPhase = SynchronousSwarmPhase(
-            resolved.stage, self._model, schedule, seed, self._domain, self.own, entry
+            resolved.stage, self._inner_context(schedule), seed
         )
         self.iterations = resolved.iterations
 
@@ -148,15 +138,14 @@ class PrefitPhase(Phase):
         prefit = {f"u_prefit_{i}": texture for i, texture in enumerate(own)}
         return {**self._estimates.bindings(), **self._domain.textures, **prefit}
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements, with the fitness of the next estimates of the prefit's model.
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields often; returns the measurements, with the fitness of the next estimates of the prefit's model.
 
-        Where the stage ``seeks`` indirect light, its misfit too; of a prefit with sheen, its normals and fitness. In
-        bands.
+        Where the stage ``seeks`` indirect light, its misfit too; of a prefit with sheen, its normals and fitness.
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(of_next=True), **self._domain.textures}
-        constants = _acceptance_constants(self._domain, self._schedule)
+        constants = acceptance_constants(self._domain, self._schedule)
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         fitness = textures.download(targets[0])[..., 0]
         if self._chosen is not None:
@@ -201,49 +190,17 @@ class PrefitPhase(Phase):
             self._indirect_misfit.close()
         self.own.close()
 
+    def _inner_context(self, schedule: Schedule) -> PhaseContext:
+        return PhaseContext(self._model, schedule, self._domain, self.own, self._entry)
+
     def _begin_refinement(self) -> None:
         self.inner.close()
         lights = self._domain.domain.lights  # the same for all parts of a domain
         narrow = not lights[:, 3].any() and flatness(lights[:, :3].astype(np.float64)) < NARROW
         self.inner = RefinementPhase(
-            self._resolved.refinement, self._model, self._schedule, self._domain, self.own, self._entry,
-            penalty=_PENALTY if narrow else NO_PENALTY,
-        )  # fmt: skip
+            self._resolved.refinement, self._inner_context(self._schedule), penalty=_PENALTY if narrow else NO_PENALTY
+        )
         self._refining = True
-
-
-class AcceptanceTest:
-    """Decides at every texel whether a phase of the recovery's model may replace the prefit's normal.
-
-    fitness: (h, w) of the prefit, packed. The accepted estimates become the next ones.
-    """
-
-    def __init__(
-        self,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        fitness: np.ndarray,
-    ):
-        self._domain, self._estimates = grey(domain, schedule), estimates
-        self._fitness = [textures.upload(fitness)]
-        self._schedule = schedule
-        self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
-        self._pass = _acceptance_pass(model, schedule, self._domain.defines)
-
-    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Replace the next estimates by the accepted ones, in bands; takes effect after the last one."""
-        work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.next)}
-        inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_prefit_fitness": self._fitness[0]}
-        constants = _acceptance_constants(self._domain, self._schedule)
-        yield from self._pass.in_bands("acceptance", bands, seconds, self._decided, inputs, constants)
-        self._estimates.next, self._decided = self._decided, self._estimates.next
-
-    def close(self) -> None:
-        """Free shader and textures."""
-        self._pass.close()
-        self._fitness, self._decided = [], []
 
 
 def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
@@ -283,35 +240,17 @@ def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
 
 
 def adopt_where(
-    adopt: Pass,
-    bands: Bands,
-    domain: DomainTextures,
-    estimates: Estimates,
-    model: ReflectanceModel,
-    chosen: np.ndarray,
-    normals: np.ndarray,
+    adopt: Pass, bands: Bands, context: PhaseContext, chosen: np.ndarray, normals: np.ndarray
 ) -> Iterator[None]:
     """Write normals (h, w, 3) into the next estimates where chosen, (h, w) bool; elsewhere the current ones stay.
 
     adopt: from ``adopt_pass``.
     """
-    normals = np.where(chosen[..., None], normals, normals_of(estimates, model))
+    estimates = context.estimates
+    normals = np.where(chosen[..., None], normals, normals_of(estimates, context.model))
     uploaded = textures.upload(np.pad(normals, ((0, 0), (0, 0), (0, 1))).astype(np.float32))
-    inputs = {**estimates.bindings(), **domain.textures, "u_prefit_0": uploaded}
+    inputs = {**estimates.bindings(), **context.domain.textures, "u_prefit_0": uploaded}
     yield from adopt.in_one_draw(bands, estimates.next, inputs)
-
-
-def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
-    packed = declarations.packed(model)
-    samplers: Samplers = {
-        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": declarations.FLOAT_2D, **declarations.OBSERVATIONS
-    }  # fmt: skip
-    defines = {
-        **defines, **declarations.fitness_defines(schedule.fitness, "geman_mcclure"),
-        "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
-    }  # fmt: skip
-    outputs, includes = (Output("o_estimate", packed),), declarations.model_includes(model)
-    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, declarations.LOSS_CONSTANTS, defines, includes))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
@@ -339,5 +278,6 @@ def _min_samples(model: ReflectanceModel, schedule: Schedule) -> int:
     return max(schedule.prefit.min_observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 
 
-def _acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
+def acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
+    """Return the constants of the losses that the acceptance test compares."""
     return loss_constants(domain, schedule.prefit.acceptance_delta)

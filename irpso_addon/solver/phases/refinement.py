@@ -9,16 +9,13 @@ import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
-from ...reflectance.model import ReflectanceModel
 from ..kernels.refinement import NO_PENALTY, PROPAGATION_RADIUS, RefinementPasses, build_refinement_passes
 from ..settings.resolve import BEST, PROPAGATE, ResolvedRefinement, Track
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, refinement_table
-from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
-from .phase import Acceptance, TexturePhase
+from ..state.textures import HALO, loss_constants, packed_states
+from .phase import Acceptance, PhaseContext, TexturePhase
 
 
 class RefinementPhase(TexturePhase):
@@ -30,19 +27,16 @@ class RefinementPhase(TexturePhase):
     def __init__(
         self,
         resolved: ResolvedRefinement,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
+        context: PhaseContext,
         acceptance: Acceptance | None = None,
         penalty: Path = NO_PENALTY,
     ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+        super().__init__(resolved, context, acceptance)
         self.resolved, self.refinement = resolved, resolved.refinement
         self.tracks = resolved.tracks
-        self.passes = build_refinement_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
-        self.textures = PhaseTextures(refinement_table(estimates.count), *estimates.size)
+        fitness, defines = self.schedule.fitness, self.domain.defines
+        self.passes = build_refinement_passes(self.model, resolved, fitness, defines, context.entry, penalty)
+        self.textures = PhaseTextures(refinement_table(self.estimates.count), *self.estimates.size)
         self.best: list[Texture] = []
         self.work: list[Texture] = []
 
@@ -98,7 +92,7 @@ class RefinementPhase(TexturePhase):
         targets = [*self.estimates.next, *self.textures.of("result")]
         yield from self._run(bands, self.passes.keep, targets, self._comparable())
         if self.acceptance is not None:
-            yield from self.acceptance.deciding(bands, seconds)
+            yield from self.acceptance.decide_steps(bands, seconds)
 
     def preview(self, targets: Sequence[Texture]) -> None:
         """Write the best material so far into other textures, before the acceptance test."""
@@ -208,14 +202,14 @@ class RefinementPhase(TexturePhase):
         return {**constants, "u_start": start, "u_settles": int(delta_factor == 1), "u_races": int(races)}
 
     def _run(
-        self, bands: Bands, work: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
+        self, bands: Bands, pass_: Pass, targets: list[Texture], inputs: dict[str, Texture], start: int = BEST
     ) -> Iterator[None]:
-        return work.in_one_draw(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
+        return pass_.in_one_draw(bands, targets, {**inputs, **self.domain.textures}, self._constants(start))
 
     def _in_bands(
         self,
         name: str,
-        work: Pass,
+        pass_: Pass,
         targets: list[Texture],
         inputs: dict[str, Texture],
         bands: Bands,
@@ -223,4 +217,4 @@ class RefinementPhase(TexturePhase):
         delta_factor: float = 1.0,
     ) -> Iterator[None]:
         inputs, constants = {**inputs, **self.domain.textures}, self._constants(delta_factor=delta_factor)
-        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=work is self.passes.step)
+        return pass_.in_bands(name, bands, seconds, targets, inputs, constants, counted=pass_ is self.passes.step)

@@ -17,7 +17,6 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels.declarations import FLOAT_2D, OBSERVATIONS, model_includes, packed
 from ..settings.resolve import ResolvedSeparation
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, shadow_light_table
 from ..state.prefit_measurements import PrefitMeasurements
 from ..state.prepare import lambert_steps
@@ -26,7 +25,7 @@ from ..state.separation import SeparatedStack, direct_chroma, median_chromas, se
 from ..state.separation_record import SHADOW_LIGHT, Separation
 from ..state.texel_subset import TexelSubset, chosen_texels
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
-from .phase import Phase
+from .phase import Phase, PhaseContext
 from .prefit import adopt_pass, adopt_where
 
 # Degrees: indirect light that turns a normal by less is not subtracted; the harmonics' errors turn it by about 1°. With
@@ -45,20 +44,11 @@ class SeparationPhase(Phase):
     has_result = False  # nothing to show before the end
     iteration = 0
 
-    def __init__(
-        self,
-        resolved: ResolvedSeparation,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        measurements: PrefitMeasurements,
-    ):
+    def __init__(self, resolved: ResolvedSeparation, context: PhaseContext, measurements: PrefitMeasurements):
         self.title, self.iterations = resolved.title, resolved.iterations
-        self._model, self._least_share, self._domain = model, schedule.prefit.indirect_share, domain
-        self._entry = entry
-        self._estimates, self._measurements = estimates, measurements
+        self._context, self._measurements = context, measurements
+        self._domain, self._least_share = context.domain, context.schedule.prefit.indirect_share
+        domain = self._domain
         self._indirect = domain.packing.unpack(present(measurements.shadow)) > 0
         self._misfit = np.minimum(domain.packing.unpack(present(measurements.fitness)), 1.0)
         # On velvet lit from the side, a badly fitted normal would make the lit half count as shadow.
@@ -66,7 +56,7 @@ class SeparationPhase(Phase):
         self._sheen = domain.packing.unpack(np.zeros_like(domain.scale) if sheen is None else sheen) > 0
         self._subset: TexelSubset | None = None
         self._separation = Separation.none(domain.domain.shape)
-        self._adopt = adopt_pass(model, domain.defines)
+        self._adopt = adopt_pass(context.model, domain.defines)
 
     @property
     def evaluations(self) -> int:
@@ -108,9 +98,10 @@ class SeparationPhase(Phase):
         # Not on a mesh: samples in its cast shadows have weight 0, so that they give no evidence.
         if self._domain.domain.card:
             separated = self._separation.separated
-            work = shadow_light_pass(self._model, self._least_share, MIN_TURN, self._domain.defines, self._entry)
+            model, entry = self._context.model, self._context.entry
+            pass_ = shadow_light_pass(model, self._least_share, MIN_TURN, self._domain.defines, entry)
             misfit = np.where(separated | self._sheen, 0, self._misfit)
-            asked = shadow_light_steps(work, self._domain, self._estimates, misfit, bands, seconds)
+            asked = shadow_light_steps(pass_, self._domain, self._context.estimates, misfit, bands, seconds)
             by_shadows = Separation.of_shadows((yield from asked))
             self._separation = self._separation.where(separated, by_shadows)
         self.iteration += 1
@@ -129,11 +120,10 @@ class SeparationPhase(Phase):
         direct = SeparatedStack(domain, self._separation)
         steps = lambert_steps(replace(domain, stack=direct, solvable=chosen))
         normal, _ = yield from map_steps(steps, lambda part: None)
-        target = self._domain, self._estimates, self._model
-        yield from adopt_where(self._adopt, bands, *target, packing.pack(chosen), packing.pack(normal))
+        yield from adopt_where(self._adopt, bands, self._context, packing.pack(chosen), packing.pack(normal))
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements, with the separation if any light was separated."""
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields once; returns the measurements, with the separation if any light was separated."""
         yield
         if not self._separation.any():
             return self._measurements
@@ -175,21 +165,21 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
 
 
 def shadow_light_steps(
-    work: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
+    pass_: Pass, domain: DomainTextures, estimates: Estimates, misfit: np.ndarray, bands: Bands, seconds: float
 ) -> Generator[None, None, np.ndarray]:
     """Return (H, W, SHADOW_LIGHT) float32: the output of shadow_light.glsl.
 
     0 everywhere if a light lacks a channel. misfit: (H, W), the prefit's loss, at most 1; texels of 0 are skipped.
-    work: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
+    pass_: from ``shadow_light_pass``; closed at the end. In bands of rows of about ``seconds``; yields after each.
     """
     phase_textures = PhaseTextures(shadow_light_table(), *estimates.size)
-    with closing(work), closing(phase_textures), closing(Reader(work.entry)) as reader:
+    with closing(pass_), closing(phase_textures), closing(Reader(pass_.entry)) as reader:
         if not (domain.domain.intensities > 0).all():
             return np.zeros((*domain.domain.shape, SHADOW_LIGHT), np.float32)
         phase_textures.upload("misfit", [domain.packing.pack(misfit[..., None].astype(np.float32))])
         yield from phase_textures.make()
         inputs = {**estimates.bindings(), **domain.textures, **phase_textures.bindings()}
         constants = {"u_observations": domain.domain.observations}
-        yield from work.in_bands("shadow light", bands, seconds, phase_textures.of("light"), inputs, constants)
+        yield from pass_.in_bands("shadow light", bands, seconds, phase_textures.of("light"), inputs, constants)
         packed = np.concatenate([reader.read(texture) for texture in phase_textures.of("light")], axis=-1)
     return domain.packing.unpack(packed)

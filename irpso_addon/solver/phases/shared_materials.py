@@ -74,7 +74,7 @@ class SharedMaterialsPhase(RefinementPhase):
         chosen[rows, columns] = True
         part = self.domain.where(packing.pack(chosen).astype(bool))
         best = {f"u_estimate_{i}": texture for i, texture in enumerate(self.best[:-1])}
-        for _ in self._alternatives.measuring(part, best, Bands(), _AT_ONCE):
+        for _ in self._alternatives.measure_steps(part, best, Bands(), _AT_ONCE):
             pass
         deviances = [packing.unpack(value)[rows, columns] for value in self._alternatives.read().values()]
         ratios = np.exp(-0.5 * np.maximum(np.nan_to_num(np.concatenate(deviances, axis=-1, dtype=np.float64)), 0.0))

@@ -9,14 +9,13 @@ import numpy as np
 
 from ...core.optional import present
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
-from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import ResolvedSheen
 from ..settings.schedule import Schedule
 from ..state.phase_textures import sheen_table
 from ..state.prefit_measurements import PrefitMeasurements
-from ..state.textures import UNFIT, DomainTextures, Estimates
+from ..state.textures import UNFIT
 from .neighbour_test import NeighbourTest
+from .phase import PhaseContext
 from .prefit import adopt_pass, adopt_where
 
 # A bunny without sheen, whose base only darkens toward the terminator: the prefit with sheen fits better by a third and
@@ -30,30 +29,22 @@ _STRONG_GAIN = 0.1
 class SheenPhase(NeighbourTest):
     """A NeighbourTest of two prefits; it adopts the normals of the second where they are chosen."""
 
-    def __init__(
-        self,
-        resolved: ResolvedSheen,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        measurements: PrefitMeasurements,
-    ):
-        self._measurements, self._ratio = measurements, schedule.prefit.acceptance_ratio
+    def __init__(self, resolved: ResolvedSheen, context: PhaseContext, measurements: PrefitMeasurements):
+        self._context = context
+        self._measurements, self._ratio = measurements, context.schedule.prefit.acceptance_ratio
         super().__init__(
-            resolved, model, schedule, domain, estimates, entry, sheen_table(), "prefit/sheen.glsl", limits(schedule),
+            resolved, context, sheen_table(), "prefit/sheen.glsl", limits(context.schedule),
             fits_of(present(measurements.fitness), measurements.sheen_fitness),
         )  # fmt: skip
-        self._adopt = adopt_pass(model, domain.defines)
+        self._adopt = adopt_pass(self.model, self.domain.defines)
 
     def write_estimates(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the chosen normals into the next estimates."""
         chosen, normals = self.read(self.decided)[..., 0] > 0, self._measurements.sheen_normal
-        yield from adopt_where(self._adopt, bands, self.domain, self.estimates, self.model, chosen, normals)
+        yield from adopt_where(self._adopt, bands, self._context, chosen, normals)
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
-        """Return the measurements with the chosen texels, whose fitness is the one with sheen.
+    def measure_steps(self, bands: Bands, seconds: float) -> Generator[None, None, PrefitMeasurements]:
+        """Yields once; returns the measurements with the chosen texels, whose fitness is the one with sheen.
 
         Where sheen lowers the misfit much, it is divided by the acceptance ratio: a model without must fit as well.
         """

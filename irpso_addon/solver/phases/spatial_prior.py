@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
-from ...reflectance.model import ReflectanceModel
 from ..kernels.spatial_prior import (
     DEVIATION,
     FIRST_ROUND,
@@ -19,10 +17,9 @@ from ..kernels.spatial_prior import (
     stencil_radius_of,
 )
 from ..settings.resolve import ResolvedSpatialPrior
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, spatial_prior_table
-from ..state.textures import DomainTextures, Estimates, loss_constants
-from .phase import Acceptance, TexturePhase
+from ..state.textures import loss_constants
+from .phase import Acceptance, PhaseContext, TexturePhase
 
 
 class SpatialPriorPhase(TexturePhase):
@@ -37,20 +34,13 @@ class SpatialPriorPhase(TexturePhase):
     has_result = False  # nothing to show before the end, when the most probable material is compared with the samples
     passes: SpatialPriorPasses
 
-    def __init__(
-        self,
-        resolved: ResolvedSpatialPrior,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        acceptance: Acceptance | None = None,
-    ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+    def __init__(self, resolved: ResolvedSpatialPrior, context: PhaseContext, acceptance: Acceptance | None = None):
+        super().__init__(resolved, context, acceptance)
         self.resolved = resolved
-        self.passes = build_spatial_prior_passes(model, resolved, schedule, domain.defines, entry)
-        self.textures = PhaseTextures(spatial_prior_table(estimates.count), *estimates.size)
+        self.passes = build_spatial_prior_passes(
+            self.model, resolved, self.schedule, self.domain.defines, context.entry
+        )
+        self.textures = PhaseTextures(spatial_prior_table(self.estimates.count), *self.estimates.size)
         self._first_step = FIRST_ROUND + resolved.prior.rounds
 
     @property
@@ -76,8 +66,8 @@ class SpatialPriorPhase(TexturePhase):
             yield from self._copy(bands, textures.of("own"), textures.of("deviation"))
         elif self.iteration < self._first_step:
             last = self.iteration == self._first_step - 1
-            work, name = (passes.pool_last, "pool last") if last else (passes.pool, "pool")
-            yield from self._in_bands(name, work, textures.spares("mean", "deviation"), bands, seconds)
+            pass_, name = (passes.pool_last, "pool last") if last else (passes.pool, "pool")
+            yield from self._in_bands(name, pass_, textures.spares("mean", "deviation"), bands, seconds)
             textures.swap("mean", "deviation")
         else:
             if self.iteration == self._first_step:
@@ -97,7 +87,7 @@ class SpatialPriorPhase(TexturePhase):
             return
         yield from self._in_bands("prior keep", self.passes.keep, self.estimates.next, bands, seconds)
         if self.acceptance is not None:
-            yield from self.acceptance.deciding(bands, seconds)
+            yield from self.acceptance.decide_steps(bands, seconds)
 
     def _copy(self, bands: Bands, sources: Sequence[Texture], targets: Sequence[Texture]) -> Iterator[None]:
         for source, target in zip(sources, targets, strict=True):
@@ -106,7 +96,7 @@ class SpatialPriorPhase(TexturePhase):
     def _in_bands(
         self,
         name: str,
-        work: Pass,
+        pass_: Pass,
         targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
@@ -115,5 +105,5 @@ class SpatialPriorPhase(TexturePhase):
         inputs = {**self._inputs(), **bound}
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_settles": 1}
         passes = self.passes
-        counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
-        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted)
+        counted = pass_ in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
+        return pass_.in_bands(name, bands, seconds, targets, inputs, constants, counted)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from ...gpu.bands import Bands
-from ...gpu.kernel import Entry
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
-from ...reflectance.model import ReflectanceModel
 from ..kernels.surface import (
     FIRST_ROUND,
     INFORMATION,
@@ -21,10 +19,9 @@ from ..kernels.surface import (
     evaluations_of,
 )
 from ..settings.resolve import ResolvedSurface
-from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, surface_table
-from ..state.textures import DomainTextures, Estimates, loss_constants
-from .phase import Acceptance, TexturePhase
+from ..state.textures import loss_constants
+from .phase import Acceptance, PhaseContext, TexturePhase
 
 
 class SurfacePhase(TexturePhase):
@@ -39,20 +36,11 @@ class SurfacePhase(TexturePhase):
     has_result = False  # nothing to show before the end
     passes: SurfacePasses
 
-    def __init__(
-        self,
-        resolved: ResolvedSurface,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        acceptance: Acceptance | None = None,
-    ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+    def __init__(self, resolved: ResolvedSurface, context: PhaseContext, acceptance: Acceptance | None = None):
+        super().__init__(resolved, context, acceptance)
         self.resolved = resolved
-        self.passes = build_surface_passes(model, resolved, schedule, domain.defines, entry)
-        self.textures = PhaseTextures(surface_table(), *estimates.size)
+        self.passes = build_surface_passes(self.model, resolved, self.schedule, self.domain.defines, context.entry)
+        self.textures = PhaseTextures(surface_table(), *self.estimates.size)
 
     @property
     def evaluations(self) -> int:
@@ -102,12 +90,12 @@ class SurfacePhase(TexturePhase):
             slopes = smoothed
         yield from self._in_bands("bend", passes.bend, self.estimates.next, bands, seconds, field=slopes)
         if self.acceptance is not None:
-            yield from self.acceptance.deciding(bands, seconds)
+            yield from self.acceptance.decide_steps(bands, seconds)
 
     def _in_bands(
         self,
         name: str,
-        work: Pass,
+        pass_: Pass,
         targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
@@ -116,4 +104,4 @@ class SurfacePhase(TexturePhase):
     ) -> Iterator[None]:
         inputs = self._inputs() | (self.textures.bound("field", field) if field else {})
         constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_momentum": momentum}
-        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)
+        return pass_.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)

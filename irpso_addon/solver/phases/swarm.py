@@ -11,14 +11,13 @@ from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
 from ...gpu.textures import Texture
-from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import build_encoding
 from ..kernels.sequential_swarm import SequentialSwarmPasses
 from ..kernels.synchronous_swarm import SynchronousSwarmPasses
 from ..settings.resolve import ResolvedSwarm
 from ..settings.schedule import Schedule
-from ..state.textures import DomainTextures, Estimates, loss_constants
-from .phase import TexturePhase
+from ..state.textures import loss_constants
+from .phase import PhaseContext, TexturePhase
 
 
 class SwarmPhase(TexturePhase):
@@ -30,22 +29,13 @@ class SwarmPhase(TexturePhase):
     passes: SequentialSwarmPasses | SynchronousSwarmPasses
     start_dimensions = 0xFF
 
-    def __init__(
-        self,
-        stage: ResolvedSwarm,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        seed: int,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-    ):
-        super().__init__(stage, model, schedule, domain, estimates, entry)
+    def __init__(self, stage: ResolvedSwarm, context: PhaseContext, seed: int):
+        super().__init__(stage, context)
         self.stage, self.seed = stage, seed
-        self.encoding = build_encoding(model, stage, schedule.swarm.normal)
-        self.particles = particle_count(schedule, self.encoding.dimensions)
-        self.width, self.height = domain.packing.width, domain.packing.height
-        self._build(entry)
+        self.encoding = build_encoding(self.model, stage, self.schedule.swarm.normal)
+        self.particles = particle_count(self.schedule, self.encoding.dimensions)
+        self.width, self.height = self.domain.packing.width, self.domain.packing.height
+        self._build(context.entry)
 
     def _build(self, entry: Entry) -> None:
         """Make ``textures`` and ``passes``; set the first ``iteration``."""

@@ -25,8 +25,8 @@ from ..settings.resolve import (
     ResolvedSpatialPrior,
     ResolvedSurface,
     ResolvedSwarm,
-    held_names,
     resolve,
+    unsearched_names,
 )
 from ..settings.round_schedules import RoundSchedules, round_schedules
 from ..settings.schedule import Schedule
@@ -171,7 +171,7 @@ def recovery_cost(
             for stage, phase in zip(stages, phases, strict=True)
         )
     free = model.without_priors({p.name for p in model.parameters})
-    numbers = sum(p.components for p in varied(free, held_names(schedule, model, fixed), schedule.fitness))
+    numbers = sum(p.components for p in varied(free, unsearched_names(schedule, model, fixed), schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
     transport = (rounds, max(light.resolution**2, MAX_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)

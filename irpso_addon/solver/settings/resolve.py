@@ -281,8 +281,8 @@ def resolve(
     observations: number of fitted ones. A prefit needs at least ``schedule.prefit.min_observations``; starts race with
     at most ``schedule.refinement.race_max_observations``. Raises InputError.
     """
-    names, held = _searched_names(schedule, model), held_names(schedule, model, fixed)
-    free = [p for p in model.parameters if p.name not in held]
+    names, unsearched = _searched_names(schedule, model), unsearched_names(schedule, model, fixed)
+    free = [p for p in model.parameters if p.name not in unsearched]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.min_observations and any(p.is_normal for p in free)
     resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
@@ -306,7 +306,7 @@ def resolve(
     return tuple(resolved)
 
 
-def held_names(schedule: Schedule, model: ReflectanceModel, fixed: Collection[str]) -> frozenset[str]:
+def unsearched_names(schedule: Schedule, model: ReflectanceModel, fixed: Collection[str]) -> frozenset[str]:
     """Return the parameters that are not estimated: fixed ones, and those of no stage. Raises InputError."""
     names = _searched_names(schedule, model)
     searched = {p.name for p in model.parameters if any(_in_stage(p, stage, names) for stage in schedule.stages)}

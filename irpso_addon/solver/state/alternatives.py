@@ -46,7 +46,7 @@ class Alternatives:
         """Whether any number has alternatives."""
         return self._pass is not None
 
-    def measuring(
+    def measure_steps(
         self, domain: DomainTextures, materials: Mapping[str, Texture], bands: Bands, seconds: float
     ) -> Iterator[None]:
         """Make the measurement for ``read``, in bands of rows of about ``seconds``; yields after each.

@@ -26,7 +26,7 @@ from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
 _VERSION = 7
-_NOTE = "note_"  # prefix of the caller's own arrays in the file
+_EXTRA = "note_"  # prefix of the caller's own arrays in the file
 NEVER = -1  # value of ``begun`` where the stage cannot restart from its begin
 PHASE = "phase_"  # prefix of the arrays of the running phase
 
@@ -36,15 +36,15 @@ class Checkpoint:
     """The state of a recovery, and arrays of its caller.
 
     stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels
-    (layout.py), or textures within one process; without the phase's arrays the stage restarts. notes: the caller's
-    arrays by name. begun: the evaluations at the begin of the stage, or NEVER.
+    (layout.py), or textures within one process; without the phase's arrays the stage restarts. extra_arrays: the
+    caller's, by name. begun: the evaluations at the begin of the stage, or NEVER.
     """
 
     stage: int
     iteration: int
     evaluations: int
     arrays: dict[str, np.ndarray]
-    notes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    extra_arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
     begun: int = 0
 
     @property
@@ -100,7 +100,7 @@ def named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray
 
 def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
     """Write a checkpoint to ``path`` through a temporary name beside it."""
-    arrays = state.arrays | {_NOTE + name: array for name, array in state.notes.items()}
+    arrays = state.arrays | {_EXTRA + name: array for name, array in state.extra_arrays.items()}
     about = {
         "version": _VERSION,
         "identity": who,
@@ -123,10 +123,10 @@ def read(path: Path, who: dict[str, Any]) -> Checkpoint:
         _check(path, about, who)
         if {name: [list(array.shape), _digest([array])] for name, array in arrays.items()} != about["arrays"]:
             raise ValueError("the arrays are not those that were written")
-        notes = named(arrays, _NOTE)
-        arrays = {name: array for name, array in arrays.items() if not name.startswith(_NOTE)}
+        extra_arrays = named(arrays, _EXTRA)
+        arrays = {name: array for name, array in arrays.items() if not name.startswith(_EXTRA)}
         counts = about["stage"], about["iteration"], about["evaluations"]
-        return Checkpoint(*counts, arrays, notes, about["begun"])
+        return Checkpoint(*counts, arrays, extra_arrays, about["begun"])
 
 
 def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,10 +141,10 @@ def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
         return dict(about["identity"])
 
 
-def read_note(path: Path, name: str) -> np.ndarray:
-    """Return one of a checkpoint's notes. Raises CheckpointError if it is missing."""
+def read_extra_array(path: Path, name: str) -> np.ndarray:
+    """Return one of a checkpoint's extra arrays. Raises CheckpointError if it is missing."""
     with _reading(path), np.load(path) as file:
-        return file[_NOTE + name]
+        return file[_EXTRA + name]
 
 
 # Raised by numpy, zipfile and json when single bytes of a checkpoint were changed.

@@ -227,11 +227,11 @@ class PhaseTextures:
 
     def bindings(self) -> dict[str, Texture]:
         """Return all current textures by sampler name."""
-        return {k: v for name, held in self.current.items() for k, v in self.bound(name, held).items()}
+        return {k: v for name, group in self.current.items() for k, v in self.bound(name, group).items()}
 
-    def bound(self, name: str, held: Sequence[Texture]) -> dict[str, Texture]:
+    def bound(self, name: str, group: Sequence[Texture]) -> dict[str, Texture]:
         """Return textures by the sampler names of a group."""
-        return dict(zip(self.table.groups[name].samplers, held, strict=True))
+        return dict(zip(self.table.groups[name].samplers, group, strict=True))
 
     @property
     def persistent(self) -> dict[str, Texture]:

@@ -169,19 +169,19 @@ class SeparatedStack:
 
 
 def separated_steps(
-    domain: Domain, held: DomainTextures, separation: Separation, schedule: Schedule
+    domain: Domain, domain_textures: DomainTextures, separation: Separation, schedule: Schedule
 ) -> Generator[float, None, tuple[DomainTextures, np.ndarray]]:
     """Return textures of a domain without its indirect light, and the stack to upload to them.
 
-    separation: (h, w), packed. held: current textures of the domain. Yields the fraction done of
-    each sweep in turn.
+    separation: (h, w), packed. domain_textures: the current ones. Yields the fraction done of each sweep in turn.
     """
     if separation.any():
-        domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(held.packing)))
+        domain = replace(domain, stack=SeparatedStack(domain, separation.unpacked(domain_textures.packing)))
     scale = yield from scale_steps(domain, schedule.fitness.scale_percentile)
-    prepared = yield from Prepared(scale, {}, held.mean_irradiance).packing_steps(domain, schedule)
-    numbers = held.packing.pack(scale), held.mean_irradiance, prepared.arrays
-    return DomainTextures(domain, held.packing, None, *numbers, separation=separation), present(prepared.stack)
+    irradiance, packing = domain_textures.mean_irradiance, domain_textures.packing
+    prepared = yield from Prepared(scale, {}, irradiance).packing_steps(domain, schedule)
+    numbers = packing.pack(scale), irradiance, prepared.arrays
+    return DomainTextures(domain, packing, None, *numbers, separation=separation), present(prepared.stack)
 
 
 def _direct(domain: Domain, texels: Texels, samples: np.ndarray, separation: Separation) -> np.ndarray:

@@ -133,8 +133,8 @@ class Display:
 
     def close(self) -> None:
         """Free shaders and textures."""
-        for work in self._passes.values():
-            work.close()
+        for pass_ in self._passes.values():
+            pass_.close()
         for measure in self._measures.values():
             measure.close()
         self._begin()
@@ -157,7 +157,7 @@ class Display:
 
     def _follow_level(self, lent: Mapping[str, Texture]) -> None:
         """Restart if the recovery has reached a level of another size, or a round that searches other parameters."""
-        level = level_size(lent, self._defines), self._recovery.held
+        level = level_size(lent, self._defines), self._recovery.unsearched
         if level != self._level:
             self.close()
             self._level = level
@@ -229,12 +229,12 @@ class Display:
         if kind not in self._measures:
             model = self._recovery.model
             if kind == "error":
-                work = residual_pass(model, self._defines)
+                pass_ = residual_pass(model, self._defines)
                 observations = {"u_observations": self._recovery.domain.observations}
-                self._measures[kind] = _Measure(work, 1, "R32F", observations)
+                self._measures[kind] = _Measure(pass_, 1, "R32F", observations)
             else:
-                work, constants = self._recovery.deviation_pass()
-                self._measures[kind] = _Measure(work, declarations.packed(model).textures, "RGBA32F", constants)
+                pass_, constants = self._recovery.deviation_pass()
+                self._measures[kind] = _Measure(pass_, declarations.packed(model).textures, "RGBA32F", constants)
         return self._measures[kind]
 
     def _indirect(self, alike: Texture) -> Texture:
@@ -256,15 +256,15 @@ class Display:
 class _Measure:
     """A slow measurement of all texels, a few rows at a time; the last complete one stays available."""
 
-    def __init__(self, work: Pass, count: int, texture_format: str, constants: Mapping[str, int | float]):
-        self._pass, self._count, self._format = work, count, texture_format
+    def __init__(self, pass_: Pass, count: int, texture_format: str, constants: Mapping[str, int | float]):
+        self._pass, self._count, self._format = pass_, count, texture_format
         self._constants = constants
         self._bands = Bands()
         self._complete: list[Texture] = []
         self._partial: list[Texture] = []
-        self._work: Iterator[None] | None = None
+        self._pending: Iterator[None] | None = None
         self._inputs: Mapping[str, Texture] = {}
-        self._progress: Progress | None = None  # of the recovery at the start of the measurement in work
+        self._progress: Progress | None = None  # of the recovery at the start of the pending measurement
         self.measured: Progress | None = None  # and of the complete measurement
         self._version = 0
         self._seconds = self._ended = 0.0
@@ -274,16 +274,16 @@ class _Measure:
         now = time.perf_counter()
         deadline = None if time_budget_s is None else now + time_budget_s
         if deadline is None and self._progress != progress:
-            self._work = None
+            self._pending = None
         rested = now - self._ended >= self._seconds * (1 / _SHARE - 1)
         due = deadline is None or progress.done or self.measured is None or rested
-        if self._work is None and progress != self.measured and due:
+        if self._pending is None and progress != self.measured and due:
             self._start(lent, progress, time_budget_s)
-        if self._work is not None:
+        if self._pending is not None:
             self._inputs = lent
             self._bands.paced = deadline is not None
-        while self._work is not None:
-            if next(self._work, self) is self:
+        while self._pending is not None:
+            if next(self._pending, self) is self:
                 self._finish()
             if self.measured is None:
                 self._version += 1  # shown while it runs
@@ -299,16 +299,16 @@ class _Measure:
     def close(self) -> None:
         """Free shader and textures."""
         self._pass.close()
-        self._complete, self._partial, self._work, self._inputs = [], [], None, {}
+        self._complete, self._partial, self._pending, self._inputs = [], [], None, {}
 
     def _start(self, lent: Mapping[str, Texture], progress: Progress, budget: float | None) -> None:
         if not self._partial:
             size = lent["u_estimate_0"].width, lent["u_estimate_0"].height
             self._partial = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
-        self._work = self._measuring(self._partial, budget)
+        self._pending = self._measure_steps(self._partial, budget)
 
-    def _measuring(self, targets: list[Texture], budget: float | None) -> Iterator[None]:
+    def _measure_steps(self, targets: list[Texture], budget: float | None) -> Iterator[None]:
         """Measure into ``targets``. The recovery may run between bands: each band reads its current state."""
         self._pass.compile()
         yield  # the first band waits for the compiler
@@ -322,7 +322,7 @@ class _Measure:
 
     def _finish(self) -> None:
         self._complete, self._partial = self._partial, self._complete
-        self._work, self._inputs, self.measured = None, {}, self._progress
+        self._pending, self._inputs, self.measured = None, {}, self._progress
         self._version += 1
         self._ended = time.perf_counter()
 

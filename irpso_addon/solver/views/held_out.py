@@ -128,7 +128,7 @@ def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.n
     This includes highlights that the fit has missed.
     """
     brightness = np.nan_to_num(domain.stack.layer(k)[..., :3]).mean(axis=-1)
-    floor = _DARK * np.percentile(brightness[maps.covered], SHOWN_WHITE)
+    floor = _DARK * np.percentile(brightness[maps.solved], SHOWN_WHITE)
     return brightness > HIGHLIGHT * diffuse.mean(axis=-1) + floor
 
 

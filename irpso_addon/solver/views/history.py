@@ -12,7 +12,7 @@ from ...results.preview import Curves, convergence, display_image, spread_marks
 from ...results.report import error_unit, parameter_error
 from ..engine.engine import RecoveryEngine
 from ..engine.progress import Progress
-from ..engine.watch import Note
+from ..engine.watch import TexelRecord
 
 _ITERATIONS = "iterations"
 _MEASUREMENTS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
@@ -54,41 +54,41 @@ class History:
         return left if most is None else min(most, left)
 
     def record_due(self) -> None:
-        """Record the errors if a measurement is due, or the errors of the notes that the recovery has taken."""
+        """Record the errors if a measurement is due, or the errors of the records that the recovery has taken."""
         if self._watches:
-            for note in self._recovery.notes():
-                self._record(note)
+            for record in self._recovery.records():
+                self._record(record)
             return
         progress = self._recovery.progress
         if progress.iteration_in_all == self._last or not _due(progress):
             return
-        self._record(self._recovery.note(self._rows, self._columns))
+        self._record(self._recovery.record(self._rows, self._columns))
         if self._show is not None:
             self._show(self._recovery.maps(confidence=False))
 
     @property
-    def notes(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, np.ndarray]:
         """Return the record, for a checkpoint."""
         return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
 
-    def take(self, notes: Mapping[str, np.ndarray]) -> None:
+    def take(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the record from a checkpoint, up to the recovery's iteration: a stage may be repeated.
 
         Errors of a truth that only one of the two runs has are dropped, or NaN until this iteration.
         """
         self._last = self._recovery.progress.iteration_in_all
-        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ()) if n <= self._last]
+        self._iterations = [int(n) for n in arrays.get(_ITERATIONS, ()) if n <= self._last]
         count = len(self._iterations)
         unknown = np.full((count, len(self._rows)), np.nan)
         names = ["residual", *(p.name for p in self._judged())]
-        self._errors = {name: list(notes.get(name, unknown)[:count]) for name in names} if count else {}
+        self._errors = {name: list(arrays.get(name, unknown)[:count]) for name in names} if count else {}
         if self._watches:
             self._recovery.watch(self._rows, self._columns, _due)
 
     def picture(self, maps: Maps) -> np.ndarray:
         """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""
         normal = next(p for p in maps.model.parameters if p.is_normal)
-        image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
+        image = display_image([normal], [maps.values[normal.name]]) * maps.solved[..., None]
         panels = [
             Curves(name, np.array(self._iterations), np.stack(errors), unit, log=True)
             for name, errors in self._errors.items()
@@ -97,13 +97,13 @@ class History:
         marks = [(int(x), int(y)) for x, y in zip(self._columns, self._rows, strict=True)]
         return convergence(image, marks, panels)
 
-    def _record(self, note: Note) -> None:
-        self._last = note.iteration
-        self._iterations.append(note.iteration)
-        self._errors.setdefault("residual", []).append(100 * note.residual)
+    def _record(self, record: TexelRecord) -> None:
+        self._last = record.iteration
+        self._iterations.append(record.iteration)
+        self._errors.setdefault("residual", []).append(100 * record.residual)
         if self._truth is not None:
             for p in self._judged():
-                error = parameter_error(p, note.values[p.name], self._truth[p.name][self._rows, self._columns])
+                error = parameter_error(p, record.values[p.name], self._truth[p.name][self._rows, self._columns])
                 self._errors.setdefault(p.name, []).append(error)
 
     def _judged(self) -> list[Parameter]:

@@ -39,7 +39,7 @@ def error_preview(
 
     names: of all observations. indirect: as for ``image_rows``.
     """
-    rows = map_rows(maps, truth, maps.covered) if truth else []
+    rows = map_rows(maps, truth, maps.solved) if truth else []
     step = max(1, min(domain.shape) // _RANKED)
     counted = (layer[layer[..., 3] > 0] for layer in (whole[::step, ::step] for whole in domain.stack.layers()))
     order = np.argsort([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])[::-1]
@@ -61,16 +61,13 @@ def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
         p = maps.model.parameter(name)
         deviation = (maps.confidence or {})[name][..., 0]
         red = UNKNOWN * p.width
-        images += [
-            _striped(display_image([p], [maps.values[name]]), unknown),
-            false_color(deviation, red, maps.covered),
-        ]
+        images += [_striped(display_image([p], [maps.values[name]]), unknown), false_color(deviation, red, maps.solved)]
         reading = f"{np.degrees(red):.0f}°" if p.is_normal else f"{red:.2g}"
         labels += [_title(name), f"± one sigma (red: {reading})"]
     if not images:
         return {}
     heading = "Striped: the photographs do not determine it"
-    return {"confidence": gallery(heading, images, labels, maps.covered)}
+    return {"confidence": gallery(heading, images, labels, maps.solved)}
 
 
 def _striped(image: np.ndarray, where: np.ndarray) -> np.ndarray:
@@ -88,10 +85,10 @@ def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
         images.append(display_image(table.parameters, [maps.values[p.name] for p in table.parameters]))
         labels.append(_title(table.name))
     residual = 100 * present(maps.residual)
-    maximum = default_maximum([residual], maps.covered)
-    images.append(false_color(residual, maximum, maps.covered))
+    maximum = default_maximum([residual], maps.solved)
+    images.append(false_color(residual, maximum, maps.solved))
     labels.append(f"Residual (red: {maximum:g} %)")
-    return gallery(heading, images, labels, maps.covered)
+    return gallery(heading, images, labels, maps.solved)
 
 
 def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -> list[PreviewRow]:
@@ -126,12 +123,12 @@ def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray
     layer = domain.stack.layer(k)
     samples, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0
     # Texels without a usable sample, such as a black background, have no material to render.
-    rendered = np.where(maps.covered[..., None], render[..., :3], 0)
+    rendered = np.where(maps.solved[..., None], render[..., :3], 0)
     white = float(np.percentile(samples[weight], SHOWN_WHITE)) if weight.any() else 1.0
     photograph, render = (srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (samples, rendered))
     error = 100 * np.abs(photograph - render).mean(axis=-1)
-    photographed = maps.covered if domain.card else maps.covered & (weight | (samples > 0).any(axis=-1))
-    return PreviewRow(label, photograph, render, error, "%", photographed, maps.covered & weight)
+    photographed = maps.solved if domain.card else maps.solved & (weight | (samples > 0).any(axis=-1))
+    return PreviewRow(label, photograph, render, error, "%", photographed, maps.solved & weight)
 
 
 def _title(name: str) -> str:

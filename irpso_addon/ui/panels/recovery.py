@@ -129,7 +129,7 @@ def draw_result(layout, context, running: session.Session) -> list[str]:
         drawing.fact(column, context, "Lights", running.lights.summary())
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
-    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.work.scaled)
+    of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.job_run.scaled)
     warnings = [*running.warnings, *of_capture]
     for text in warnings:
         _draw_warning(layout, context, text)

@@ -35,7 +35,7 @@ _NEUTRAL = {"look": "None", "exposure": 0.0, "gamma": 1.0, "use_curve_mapping": 
 
 def current_maps(running: session.Session, confidence: bool, extras: DerivedMaps = _NO_EXTRAS) -> ResultMaps:
     """Return the current maps. extras: derived maps to add. Raises InputError if one cannot be made."""
-    return result_maps(running.work, running.maps(confidence), extras)
+    return result_maps(running.job_run, running.maps(confidence), extras)
 
 
 def report_of(running: session.Session, recovered: ResultMaps) -> dict[str, Any]:
@@ -50,20 +50,20 @@ def report_of(running: session.Session, recovered: ResultMaps) -> dict[str, Any]
         "done": running.progress.done,
     }
     running.relight(recovered.in_solver_frames)
-    return result.report_of(running.work, recovered, settings, running.seconds)
+    return result.report_of(running.job_run, recovered, settings, running.seconds)
 
 
 def pictures_of(running: session.Session, recovered: ResultMaps) -> dict[str, np.ndarray]:
     """Return the pictures of a result: file stem → (H, W, 3) display values; convergence if there is a history."""
     running.relight(recovered.in_solver_frames)
-    pictures, maps = result.pictures_of(running.work, recovered), recovered.in_solver_frames
+    pictures, maps = result.pictures_of(running.job_run, recovered), recovered.in_solver_frames
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:
         panels.append(_curve("Error of the marked texels", [probe.curve for probe in watched]))
     if panels:
         normal = next(parameter for parameter in maps.model.parameters if parameter.is_normal)
-        image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
+        image = display_image([normal], [maps.values[normal.name]]) * maps.solved[..., None]
         pictures["convergence"] = convergence(image, [(p.column, p.row) for p in watched], panels)
     return pictures
 

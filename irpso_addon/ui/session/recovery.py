@@ -53,7 +53,7 @@ class Session:
     def __init__(self, job: SceneJob, data: RunCache, changed: Callable[[Session], None]):
         self._data, self._changed = data, changed
         self._worker = Worker()
-        self.work = Run(job, self._on_step, self._worker.run, data)
+        self.job_run = Run(job, self._on_step, self._worker.run, data)
         self.state, self.title, self.failure = "loading", _TITLES[READ], ""
         self.display: Display | TiledDisplay | None = None
         self.probes = Probes(self._notify)
@@ -76,27 +76,27 @@ class Session:
     @property
     def job(self) -> SceneJob:
         """The job."""
-        return self.work.job
+        return self.job_run.job
 
     @property
     def domain(self) -> Domain | None:
         """The domain of all observations, None before it is read."""
-        return self.work.domain
+        return self.job_run.domain
 
     @property
     def fitted(self) -> Domain | None:
         """The domain of the observations that are not held out."""
-        return self.work.fitted
+        return self.job_run.fitted
 
     @property
     def recovery(self) -> RecoveryEngine | None:
         """The recovery, None before it has begun."""
-        return self.work.recovery
+        return self.job_run.recovery
 
     @property
     def lights(self) -> Lights | None:
         """The refined lights, None if the capture's own are used."""
-        return self.work.lights
+        return self.job_run.lights
 
     @property
     def mesh(self):
@@ -151,7 +151,7 @@ class Session:
     @property
     def held_out_line(self) -> str:
         """The error of the current maps on held-out photographs as a translated line, "" if it is not measured."""
-        return relit_line(self.work.relit[1], iface) if self.work.is_relit else ""
+        return relit_line(self.job_run.relit[1], iface) if self.job_run.is_relit else ""
 
     def observation(self, view: Any) -> int:
         """Return the index, in the job's capture, of the fitted observation that ViewSettings ``view`` choose."""
@@ -181,7 +181,7 @@ class Session:
             return
         started, searching = time.perf_counter(), not self.relighting
         try:
-            self._work(started + budget_s)
+            self._advance(started + budget_s)
             self._measure_error()
         except Exception as error:  # noqa: BLE001  Blender calls a modal operator again after an error
             self.failure = failures.report(n_("The recovery"), error)
@@ -197,7 +197,7 @@ class Session:
         """Work to the end, for background mode. An error closes the session and is raised."""
         try:
             while self.active:
-                self._work(time.perf_counter() + 0.5)
+                self._advance(time.perf_counter() + 0.5)
         except BaseException:
             self.close()
             raise
@@ -222,13 +222,13 @@ class Session:
 
     def finish(self) -> None:
         """End the search, then relight held-out photographs; a second call skips that. Then the maps can be kept."""
-        if not self.work.is_relit and not self.relighting:
+        if not self.job_run.is_relit and not self.relighting:
             self._relighting = self._relight()
             self.state, self.title = "running", n_("Relighting unseen photographs")
             self._notify()
             return
         self._end_relighting()
-        if not (self.job.held_out and self.work.is_relit):  # else relighting ended with the check
+        if not (self.job.held_out and self.job_run.is_relit):  # else relighting ended with the check
             self._check()
         self.state = "done"
         self.title = n_("Stopped") if self.stopped else n_("Done")
@@ -236,13 +236,13 @@ class Session:
 
     def maps(self, confidence: bool = True) -> Maps:
         """Return the current maps in the solver's frames. confidence: whether with standard deviations."""
-        return self.work.maps(confidence)
+        return self.job_run.maps(confidence)
 
     def relight(self, maps: Maps) -> None:
         """Relight held-out photographs with the current ``maps``, unless this is done already."""
-        if not self.work.is_relit:
+        if not self.job_run.is_relit:
             self._end_relighting()
-            self.work.relight(maps)
+            self.job_run.relight(maps)
 
     def close(self) -> None:
         """Free all GPU memory; may be called at any time and repeatedly."""
@@ -252,14 +252,14 @@ class Session:
         self._worker.wait()
         if self.display is not None:
             self.display.close()
-        self.work.close()
+        self.job_run.close()
         self.display = None
         self._notify()
 
     def _notify(self) -> None:
         self._changed(self)
 
-    def _work(self, deadline: float) -> None:
+    def _advance(self, deadline: float) -> None:
         if self._opening is not None:
             self._advance_opening(deadline)
         elif self._relighting is not None:
@@ -290,14 +290,14 @@ class Session:
 
     def _relight(self) -> Generator[None, None, None]:
         maps = self.maps(confidence=False)  # here, an error ends the relighting alone
-        yield from self.work.relighting(maps)
+        yield from self.job_run.relight_steps(maps)
         self._check(maps)
 
     def _check(self, maps: Maps | None = None) -> None:
         """Set the warnings of the current maps. maps: these, where they are read already."""
         self.warnings = self.recovery.warnings
         try:
-            self.warnings = tuple(maps_warnings(self.work, maps or self.maps(confidence=False)))
+            self.warnings = tuple(maps_warnings(self.job_run, maps or self.maps(confidence=False)))
         except Exception as error:  # noqa: BLE001  an error in a check must not lose the maps
             failures.report(n_("Checking the maps"), error)
 
@@ -308,11 +308,11 @@ class Session:
     def _open(self) -> Generator[None, None, None]:
         """Read, prepare, and start the recovery, or load the one to resume. Yields often, for redraws."""
         context.ensure()
-        yield from self.work.open()
+        yield from self.job_run.open()
         if self.job.resumed is not None:
-            notes = self.recovery.load(self.job.resumed)
-            self.history = [(int(iteration), float(error)) for iteration, error in notes[stored_recoveries.HISTORY]]
-            self.seconds = float(notes[stored_recoveries.SECONDS])
+            arrays = self.recovery.load(self.job.resumed)
+            self.history = [(int(iteration), float(error)) for iteration, error in arrays[stored_recoveries.HISTORY]]
+            self.seconds = float(arrays[stored_recoveries.SECONDS])
         self.display = display_of(self.recovery)
         self.state = "running"
         if self.job.resumed is not None:  # a stored recovery opens paused
@@ -330,10 +330,10 @@ class Session:
     def _replace_schedule(self, schedule: Schedule) -> None:
         if self.recovery is None:  # the preparation depends on the schedule
             self._worker.wait()
-            self.work = Run(replace(self.job, schedule=schedule), self._on_step, self._worker.run, self._data)
+            self.job_run = Run(replace(self.job, schedule=schedule), self._on_step, self._worker.run, self._data)
             self._opening, self._state_before_pause = self._open(), "loading"
             return
-        self.work.change(schedule)
+        self.job_run.change(schedule)
         self._end_relighting()
         self._state_before_pause = "running"
         self.display.close()

@@ -17,9 +17,9 @@ from ...core.errors import CheckpointError, GpuUnavailableError
 from ...core.paths import BASE_PACKAGE
 from ...exports.place import file_stem
 from ...gpu import context_guard
-from ...solver.state.checkpoint import read_note
+from ...solver.state.checkpoint import read_extra_array
 
-_ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
+_ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # extra arrays of the checkpoint
 _kept: dict[Path, str] = {}  # stored recoveries to delete when the file is saved → the kept material's stamp
 _log = logging.getLogger(__name__)
 _listed: list[StoredRecovery] | None = None  # contents of the folder, None before it is read
@@ -60,13 +60,13 @@ def store(running: Any) -> bool:
     try:
         if context_guard.active() is None:
             raise GpuUnavailableError("no graphics context is current")
-        notes = {
+        extra_arrays = {
             _ABOUT: np.frombuffer(json.dumps(about).encode(), np.uint8),
             HISTORY: np.array(running.history).reshape(-1, 2),
             SECONDS: np.array(running.seconds),
         }
         path = job.resumed or _place(directory, job.name, digest, running.fraction)
-        running.recovery.save(path, notes, running=True)
+        running.recovery.save(path, extra_arrays, running=True)
         _kept.pop(path, None)
     except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
@@ -138,6 +138,6 @@ def delete(path: Path | None) -> None:
 
 def _read(path: Path) -> StoredRecovery | None:
     try:
-        return StoredRecovery(path, **json.loads(bytes(read_note(path, _ABOUT))))
+        return StoredRecovery(path, **json.loads(bytes(read_extra_array(path, _ABOUT))))
     except (CheckpointError, ValueError, TypeError):
         return None

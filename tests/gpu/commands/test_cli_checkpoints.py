@@ -126,7 +126,7 @@ class FullDisk:
         self.progress = replace(self.progress, done=self._made == 5)
         return self.progress
 
-    def save(self, path, notes, running=None):
+    def save(self, path, extra_arrays, running=None):
         self.saved += 1
         if self._fails:
             with replacing_file(path):
@@ -135,7 +135,7 @@ class FullDisk:
 
 
 class NoHistory:
-    notes = MappingProxyType({})
+    arrays = MappingProxyType({})
 
     def until_next(self, most):
         return 1
@@ -143,8 +143,8 @@ class NoHistory:
     def record_due(self):
         pass
 
-    def take(self, notes):
-        assert not notes
+    def take(self, arrays):
+        assert not arrays
 
 
 def test_the_seconds_of_a_run_sum_over_its_resumes(tmp_path):
@@ -152,8 +152,8 @@ def test_the_seconds_of_a_run_sum_over_its_resumes(tmp_path):
         def load(self, path):
             return {"seconds": np.array(700.0)}
 
-        def save(self, path, notes, running=None):
-            self.noted = float(notes["seconds"])
+        def save(self, path, extra_arrays, running=None):
+            self.noted = float(extra_arrays["seconds"])
             return True
 
     run = GoneOnWith(fails=False)
@@ -199,9 +199,9 @@ def test_slow_checkpoints_take_at_most_a_twentieth_of_the_time(tmp_path, monkeyp
             self.progress = replace(self.progress, done=clock[0] > 10000)
             return self.progress
 
-        def save(self, path, notes, running=None):
+        def save(self, path, extra_arrays, running=None):
             clock[0] += 30
-            return super().save(path, notes, running)
+            return super().save(path, extra_arrays, running)
 
     monkeypatch.setattr(drive.time, "perf_counter", lambda: clock[0])
     run = Slow(fails=False)
@@ -227,8 +227,8 @@ def test_the_begin_of_a_stage_is_written_once(tmp_path):
             self.progress = replace(self.progress, stage=self._made // 3)
             return self.progress
 
-        def save(self, path, notes, running=None):
-            super().save(path, notes, running)
+        def save(self, path, extra_arrays, running=None):
+            super().save(path, extra_arrays, running)
             return False  # a later one would hold no more
 
     run = OfStages(fails=False)

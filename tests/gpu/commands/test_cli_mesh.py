@@ -125,7 +125,7 @@ def test_maps_with_holes_render_black_there_with_a_warning(ball, tmp_path):
 def test_a_mesh_that_the_photographs_hardly_show_gets_a_warning(seen, card, warned):
     covered = np.arange(100).reshape(10, 10) < seen
     domain = SimpleNamespace(bake=SimpleNamespace(coverage=np.ones((10, 10), bool)), card=card)
-    said = result._coverage_warnings(domain, SimpleNamespace(covered=covered))
+    said = result._coverage_warnings(domain, SimpleNamespace(solved=covered))
     assert len(said) == warned and (not warned or "show 9 of the mesh's 100 texels lit" in said[0])
 
 

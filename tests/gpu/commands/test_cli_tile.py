@@ -31,7 +31,7 @@ def test_all_maps_and_the_relief_repeat_and_are_a_result(result, tmp_path):
     reply = json.loads(out)
     assert reply["square"][2] == 40 and reply["seam"] < reply["seam_of_plain_repetition"] * 1.5
     found = read_result(tmp_path / "tiled")
-    assert found.maps.covered.shape == (32, 32) and found.height is not None
+    assert found.maps.solved.shape == (32, 32) and found.height is not None
     assert (tmp_path / "tiled" / "repeated.png").is_file() and (tmp_path / "tiled" / "material.blend").is_file()
     (height,) = read_exr(tmp_path / "tiled" / "height.exr").values()
     assert abs(next(iter(height.values())).mean()) < 1e-4

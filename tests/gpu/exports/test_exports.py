@@ -225,7 +225,7 @@ def folder(tmp_path):
     """A result's folder with material.blend."""
     result, obj = on_a_sheet("principled", texels=48)
     report = {"model": "principled", "settings": {"model": "principled"}}
-    height = Height(result.maps.values["specular"][..., 0], result.maps.covered, "world")
+    height = Height(result.maps.values["specular"][..., 0], result.maps.solved, "world")
     write_maps(result.maps, tmp_path / "leaf", report | {"height": height.described()}, None, [height_map(height)])
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "leaf" / "material.blend"), copy=True)
     return tmp_path / "leaf"
@@ -234,7 +234,7 @@ def folder(tmp_path):
 def test_a_result_folder_reads_back_as_written(folder):
     found = read_result(folder)
     assert found.name == "leaf" and found.blend == folder / "material.blend" and found.height.unit == "world"
-    assert found.maps.covered.any() and not found.maps.covered.all()
+    assert found.maps.solved.any() and not found.maps.solved.all()
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_gltf_carries_every_map_pixel_for_pixel(tmp_path):
     assert counts() == before and obj.select_get() is False
     table, binary = read_glb(tmp_path / "leaf.glb")
     (material,) = table["materials"]
-    pbr, inside, v = material["pbrMetallicRoughness"], result.maps.covered, result.maps.values
+    pbr, inside, v = material["pbrMetallicRoughness"], result.maps.solved, result.maps.values
     show = functools.partial(image_of, table, binary, folder=tmp_path)
     half = 0.51 / 255
     color = show(pbr["baseColorTexture"])[..., :3]
@@ -71,7 +71,7 @@ def test_gltf_has_the_occlusion_of_a_cards_relief(tmp_path):
     obj = card_object("leaf", 16, 16)
     apply_material(obj, build_material(maps, "leaf"))
     before = counts()
-    result = Result("leaf", maps, Height(heights, maps.covered, "texels"))
+    result = Result("leaf", maps, Height(heights, maps.solved, "texels"))
     gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
     assert counts() == before
     table, binary = read_glb(tmp_path / "leaf.glb")
@@ -159,7 +159,7 @@ def test_blenders_exporter_alone_carries_all_maps_but_specular(tmp_path):
     bpy.ops.export_scene.gltf(filepath=str(tmp_path / "own.glb"), use_selection=True, export_format="GLB")
     table, binary = read_glb(tmp_path / "own.glb")
     (material,) = table["materials"]
-    inside, v = result.maps.covered, result.maps.values
+    inside, v = result.maps.solved, result.maps.values
     show = functools.partial(image_of, table, binary, folder=tmp_path)
     color = show(material["pbrMetallicRoughness"]["baseColorTexture"])[..., :3]
     np.testing.assert_allclose(color[inside], srgb(v["base_color"])[inside], atol=0.51 / 255)
@@ -179,7 +179,7 @@ def test_two_lobes_become_one_and_the_error_is_reported(tmp_path):
     table, binary = read_glb(tmp_path / "leaf.glb")
     texture = table["materials"][0]["pbrMetallicRoughness"]["metallicRoughnessTexture"]
     alpha = image_of(table, binary, texture, tmp_path)[..., 1] ** 2
-    inside, v = result.maps.covered, result.maps.values
+    inside, v = result.maps.solved, result.maps.values
     # Between the two lobes' own widths, GGX being a little wider than Beckmann at the same peak.
     assert (alpha[inside] > v["r1"][..., 0][inside] * 0.9).all() and (alpha[inside] < v["r2"][..., 0][inside]).all()
 

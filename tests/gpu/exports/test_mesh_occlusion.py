@@ -53,7 +53,7 @@ def test_every_place_in_a_hollow_sphere_sees_the_share_of_it_that_is_open(openin
     before = counts()
     mesh = cavity_mesh(opening)
     maps = maps_of(mesh)
-    found = mesh_open_sky(mesh, maps, RAYS)[maps.covered]
+    found = mesh_open_sky(mesh, maps, RAYS)[maps.solved]
     wanted = (1 + opening) / 2
     assert found.mean() == pytest.approx(wanted, abs=0.002)
     np.testing.assert_allclose(found, wanted, atol=NOISE + 0.02)  # facets of 3.75°
@@ -168,7 +168,7 @@ def test_the_margin_around_a_round_island_is_as_open_as_the_island():
     disc = 0.5 + radius[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     mesh = replace(mesh, uvs=disc.astype(np.float32))
     maps = maps_of(mesh, 80)
-    assert 0.4 < maps.covered.mean() < 0.6
+    assert 0.4 < maps.solved.mean() < 0.6
     np.testing.assert_allclose(mesh_open_sky(mesh, maps, RAYS), 0.5, atol=NOISE + 0.02)
 
 
@@ -201,7 +201,7 @@ def test_the_command_bakes_the_object_of_the_result(tmp_path):
             "--quiet",
         )
         assert code == 0, err
-        shown.append(picture(out / "leaf_AO.png")[..., 0][result.maps.covered])
+        shown.append(picture(out / "leaf_AO.png")[..., 0][result.maps.solved])
     assert 0.8 < shown[0].mean() < 0.99 and shown[0].min() > 0.4  # its normals lean by up to 30°
     assert shown[1].mean() < shown[0].mean() - 0.02
     code, _, err = run_cli(
@@ -263,7 +263,7 @@ def test_texture_sets_and_gltf_have_a_meshs_occlusion_in_every_tile(tmp_path):
     write_gltf(one, tmp_path / "leaf.glb", obj)
     table, binary = read_glb(tmp_path / "leaf.glb")
     red = image_of(table, binary, table["materials"][0]["occlusionTexture"], tmp_path)[..., 0]
-    inside = result.maps.covered
+    inside = result.maps.solved
     np.testing.assert_allclose(red[inside], sky[inside], atol=0.51 / 255)
     wide = Maps(
         result.maps.model, {n: np.concatenate([v, v], axis=1) for n, v in result.maps.values.items()},

@@ -48,7 +48,7 @@ def test_ten_lights_are_those_of_the_programs_own_render(browser, tmp_path, gpu)
     maps, lights = maps_of("metallic_roughness"), even_lights(10, 70)
     bake = GeometryBake(
         np.zeros((*SHAPE, 3), np.float32), np.tile(np.float32([0, 0, 1]), (*SHAPE, 1)),
-        np.tile(np.float32([1, 0, 0, 1]), (*SHAPE, 1)), maps.covered, np.zeros((*SHAPE, 2), np.float32),
+        np.tile(np.float32([1, 0, 0, 1]), (*SHAPE, 1)), maps.solved, np.zeros((*SHAPE, 2), np.float32),
     )  # fmt: skip
     table, views = np.pad(lights, [(0, 0), (0, 1)]), np.tile([0.0, 0, 1, 0], (10, 1))
     renderer = Renderer(bake, maps.model, maps.values, table, np.ones((10, 3)), views, card=True)

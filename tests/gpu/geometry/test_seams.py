@@ -18,6 +18,7 @@ from irpso_addon.results.map_tables import map_tables, map_values
 from irpso_addon.results.maps import Maps
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.synchronous_swarm import SynchronousSwarmPhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.groups import Refinement
@@ -63,17 +64,17 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     )
     stage = resolve(schedule, LAMBERT, set())[0]
     packing = Packing(domain.solvable, domain.seams)
-    held = DomainTextures(
+    domain_textures = DomainTextures(
         domain, packing, pack_layers(packing, domain.stack.values), packing.pack(np.ones(domain.shape))
     )
     values = {p.name: np.zeros((*domain.shape, p.components)) for p in LAMBERT.parameters}
     estimates = Estimates(LAMBERT, {name: packing.pack(value) for name, value in values.items()})
     problem = oracle.Problem(domain, LAMBERT, stage, schedule, values, np.ones(domain.shape), 1)
     g = np.random.default_rng(5).uniform(0.2, 0.8, (*domain.shape, 4))
-    phase = SynchronousSwarmPhase(stage, LAMBERT, schedule, 1, held, estimates, "fragment")
+    phase = SynchronousSwarmPhase(stage, PhaseContext(LAMBERT, schedule, domain_textures, estimates, "fragment"), 1)
     phase.textures.ensure()
     phase.textures.upload("global_best", [packing.pack(g)])
-    inputs = {**phase.textures.bindings(), **estimates.bindings(), **held.textures}
+    inputs = {**phase.textures.bindings(), **estimates.bindings(), **domain_textures.textures}
     phase.passes.mean.run(phase.textures.of("mean"), inputs, phase.constants())
     found = packing.unpack(phase.read("mean"))
     phase.close()

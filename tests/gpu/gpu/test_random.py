@@ -12,6 +12,7 @@ from irpso_addon.gpu.kernel import Kernel, Output
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.single_passes import copy_pass
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -148,7 +149,8 @@ def choices(request):
         scale = np.ones((64, 64), np.float32)
         on_gpu = DomainTextures(domain, Packing(domain.solvable), domain.stack.values, scale)
         estimates, resolved = Estimates(model, shapes), resolve(schedule, model, set())[0]
-        stage = SequentialSwarmPhase(resolved, model, schedule, seed, on_gpu, estimates, "fragment")
+        shared = PhaseContext(model, schedule, on_gpu, estimates, "fragment")
+        stage = SequentialSwarmPhase(resolved, shared, seed)
         stage.iteration = 0
         moved = []
         for _ in range(24):

@@ -8,7 +8,7 @@ from irpso_addon.capture.bounds import bounded
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
-from irpso_addon.solver.phases.prefit import AcceptanceTest
+from irpso_addon.solver.phases.acceptance import AcceptanceTest
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import prepare, texel_scale
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
@@ -137,7 +137,7 @@ def test_the_acceptance_test_matches_float64():
     for factor, taken in ((1.001, True), (0.999, False)):
         work = list(estimates.next)
         acceptance = AcceptanceTest(PRINCIPLED, STANDARD, uploaded, estimates, pack.pack(np.float32(limit * factor)))
-        for _ in acceptance.deciding(Bands(), 1.0):
+        for _ in acceptance.decide_steps(Bands(), 1.0):
             pass
         result = pack.unpack(estimates.values()["base_color"])
         acceptance.close()

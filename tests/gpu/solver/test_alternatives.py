@@ -53,7 +53,7 @@ def alternatives(domain, model, values, scale, fixed=(), fitness=STANDARD.fitnes
     uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), pack.pack(scale.astype(np.float32)))
     estimates = Estimates(model, {name: pack.pack(value) for name, value in values.items()})
     work = Alternatives(model, fixed, fitness, uploaded.defines)
-    for _ in work.measuring(uploaded, estimates.bindings(), Bands(), 0.25):
+    for _ in work.measure_steps(uploaded, estimates.bindings(), Bands(), 0.25):
         pass
     found = work.read()
     work.close()

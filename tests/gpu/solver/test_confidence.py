@@ -81,7 +81,7 @@ def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM, sh
     uploaded.raise_shadow(raised)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
-    for _ in work.measuring(uploaded, estimates.bindings(), Bands(), seconds):
+    for _ in work.measure_steps(uploaded, estimates.bindings(), Bands(), seconds):
         pass
     found = work.read()
     work.close()
@@ -340,7 +340,7 @@ def test_what_no_stage_searches_is_as_certain_as_if_it_were_fixed():
     for names in ((), ("roughness", "specular")):
         fixed = {p.name: np.float32(p.default) for p in subject.model.parameters if p.name in names}
         with Recovery(subject.domain, subject.model, schedule, fixed=fixed) as recovery:
-            assert recovery.held == {"roughness", "specular"}
+            assert recovery.unsearched == {"roughness", "specular"}
             recovery.step()
             found.append(recovery.maps())
     assert (found[0].confidence["roughness"] == 0).all() and not found[0].alternatives
@@ -356,7 +356,7 @@ def test_a_recovery_has_deviations_and_zero_for_fixed_parameters():
         recovery.step()
         maps = recovery.maps()
         assert recovery.maps(confidence=False).confidence is None
-    covered = maps.covered
+    covered = maps.solved
     assert {name: v.shape for name, v in maps.confidence.items()} == {"base_color": (9, 11, 3), "normal": (9, 11, 1)}
     assert (maps.confidence["base_color"] == 0).all() and (maps.confidence["normal"][~covered] == 0).all()
     values = {name: v.astype(np.float64) for name, v in maps.values.items()}

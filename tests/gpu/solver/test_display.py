@@ -81,7 +81,7 @@ def test_colours_are_srgb_normals_are_encoded_and_numbers_are_fractions_of_their
         elif p.color_space == "sRGB":
             wanted = srgb_from_linear(value)
         picture = seen(display, "parameter", p.name)
-        np.testing.assert_allclose(picture[maps.covered, :3], np.clip(wanted, 0, 1)[maps.covered], atol=HALF)
+        np.testing.assert_allclose(picture[maps.solved, :3], np.clip(wanted, 0, 1)[maps.solved], atol=HALF)
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.4])
@@ -89,7 +89,7 @@ def test_the_error_is_the_mean_residual_in_false_colours(running, show, limit):
     maps = running.maps(confidence=False)
     picture = seen(show(running), "error", limit=limit)
     wanted = false_color(maps.residual, limit)
-    np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)
+    np.testing.assert_allclose(picture[maps.solved, :3], wanted[maps.solved], atol=2 * HALF)
 
 
 @pytest.mark.parametrize("exposure", [1.0, 0.25, 3.0])
@@ -124,19 +124,19 @@ def test_the_confidence_is_the_deviation_of_the_largest_component_in_false_colou
     for name in ("normal", "r2", "base_color", "w"):
         picture = seen(show(running), "confidence", name, limit=0.2)
         wanted = false_color(maps.confidence[name].max(axis=-1), 0.2)
-        np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)
+        np.testing.assert_allclose(picture[maps.solved, :3], wanted[maps.solved], atol=2 * HALF)
 
 
 def test_unknown_numbers_are_half_transparent_on_request(running, show):
     maps = running.maps()
     sigma = maps.confidence["r2"][..., 0]
-    limit = float(np.median(sigma[maps.covered]))
+    limit = float(np.median(sigma[maps.solved]))
     picture, plain = seen(show(running), "parameter", "r2", unknown=limit), seen(show(running), "parameter", "r2")
-    expected = np.where(maps.covered, np.where(sigma > limit, 0.5, 1.0), 0.0)
+    expected = np.where(maps.solved, np.where(sigma > limit, 0.5, 1.0), 0.0)
     close = np.abs(sigma - limit) < 1e-3 * limit
     np.testing.assert_array_equal(picture[~close, 3], expected[~close])
     np.testing.assert_array_equal(picture[..., :3], plain[..., :3])
-    np.testing.assert_array_equal(plain[..., 3], maps.covered)
+    np.testing.assert_array_equal(plain[..., 3], maps.solved)
 
 
 def test_known_parameters_have_no_deviation(recover, show):
@@ -146,10 +146,10 @@ def test_known_parameters_have_no_deviation(recover, show):
     display = show(recovery)
     picture = seen(display, "confidence", "r1", limit=0.5)
     wanted = false_color(maps.confidence["r1"][..., 0], 0.5)
-    np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)
+    np.testing.assert_allclose(picture[maps.solved, :3], wanted[maps.solved], atol=2 * HALF)
     picture = seen(display, "confidence", "normal")
-    lowest = np.broadcast_to(COLORS[0], (maps.covered.sum(), 3))
-    np.testing.assert_allclose(picture[maps.covered, :3], lowest, atol=HALF)
+    lowest = np.broadcast_to(COLORS[0], (maps.solved.sum(), 3))
+    np.testing.assert_allclose(picture[maps.solved, :3], lowest, atol=HALF)
 
 
 # ---- when they are drawn -----------------------------------------------------------------------------------------

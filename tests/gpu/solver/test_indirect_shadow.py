@@ -14,6 +14,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.phases.indirect import IndirectPhase
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -92,7 +93,7 @@ def test_the_misfit_of_indirect_light_matches_float64(recover):
     domain, _, _ = corner((6, 10))
     recovery = recover(domain, LAMBERT, RAISED)
     phase, pack = ended_prefit(recovery), Packing(domain.solvable)
-    measured = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).indirect_misfit)
+    measured = pack.unpack(run_steps(phase.measure_steps(Bands(), 1.0)).indirect_misfit)
     own = {name: np.float64(pack.unpack(value)) for name, value in phase.own.values().items()}
     shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)
     scale = np.percentile(shown, RAISED.fitness.scale_percentile, axis=0)
@@ -115,16 +116,15 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
     measured[..., 2] = measured[..., 2] > 0.2
     measured *= domain.solvable[..., None]
     pack = Packing(domain.solvable)
-    held = DomainTextures(
+    domain_textures = DomainTextures(
         domain, pack, pack_layers(pack, domain.stack.values), pack.pack(np.ones(domain.shape, np.float32))
     )
     values = {p.name: pack.pack(np.zeros((*domain.shape, p.components), np.float32)) for p in LAMBERT.parameters}
-    phase = IndirectPhase(
-        ResolvedIndirect(), LAMBERT, RAISED, held, Estimates(LAMBERT, values), "fragment",
-        PrefitMeasurements(indirect_misfit=pack.pack(measured)),
-    )  # fmt: skip
+    shared = PhaseContext(LAMBERT, RAISED, domain_textures, Estimates(LAMBERT, values), "fragment")
+    measurements = PrefitMeasurements(indirect_misfit=pack.pack(measured))
+    phase = IndirectPhase(ResolvedIndirect(), shared, measurements)
     run_steps(phase.advance(Bands(), 1.0))
-    found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).shadow)
+    found = pack.unpack(run_steps(phase.measure_steps(Bands(), 1.0)).shadow)
     phase.close()
     sums = around(measured)
     with np.errstate(all="ignore"):

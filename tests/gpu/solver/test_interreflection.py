@@ -118,7 +118,7 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
         recovery.step()
         maps, count = recovery.maps(), recovery.findings["interreflection"]["unknown_texels"]
     there = maps.confidence["normal"][..., 0] == np.float32(np.pi / 2)
-    assert 0 < count == np.count_nonzero(there) <= np.count_nonzero(maps.covered)
+    assert 0 < count == np.count_nonzero(there) <= np.count_nonzero(maps.solved)
     np.testing.assert_allclose(maps.values["normal"][there], np.tile(np.float32([0, 0, 1]), (count, 1)), atol=1e-6)
     assert (maps.confidence["base_color"][there] == 1).all()
 
@@ -305,7 +305,7 @@ def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch
         recovery.step()
         maps = recovery.maps()
     assert errors(maps)[0] < 1.5
-    np.testing.assert_array_equal(maps.values["base_color"][maps.covered], painted[maps.covered])
+    np.testing.assert_array_equal(maps.values["base_color"][maps.solved], painted[maps.solved])
 
 
 def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeypatch):
@@ -316,7 +316,7 @@ def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeyp
         recovery.step()
         maps = recovery.maps()
     assert recovery.findings["interreflection"]["unknown_texels"] > 0
-    np.testing.assert_array_equal(maps.values["roughness"][maps.covered], fixed["roughness"][maps.covered])
+    np.testing.assert_array_equal(maps.values["roughness"][maps.solved], fixed["roughness"][maps.solved])
 
 
 @pytest.fixture(scope="module")
@@ -391,4 +391,4 @@ def test_rounds_find_the_relief_of_a_hollow_card():
         maps, strength = recovery.maps(), recovery.findings["interreflection"]["strength"][-1]
     print(f"{before:.2f}° → {tilt(maps):.2f}°, strength {strength:.2f}")
     assert before > 2 and tilt(maps) < before / 4 and tilt(maps, rim) < before / 4
-    assert abs(maps.values["base_color"][maps.covered].mean(axis=0) / albedo - 1).max() < 0.03
+    assert abs(maps.values["base_color"][maps.solved].mean(axis=0) / albedo - 1).max() < 0.03

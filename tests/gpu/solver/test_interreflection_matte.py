@@ -185,7 +185,7 @@ def test_a_run_that_stops_in_a_round_says_that_its_normals_are_the_meshs(bowl):
         while not recovery.step(1).done:
             maps, texts = recovery.maps(), [*texts, *recovery.warnings[:1]]
             fixed = bool(recovery.warnings)
-            unknown = maps.unknown()["normal"][maps.covered].mean()
+            unknown = maps.unknown()["normal"][maps.solved].mean()
             assert (unknown == 1) == fixed
             assert (maps.values["normal"] == (0, 0, 1)).all() == fixed
         assert {text[:25] for text in texts} == {f"stopped in round {number} of 3 o" for number in (1, 2)}

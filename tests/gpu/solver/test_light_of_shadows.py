@@ -51,12 +51,12 @@ def found(domain, normal, misfit=1.0, least=0.05, entry="fragment", turn=0.0):
     model, misfit = load_model("lambert"), np.broadcast_to(np.float32(misfit), domain.shape)
     prepared = prepare(domain, model, load_schedule("standard"))
     packing = prepared.packing
-    held = DomainTextures(
+    domain_textures = DomainTextures(
         domain, packing, prepared.stack, packing.pack(prepared.scale), prepared.mean_irradiance, prepared.arrays
     )
     values = {"normal": packing.pack(normal), "base_color": packing.pack(np.zeros((*domain.shape, 3)))}
-    work = shadow_light_pass(model, least, turn, held.defines, entry)
-    return run_steps(shadow_light_steps(work, held, Estimates(model, values), misfit, Bands(), 1.0))
+    work = shadow_light_pass(model, least, turn, domain_textures.defines, entry)
+    return run_steps(shadow_light_steps(work, domain_textures, Estimates(model, values), misfit, Bands(), 1.0))
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])

@@ -234,7 +234,7 @@ def test_the_prefits_misfit_matches_float64(recover, uneven):
     domain, _ = uneven
     recovery = recover(domain, PRINCIPLED, STANDARD)
     phase, pack = ended_prefit(recovery), Packing(domain.solvable)
-    fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)).fitness)
+    fitness = pack.unpack(run_steps(phase.measure_steps(Bands(), 1.0)).fitness)
     own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.scale_percentile).astype(np.float64)
     wanted, samples = bounded_misfit(domain, "base_lobe", own, STANDARD.prefit, scale)
@@ -319,6 +319,6 @@ def test_normals_of_a_rendered_bunny_are_recovered_without_tuning(recover, share
     recovery = recover(domain, PRINCIPLED, load_schedule("standard"))
     recovery.step()
     maps = recovery.maps(confidence=False)
-    error = degrees(maps, truth)[maps.covered]
+    error = degrees(maps, truth)[maps.solved]
     assert error.size > 4000
     assert error.mean() < limit, error.mean()

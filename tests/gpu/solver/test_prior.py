@@ -10,6 +10,7 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.spatial_prior import SpatialPriorPhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.groups import SpatialPrior
@@ -62,7 +63,7 @@ class Bench:
         self.uploaded = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = resolve(schedule, model, fixed)[-1]
-        self.prior = SpatialPriorPhase(resolved, model, schedule, self.uploaded, self.estimates, entry)
+        self.prior = SpatialPriorPhase(resolved, PhaseContext(model, schedule, self.uploaded, self.estimates, entry))
         self.bands = Bands()
 
     def run(self, iterations=None):
@@ -337,11 +338,11 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, 
     run.step()
     maps = run.maps(confidence=False)
     for p in model.parameters:
-        value = maps.values[p.name][maps.covered]
+        value = maps.values[p.name][maps.solved]
         assert np.isfinite(value).all()
         assert (value >= p.range[0]).all() and (value <= p.range[1]).all()
     for first, second in zip(model.ordered, model.ordered[1:], strict=False):
-        assert (maps.values[first] <= maps.values[second])[maps.covered].all()
+        assert (maps.values[first] <= maps.values[second])[maps.solved].all()
 
 
 def test_a_prior_reads_and_renders_as_planned(prior):

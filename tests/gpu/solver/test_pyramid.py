@@ -174,7 +174,7 @@ def test_maps_of_a_coarse_level_have_the_size_of_the_domain(turned):
         while " at 1/4" in run.progress.title:
             last = run.maps()
             run.step(iterations=1)
-    assert (last.covered == domain.solvable).all() and last.residual.shape == domain.shape
+    assert (last.solved == domain.solvable).all() and last.residual.shape == domain.shape
     assert last.confidence["base_color"].shape == (*domain.shape, 3)
     assert np.median(angles(last.values["normal"], truth["normal"])[domain.solvable]) < 5
 

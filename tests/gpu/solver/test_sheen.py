@@ -13,6 +13,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.sheen import SheenPhase
 from irpso_addon.solver.settings.resolve import ResolvedSheen
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -82,7 +83,7 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     first[rng.random(domain.shape) < 0.1] = UNFIT
     normals = np.float32(unit(rng.normal(size=(*domain.shape, 3)) + (0, 0, 3)))
     pack = Packing(domain.solvable)
-    held = DomainTextures(
+    domain_textures = DomainTextures(
         domain, pack, pack_layers(pack, domain.stack.values), pack.pack(np.ones(domain.shape, np.float32))
     )
     up = np.float32([0, 0, 1])
@@ -91,10 +92,12 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     sheen = pack.pack(np.concatenate([normals, second[..., None]], axis=-1))
     measurements = PrefitMeasurements(pack.pack(first), sheen=sheen)
     estimates = Estimates(LAMBERT, values)
-    phase = SheenPhase(ResolvedSheen(), LAMBERT, SHEEN, held, estimates, "fragment", measurements)
+    phase = SheenPhase(
+        ResolvedSheen(), PhaseContext(LAMBERT, SHEEN, domain_textures, estimates, "fragment"), measurements
+    )
     run_steps(phase.advance(Bands(), 1.0))
     run_steps(phase.write_estimates(Bands(), 1.0))
-    known = {name: pack.unpack(array) for name, array in run_steps(phase.measuring(Bands(), 1.0)).arrays.items()}
+    known = {name: pack.unpack(array) for name, array in run_steps(phase.measure_steps(Bands(), 1.0)).arrays.items()}
     found = pack.unpack(estimates.values()["normal"])
     phase.close()
     counted = domain.solvable & (first < UNFIT)

@@ -65,7 +65,7 @@ def test_an_unobserved_texel_stays_at_the_default(recover):
     recovery = recover(domain)
     recovery.step()
     maps = recovery.maps()
-    np.testing.assert_array_equal(maps.covered, ~unseen)
+    np.testing.assert_array_equal(maps.solved, ~unseen)
     for p in LAMBERT.parameters:
         np.testing.assert_array_equal(
             maps.values[p.name][unseen], np.broadcast_to(p.default, (unseen.sum(), p.components))
@@ -97,7 +97,7 @@ def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
     recovery = recover(domain)
     assert recovery.step().evaluations == 0
     maps = recovery.maps()
-    assert not maps.covered.any() and (maps.values["normal"] == (0, 0, 1)).all()
+    assert not maps.solved.any() and (maps.values["normal"] == (0, 0, 1)).all()
 
 
 # ---- textures ----------------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def test_fixed_maps_are_exact_and_the_rest_is_recovered(recover):
     assert recovery.progress.title == "base_color"
     recovery.step()
     maps = recovery.maps()
-    seen = maps.covered
+    seen = maps.solved
     np.testing.assert_array_equal(maps.values["normal"][seen], truth["normal"][seen])
     error = np.abs(maps.values["base_color"] - truth["base_color"])[seen]
     assert np.median(error) < 1e-3
@@ -162,7 +162,7 @@ def test_a_known_value_may_be_one_for_all_texels(recover):
     recovery = recover(domain, fixed={"base_color": np.array([0.1, 0.2, 0.3])})
     recovery.step()
     maps = recovery.maps()
-    assert (maps.values["base_color"][maps.covered] == np.float32([0.1, 0.2, 0.3])).all()
+    assert (maps.values["base_color"][maps.solved] == np.float32([0.1, 0.2, 0.3])).all()
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_cycles_of_stages_improve_on_the_estimates_of_the_one_before(recover):
         recovery = recover(domain, schedule=load_schedule("paper").replaced(iterations=150, cycles=cycles))
         recovery.step()
         maps = recovery.maps()
-        residuals.append(maps.residual[maps.covered])
+        residuals.append(maps.residual[maps.solved])
     # A stage starts from what is known: its first particle stands there, so that no texel gets worse.
     assert (residuals[1] <= residuals[0] + 1e-5).all()
     assert residuals[1].mean() < 0.5 * residuals[0].mean()
@@ -227,7 +227,7 @@ def test_any_choice_of_parameters_is_searched_and_no_other_moves(recover, search
     before = recover(domain, TWO_LOBES, SHORT).maps()
     recovery.step()
     maps = recovery.maps()
-    seen = maps.covered
+    seen = maps.solved
     for p in TWO_LOBES.parameters:
         same = (maps.values[p.name][seen] == guess[p.name][seen]).all()
         assert same != (p.name in search or p.stage in search), p.name
@@ -244,7 +244,7 @@ def test_the_residual_is_the_mean_absolute_error_of_the_render(recover):
     stage = resolve(SHORT, LAMBERT, set())[0]
     problem = oracle.Problem(domain, LAMBERT, stage, schedule, maps.values, np.ones(shape), 1)
     error = oracle.fitness(dataclasses.replace(problem, stage=dataclasses.replace(stage, parameters=())), np.zeros(1))
-    np.testing.assert_allclose(maps.residual[maps.covered], error[maps.covered], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(maps.residual[maps.solved], error[maps.solved], rtol=1e-5, atol=1e-6)
 
 
 def test_reading_maps_often_keeps_no_memory(recover):
@@ -275,7 +275,7 @@ def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search
             assert (x[..., at["LOBE_FIRST"]] <= x[..., at["LOBE_SECOND"]]).all()
             assert x.min() >= 0 and x.max() <= 1
     maps = recovery.maps()
-    assert (maps.values["r1"] <= maps.values["r2"])[maps.covered].all()
+    assert (maps.values["r1"] <= maps.values["r2"])[maps.solved].all()
 
 
 def test_exchanging_the_lobes_keeps_the_render(recover):

@@ -16,6 +16,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.surface import SurfacePhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.resolve import resolve
@@ -52,10 +53,10 @@ class Bench:
         context.ensure()
         self.model, self.domain, self.pack = model, domain, Packing(domain.solvable, domain.seams)
         scale = self.pack.pack(np.ones(domain.shape, np.float32))
-        held = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
+        domain_textures = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         (resolved,) = resolve(schedule, model, set())[-1:]
-        self.phase = SurfacePhase(resolved, model, schedule, held, self.estimates, entry)
+        self.phase = SurfacePhase(resolved, PhaseContext(model, schedule, domain_textures, self.estimates, entry))
 
     def run(self, iterations=None):
         """Make iterations until so many were made, or all."""
@@ -326,7 +327,7 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover):
     run.step()
     maps = run.maps(confidence=False)
     for p in model.parameters:
-        value = maps.values[p.name][maps.covered]
+        value = maps.values[p.name][maps.solved]
         assert np.isfinite(value).all()
         assert (value >= p.range[0]).all() and (value <= p.range[1]).all()
 

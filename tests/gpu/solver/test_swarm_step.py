@@ -10,6 +10,7 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import resolve
@@ -103,7 +104,8 @@ class Bench:
         self.packing = pack = Packing(self.domain.solvable)
         self.textures = DomainTextures(self.domain, pack, pack_layers(pack, self.domain.stack.values), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in estimates.items()})
-        self.stage = SequentialSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
+        shared = PhaseContext(self.model, self.schedule, self.textures, self.estimates, entry)
+        self.stage = SequentialSwarmPhase(stage, shared, seed)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))
         self.problem = oracle.Problem(
             self.domain, self.model, stage, self.schedule, estimates, scale.astype(np.float64), count, seed
@@ -242,7 +244,7 @@ def test_fragment_and_compute_end_with_equal_error_quantiles():
         with Recovery(domain, load_model("lambert"), schedule, 5, entry=entry) as recovery:
             assert recovery.step().done
             maps = recovery.maps()
-        error = np.abs(maps.values["base_color"] - truth["base_color"]).max(axis=-1)[maps.covered]
+        error = np.abs(maps.values["base_color"] - truth["base_color"]).max(axis=-1)[maps.solved]
         quantiles.append(np.quantile(error, (0.5, 0.9, 0.99)))
     # Devices may round the two entries differently, after which the swarms go their own ways: to the same place.
     np.testing.assert_allclose(*quantiles, atol=1e-4)

@@ -50,7 +50,7 @@ SCHEDULES = {
 
 def everything(maps):
     """Return all arrays of maps as bytes."""
-    arrays = {**maps.values, "covered": maps.covered, "residual": maps.residual}
+    arrays = {**maps.values, "covered": maps.solved, "residual": maps.residual}
     arrays |= {f"{name} σ": a for name, a in (maps.confidence or {}).items()}
     arrays |= {f"{name} elsewhere": a for name, a in (maps.alternatives or {}).items()}
     return {name: np.ascontiguousarray(array).tobytes() for name, array in arrays.items()}

@@ -26,7 +26,7 @@ def driven(recovery, history, budget=None):
     while not recovery.step(history.until_next(None), budget).done:
         history.record_due()
     history.record_due()
-    return history.notes
+    return history.arrays
 
 
 @pytest.mark.parametrize("schedule", [STAGES, THRESHOLD], ids=["stages", "threshold"])
@@ -61,7 +61,7 @@ def test_notes_continue_from_a_checkpoint(stop, tmp_path):
         history = History(recovery, truth)
         recovery.step(stop)
         history.record_due()
-        recovery.save(tmp_path / "run.npz", history.notes)
+        recovery.save(tmp_path / "run.npz", history.arrays)
     with turns_of(domain, STAGES) as recovery:
         history = History(recovery, truth)
         history.take(recovery.load(tmp_path / "run.npz"))
@@ -79,7 +79,7 @@ def test_a_truth_may_be_added_or_dropped_when_a_run_continues(before, tmp_path):
         for _ in range(3):
             recovery.step(history.until_next(None))
             history.record_due()
-        recovery.save(tmp_path / "run.npz", history.notes)
+        recovery.save(tmp_path / "run.npz", history.arrays)
     with Recovery(domain, LAMBERT, STAGES, 1, entry="fragment") as recovery:
         history = History(recovery, None if before else truth)
         history.take(recovery.load(tmp_path / "run.npz"))
@@ -108,8 +108,8 @@ def test_a_note_is_what_the_maps_have(entry):
     with Recovery(domain, LAMBERT, STAGES, 1, entry=entry) as recovery:
         for iterations in (1, 20, 31):
             recovery.step(iterations)
-            note = recovery.note(rows, columns)
+            record = recovery.record(rows, columns)
             maps = recovery.maps(confidence=False)
-            np.testing.assert_array_equal(note.residual, maps.residual[rows, columns])
-            for name, values in note.values.items():
+            np.testing.assert_array_equal(record.residual, maps.residual[rows, columns])
+            for name, values in record.values.items():
                 np.testing.assert_array_equal(values, maps.values[name][rows, columns])

@@ -41,7 +41,7 @@ def test_chosen_exports_lie_beside_the_maps_and_read_back(settings, tmp_path):
     assert not {"normal_world.exr", "normal_directx.exr"} & files
     described = json.loads((tmp_path / "out" / "report.json").read_text())
     assert described["height"]["unit"] == "texels" and described["settings"]["model"] == DEFAULT_MODEL
-    assert read_result(tmp_path / "out").maps.covered.shape == SHAPE
+    assert read_result(tmp_path / "out").maps.solved.shape == SHAPE
 
 
 def test_keep_displaces_the_card_only_if_chosen(settings):
@@ -90,7 +90,7 @@ def test_a_card_is_written_as_maps_that_repeat_if_it_is_large_enough(settings, m
     monkeypatch.setattr(seamless, "_MIN_SIDE", 4)
     assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
     found = read_result(tmp_path / "out")
-    rows, columns = found.maps.covered.shape
+    rows, columns = found.maps.solved.shape
     assert rows == columns and found.height is not None and (tmp_path / "out" / "repeated.png").is_file()
 
 

@@ -179,7 +179,7 @@ def test_a_comparison_that_fails_loses_no_maps(settings, monkeypatch):
     while running.active:
         running.tick(0.05)
     assert (running.state, running.closed, running.held_out_line) == ("done", False, "")
-    assert failures.messages() and running.maps().covered.any()
+    assert failures.messages() and running.maps().solved.any()
 
 
 def test_a_paused_run_exports_what_its_maps_relight(settings, tmp_path):

@@ -217,7 +217,7 @@ def test_a_material_of_a_library_is_refused_with_what_to_do_and_nothing_is_made(
 
 
 def test_a_mesh_that_was_deleted_is_missed(recovered, monkeypatch):
-    monkeypatch.setattr(recovered.work, "job", replace(recovered.job, mesh=object(), object_uid=-1))
+    monkeypatch.setattr(recovered.job_run, "job", replace(recovered.job, mesh=object(), object_uid=-1))
     assert "has been deleted" in refusal(bpy.ops.irpso.keep)
     assert not bpy.data.materials
 

@@ -92,7 +92,7 @@ def test_maps_are_split_into_their_tiles_and_numbers_stay_numbers():
     assert (one, two) == (1001, 1004) and left.tiles == (1001,)
     for part, columns in ((left, slice(0, 3)), (right, slice(3, 6))):
         np.testing.assert_array_equal(part.values["base_color"], values["base_color"][:, columns])
-        np.testing.assert_array_equal(part.covered, covered[:, columns])
+        np.testing.assert_array_equal(part.solved, covered[:, columns])
         np.testing.assert_array_equal(part.residual, covered[:, columns])
         np.testing.assert_array_equal(part.confidence["base_color"], values["base_color"][:, columns])
         np.testing.assert_array_equal(part.alternatives["roughness"], values["base_color"][:, columns, :1])

@@ -77,11 +77,11 @@ def one_part(path):
 def test_a_map_of_two_numbers_has_a_black_third_channel(maps, tmp_path):
     model = ReflectanceModel("pair", "Pair", Path("pair.glsl"), (Parameter("x", map="xy"), Parameter("y", map="xy")))
     values = {"x": maps.values["r1"], "y": maps.values["r2"]}
-    write_maps(Maps(model, values, maps.covered), tmp_path / "out", {})
+    write_maps(Maps(model, values, maps.solved), tmp_path / "out", {})
     channels = one_part(tmp_path / "out" / "xy.exr")
     assert set(channels) == {"R", "G", "B"}
     np.testing.assert_array_equal(channels["B"], 0)
-    np.testing.assert_array_equal(channels["G"][maps.covered], values["y"][maps.covered][:, 0])
+    np.testing.assert_array_equal(channels["G"][maps.solved], values["y"][maps.solved][:, 0])
 
 
 def test_every_map_is_written_as_png_and_exr_with_the_users_own_names(maps, tmp_path):
@@ -93,7 +93,7 @@ def test_every_map_is_written_as_png_and_exr_with_the_users_own_names(maps, tmp_
 
 def test_exr_files_hold_the_numbers_themselves_and_the_normal_is_the_unit_vector(maps, tmp_path):
     write_maps(maps, tmp_path, {})
-    covered = maps.covered
+    covered = maps.solved
     for stem, names, channels in (
         ("tint", ["tint"], "RGB"),
         ("bumps", ["n"], "RGB"),
@@ -119,7 +119,7 @@ def test_png_files_hold_the_encoded_numbers_in_16_bits_top_row_first(maps, tmp_p
     expected["lobes"] = np.concatenate([maps.values[n] for n in ("r1", "r2", "w")], axis=-1)
     for stem, values in expected.items():
         png = read_png_16(tmp_path / f"{stem}.png")[::-1] / 65535
-        np.testing.assert_allclose(png[maps.covered], values[maps.covered], atol=half_step + 1e-7)
+        np.testing.assert_allclose(png[maps.solved], values[maps.solved], atol=half_step + 1e-7)
 
 
 def test_maps_exr_holds_every_part_and_its_coverage(maps, tmp_path):
@@ -128,9 +128,9 @@ def test_maps_exr_holds_every_part_and_its_coverage(maps, tmp_path):
     assert set(parts) == {
         "tint", "bumps", "lobes", "strength", "residual", "coverage", "confidence_n", "confidence_tint",
     }  # fmt: skip
-    np.testing.assert_array_equal(parts["coverage"]["Y"], maps.covered)
-    np.testing.assert_array_equal(parts["residual"]["Y"], np.where(maps.covered, maps.residual, 0))
-    np.testing.assert_array_equal(parts["confidence_tint"]["B"][maps.covered], maps.confidence["tint"][maps.covered, 2])
+    np.testing.assert_array_equal(parts["coverage"]["Y"], maps.solved)
+    np.testing.assert_array_equal(parts["residual"]["Y"], np.where(maps.solved, maps.residual, 0))
+    np.testing.assert_array_equal(parts["confidence_tint"]["B"][maps.solved], maps.confidence["tint"][maps.solved, 2])
 
 
 def test_the_report_says_what_each_channel_is(maps, tmp_path):
@@ -147,7 +147,7 @@ def test_a_second_result_replaces_the_first_and_keeps_other_files(maps, tmp_path
     (tmp_path / "photo.png").write_bytes(b"mine")
     write_maps(maps, tmp_path, {})
     smaller = ReflectanceModel("other", "Other", Path("o.glsl"), MODEL.parameters[:2])
-    write_maps(Maps(smaller, maps.values, maps.covered), tmp_path, {})
+    write_maps(Maps(smaller, maps.values, maps.solved), tmp_path, {})
     assert set(os.listdir(tmp_path)) == {
         "photo.png", "tint.png", "tint.exr", "bumps.png", "bumps.exr", "maps.exr", "report.json",
     }  # fmt: skip

@@ -13,7 +13,7 @@ from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.paths import SHADERS
 from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.halo import held_rows, own_rows, place_of
+from irpso_addon.solver.engine.halo import own_rows, place_of, tile_rows
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state import checkpoint
 from irpso_addon.solver.state.layout import TexelLayout, digest_of_texels, joined, numbered
@@ -265,7 +265,7 @@ def test_the_state_per_texel_equals_the_atlas(tiles):
     numbers, parts = numbered(solvable), []
     for box in ((0, 0, 3, 3), (3, 0, 1, 3)):
         held = tile(domain, *box, halo=1)
-        moved = TexelLayout(held).arrays({n: r[held_rows(numbers, place_of(box, held))] for n, r in rows.items()}, 64)
+        moved = TexelLayout(held).arrays({n: r[tile_rows(numbers, place_of(box, held))] for n, r in rows.items()}, 64)
         assert moved["prefit_fitness"].ndim == 2
         parts.append((own_rows(numbers, box), TexelLayout(held).rows(moved, tiles)))
     again = joined(10, parts)

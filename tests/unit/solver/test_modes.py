@@ -62,9 +62,9 @@ def test_fewer_texels_than_forty_count_as_many_as_they_are():
 def test_texels_outside_count_nothing_and_have_no_modes():
     worse = np.where(np.arange(SHAPE[0])[:, None] < 15, 0.0, 9.0)
     maps = maps_of(worse)
-    covered = maps.covered.copy()
+    covered = maps.solved.copy()
     covered[15:] = False
-    found = with_modes(replace(maps, covered=covered)).two_modes["roughness"]
+    found = with_modes(replace(maps, solved=covered)).two_modes["roughness"]
     assert found[:15].all() and not found[15:].any()
 
 
@@ -80,7 +80,7 @@ def test_texels_are_gathered_in_parts_to_the_same_end(monkeypatch):
 def test_unmeasured_maps_stay_unchanged(alternatives):
     maps = replace(maps_of(0.0), alternatives=alternatives)
     assert with_modes(maps) is maps and maps.two_modes == {} and mode_warnings(maps, True) == []
-    nothing = replace(maps_of(0.0), covered=np.zeros(SHAPE, bool))
+    nothing = replace(maps_of(0.0), solved=np.zeros(SHAPE, bool))
     assert with_modes(nothing) is nothing
 
 

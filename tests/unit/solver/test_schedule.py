@@ -9,7 +9,7 @@ from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.phases.swarm import neighbour_constant, particle_count
 from irpso_addon.solver.settings.groups import Refinement, Stage
-from irpso_addon.solver.settings.resolve import ResolvedRefinement, held_names, resolve
+from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve, unsearched_names
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
@@ -158,9 +158,9 @@ def test_fixed_parameters_are_not_searched_and_empty_stages_are_dropped():
 
 def test_held_are_the_fixed_parameters_and_those_of_no_stage():
     model, schedule = load_model("principled"), load_schedule("standard")
-    assert held_names(schedule, model, {"specular"}) == {"specular"}
-    assert held_names(schedule.replaced(search=("normal",)), model, ()) == {"base_color", "roughness", "specular"}
-    assert held_names(load_schedule("paper"), model, ()) == set()
+    assert unsearched_names(schedule, model, {"specular"}) == {"specular"}
+    assert unsearched_names(schedule.replaced(search=("normal",)), model, ()) == {"base_color", "roughness", "specular"}
+    assert unsearched_names(load_schedule("paper"), model, ()) == set()
 
 
 def test_rest_means_all_parameters_that_no_stage_names():
