@@ -24,7 +24,7 @@ from irpso_addon.solver.kernels.single_passes import (
     residual_pass,
     sampled_residual_pass,
 )
-from irpso_addon.solver.phases import indirect, prefit, separation, sheen
+from irpso_addon.solver.phases import acceptance, indirect, prefit, separation, sheen
 from irpso_addon.solver.phases.neighbour_test import decision_pass
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
@@ -88,7 +88,7 @@ def make_passes(resolved, model, schedule):
         prefit.adopt_pass(model, DOMAIN)
         prefit._measure_pass(resolved.model, schedule, DOMAIN)
         prefit._indirect_misfit_pass(resolved.model, schedule, DOMAIN)
-        prefit._acceptance_pass(model, schedule, DOMAIN)
+        acceptance.acceptance_pass(model, schedule, DOMAIN)
     else:
         codec = build_encoding(model, resolved, schedule.swarm.normal)
         particles = particle_count(schedule, codec.dimensions)

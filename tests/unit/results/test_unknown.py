@@ -48,8 +48,8 @@ def test_a_wide_deviation_of_one_number_is_no_sign_that_nothing_is_determined():
     assert not causes[Cause.NOTHING_DETERMINED].any()
 
 
-def test_what_is_not_covered_is_not_unknown():
+def test_texels_that_are_not_solved_are_not_unknown():
     maps = replace(
-        maps_of(1.0), covered=np.zeros(SHAPE, bool), unknown_texels={"normal": {Cause.LATER_ROUND: np.True_}}
+        maps_of(1.0), solved=np.zeros(SHAPE, bool), unknown_texels={"normal": {Cause.LATER_ROUND: np.True_}}
     )
     assert not any(mask.any() for masks in maps.unknown_by_cause().values() for mask in masks.values())
