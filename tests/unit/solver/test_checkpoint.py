@@ -119,6 +119,16 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
             checkpoint.read(path, WHO)
 
 
+def test_a_checkpoint_under_former_rules_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "run.irpso"
+    with monkeypatch.context() as patched:
+        patched.setattr(checkpoint, "_VERSION", 7)  # other scales of dark texels, and other priors
+        checkpoint.write(path, WHO, checkpoint.Checkpoint(1, -4, 9, ARRAYS))
+    for ask in (checkpoint.read, checkpoint.glance):
+        with pytest.raises(CheckpointError, match="of another version of the program; finish it there, or leave out"):
+            ask(path, WHO)
+
+
 def test_a_checkpoint_of_another_version_is_refused(saved, monkeypatch):
     monkeypatch.setattr(checkpoint, "_VERSION", checkpoint._VERSION + 1)
     with pytest.raises(InputError, match="of another version"):
