@@ -34,7 +34,7 @@ def extract_mesh(obj: Any, slots: Sequence[int] | None = None) -> MeshData:
     if not evaluated.is_evaluated:
         raise InputError(f"object '{obj.name}' is not in the active view layer or is hidden; show it in the viewport")
     matrix = np.array(evaluated.matrix_world, np.float64)
-    _check_matrix(obj.name, matrix)
+    check_matrix(obj.name, matrix)
     mesh = new_evaluated_mesh(obj)
     try:
         corners = _local_triangles(obj.name, mesh, slot_names(obj), slots)
@@ -55,7 +55,8 @@ def new_evaluated_mesh(obj: Any) -> Any:
     return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
-def _check_matrix(name: str, matrix: np.ndarray) -> None:
+def check_matrix(name: str, matrix: np.ndarray) -> None:
+    """Raise InputError where an object's matrix in the world (4, 4) flattens it."""
     lengths = np.linalg.norm(matrix[:3, :3], axis=0)
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) <= 1e-9 * max(lengths.max(), 1e-30) ** 3:
         raise InputError(f"object '{name}' has a scale of zero along an axis; set its scale or apply it")

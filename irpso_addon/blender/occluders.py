@@ -15,15 +15,20 @@ from .mesh import read_attribute
 WITH_SURFACE = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META"})  # types of objects that Blender makes meshes of
 
 
-def with_occluders(mesh: MeshData, objects: Iterable[Any]) -> MeshData:
+def with_occluders(mesh: MeshData, objects: Sequence[Any], of_collection: bool = False) -> MeshData:
     """Return a mesh with the triangles of other objects in its way, with modifiers and instances of the viewport.
 
-    Raises InputError, with the object's name, where one has no surface or is hidden.
+    of_collection: instancers without faces are left out, as of lights. Raises InputError, with the object's name, where
+    one has no surface or is hidden.
     """
-    objects = list(objects)
+    if not objects:
+        return mesh
     instances = _instances({obj.session_uid for obj in objects})
-    triangles = [_triangles(obj, instances.get(obj.session_uid, [])) for obj in objects]
-    return replace(mesh, occluders=np.concatenate(triangles)) if triangles else mesh
+    triangles = [
+        _triangles(obj, instances.get(obj.session_uid, []), needed=not (of_collection and obj.is_instancer))
+        for obj in objects
+    ]
+    return replace(mesh, occluders=np.concatenate(triangles))
 
 
 def can_occlude(obj: Any) -> bool:
@@ -50,8 +55,11 @@ def named_occluders(names: Iterable[str], subject: Any, option: str) -> list[Any
     return objects
 
 
-def _triangles(obj: Any, instances: Sequence[np.ndarray]) -> np.ndarray:
-    """Return (T, 3, 3) float32 the corners of an object's triangles, in the world. instances: their corners."""
+def _triangles(obj: Any, instances: Sequence[np.ndarray], needed: bool) -> np.ndarray:
+    """Return (T, 3, 3) float32 the corners of an object's triangles, in the world.
+
+    instances: their corners. needed: an object without triangles is refused.
+    """
     import bpy
 
     if not can_occlude(obj):
@@ -72,7 +80,7 @@ def _triangles(obj: Any, instances: Sequence[np.ndarray]) -> np.ndarray:
         finally:
             bpy.data.meshes.remove(mesh)
     world = np.concatenate(parts) if parts else np.empty((0, 3))
-    if not len(world):
+    if needed and not len(world):
         raise InputError(f"occluder '{obj.name}' has no faces; leave it out")
     if not np.isfinite(world).all():
         raise InputError(f"occluder '{obj.name}' has vertices that are not numbers; repair it, or leave it out")
@@ -82,7 +90,7 @@ def _triangles(obj: Any, instances: Sequence[np.ndarray]) -> np.ndarray:
 def _instances(wanted: set[int]) -> dict[int, list[np.ndarray]]:
     """Return session number → (3T, 3) corners of each instance that the viewport shows of these objects.
 
-    Instances are of collections, vertices, faces, particles and geometry nodes.
+    Instances are of collections, vertices, faces, particles and geometry nodes. Blender lists none of metaballs.
     """
     import bpy
 

@@ -97,6 +97,13 @@ def test_the_rig_lights_other_photographs_in_four_clicks(artist, folder):
     assert "8 lamps written to later_capture" in artist.reports()
 
 
+def test_a_photograph_accepted_in_the_browser_stands_for_its_folder(artist, folder):
+    photographs = sorted((folder / "later").glob("0*.*"))
+    apply(artist, photographs[0], "photograph")
+    artist.wait(f"settings().capture_path == {str(folder / 'later_capture_1')!r}", timeout=60)
+    artist.wait("not checking()", timeout=120)
+
+
 def test_another_number_of_photographs_is_refused_in_one_line_and_changes_nothing(artist, folder):
     artist.expect("has 2 photographs")
     before, sidebar = artist.run("settings().capture_path"), artist.region(region="UI")

@@ -21,7 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ...geometry.spaces import unit
 from ..colour_spaces import Use, use_space
-from ..mesh import mesh_of_faces, new_evaluated_mesh
+from ..mesh import check_matrix, mesh_of_faces, new_evaluated_mesh
 from ..operators import quiet_operator, removed_afterwards
 from .displacement import DIVISION
 from .material import TAG
@@ -251,6 +251,7 @@ def _triangles(
     uvs = _read(layer.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
     normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
     corners = np.reshape(vertices, (-1, 3))
+    check_matrix(obj.name, np.array(obj.matrix_world))
     shear = _shear(obj.matrix_world)
     coordinates = _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3) @ shear.T
     mesh = mesh_of_faces(name, coordinates, corners)

@@ -10,7 +10,7 @@ from ...core.errors import InputError
 from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names
 from ...geometry.surface.udim import lay_out
-from ..mesh import read_attribute
+from ..mesh import new_evaluated_mesh, read_attribute
 from .material import TAG
 
 _MOVED = 1e-6  # of a UDIM tile
@@ -48,10 +48,10 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
 def uv_warnings(obj: Any, mesh: MeshData) -> list[str]:
     """Return a warning where the UV map of an object has moved since its mesh was read: the maps no longer fit.
 
-    Nothing is known of a mesh with more or fewer triangles, as a new modifier makes them.
+    Nothing is known of a mesh with more or fewer triangles, or without that UV map, as a new modifier makes them.
     """
     uvs = _uvs(obj, mesh.uv_map)
-    if uvs.shape != mesh.uvs.shape:
+    if uvs is None or uvs.shape != mesh.uvs.shape:
         return []
     chosen = slice(None) if mesh.solved is None else mesh.solved
     try:
@@ -66,19 +66,17 @@ def uv_warnings(obj: Any, mesh: MeshData) -> list[str]:
     ]
 
 
-def _uvs(obj: Any, uv_map: str) -> np.ndarray:
-    """Return (T, 3, 2) texture coordinates of an object's triangles, as ``extract_mesh`` reads them."""
+def _uvs(obj: Any, uv_map: str) -> np.ndarray | None:
+    """Return (T, 3, 2) texture coordinates of an object's triangles, as ``extract_mesh`` reads them; None without."""
     import bpy
 
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    evaluated = obj.evaluated_get(depsgraph)
-    mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    mesh = new_evaluated_mesh(obj)
     try:
+        layer = mesh.uv_layers.get(uv_map)
+        if layer is None:
+            return None
         mesh.calc_loop_triangles()
         loops = read_attribute(mesh.loop_triangles, "loops", 3 * len(mesh.loop_triangles), np.int32)
-        uvs = read_attribute(mesh.uv_layers[uv_map].uv, "vector", 2 * len(mesh.loops))
-        return uvs.reshape(-1, 2)[loops].reshape(-1, 3, 2)
+        return read_attribute(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[loops].reshape(-1, 3, 2)
     finally:
         bpy.data.meshes.remove(mesh)

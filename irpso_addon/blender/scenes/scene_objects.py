@@ -48,8 +48,6 @@ def set_background(obj, image) -> None:
     data = obj.data
     data.show_background_images = True
     background = data.background_images[0] if data.background_images else data.background_images.new()
-    if background.image == image:
-        return
     background.image = image
     orientation = 1 if image is None else stored_orientation(image)
     turn = upright_axes(orientation)[:2, :2]

@@ -16,8 +16,8 @@ from ..relief.relief import card_height_steps, slopes_seen
 from ..surface.bake import SurfaceBake
 from ..surface.mesh import MeshData
 
-_AN_ELEMENT = 4  # vertices along an element; whole strides may halve it
-_LEAST, _MOST = 640, 1024  # vertices along the longer side: no fewer, unless it has fewer texels; and no more
+# Most vertices: along an element; along the longer side, by its elements within limits. Whole strides may halve them.
+_AN_ELEMENT, _LEAST, _MOST = 4, 640, 1024
 _TRIANGLES = 2  # of four vertices
 _CHUNK = 1 << 16  # texels at a time
 _HALF = 0.5  # part of a cell that is covered: with less it is no vertex

@@ -32,7 +32,7 @@ from .corrected_stack import CorrectedStack
 from .indirect_light import IndirectLight
 from .shrinkage import shrunk_to_similar_colours
 
-_RULES = 2  # raised where a run that resumes would decide otherwise about its rounds than it did
+_RULES = 3  # raised where a run that resumes would decide otherwise about its rounds than it did
 _AT = "interreflection"  # checkpoint array: the round, and the evaluations of the rounds before it
 _ERRORS = "interreflection_errors"
 _WELL_FITTED = "explained"  # among source maps: (H, W, 1), 1 where they fit the photographs; its name in checkpoints

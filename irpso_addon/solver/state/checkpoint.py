@@ -21,12 +21,11 @@ from ...geometry.domain import Domain
 from ...gpu.library import read_source
 from ...reflectance.model import ReflectanceModel
 from ..kernels.declarations import model_includes
-from ..settings.renamed import current_tables
 from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
-_VERSION = 7
-_EXTRA = "note_"  # prefix of the caller's own arrays in the file
+_VERSION = 8  # raised where the file, or a recovery that resumes from it, would be another
+_EXTRA = "extra_"  # prefix of the caller's own arrays in the file
 NEVER = -1  # value of ``begun`` where the stage cannot restart from its begin
 PHASE = "phase_"  # prefix of the arrays of the running phase
 
@@ -168,8 +167,6 @@ def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
     if about["version"] != _VERSION:
         raise CheckpointError(f"{path}: is of another version of the program; finish it there, or leave out --resume")
     theirs, ours = dict(about["identity"]), json.loads(json.dumps(who))
-    if isinstance(theirs.get("preset"), dict):  # of an earlier format, with former names
-        theirs["preset"] = current_tables(theirs["preset"])
     differing = [name for name in ours if theirs.get(name) != ours[name]]
     if differing:
         details = [text for name in differing if (text := _difference(name, theirs.get(name), ours[name]))]

@@ -21,9 +21,9 @@ _SIDE = 16384  # of a texture, assumed for byte counts: it rarely changes the la
 class TextureGroup:
     """Textures that are allocated, written and swapped together.
 
-    samplers: names in shaders, one per texture. arrays: names in checkpoints, which stay when a group is renamed; empty
-    if no later iteration reads the textures. value: initial content. in_atlas: one W×H tile per particle and block,
-    otherwise W×H. double: a second set, which a pass writes while it reads the first.
+    samplers: names in shaders, one per texture. arrays: names in checkpoints; empty if no later iteration reads the
+    textures. value: initial content. in_atlas: one W×H tile per particle and block, otherwise W×H. double: a second
+    set, which a pass writes while it reads the first.
     """
 
     samplers: tuple[str, ...]
@@ -121,7 +121,7 @@ def sheen_table() -> TextureTable:
 def indirect_table() -> TextureTable:
     """Return the table of the detection of indirect light: shaders/prefit/indirect_misfit.glsl, its result."""
     return TextureTable({
-        "misfit": TextureGroup(("u_measured",), ("evidence",)),
+        "misfit": TextureGroup(("u_measured",), ("misfit",)),
         "shadow": TextureGroup(("u_shadow",), ("shadow",), "R32F"),
     })  # fmt: skip
 
@@ -141,11 +141,10 @@ def spatial_prior_table(estimates: int) -> TextureTable:
     round, the prior. own: deviations from the texel's own samples alone. work, status: the estimates that are fitted to
     samples and prior. penalty: of the estimates at the start.
     """
-    pooled = numbered("belief", 2 * estimates)
     return TextureTable({
         "noise": TextureGroup(("u_noise",), ("noise",), double=True),
-        "mean": TextureGroup(numbered("u_mean", estimates), pooled[:estimates], double=True),
-        "deviation": TextureGroup(numbered("u_deviation", estimates), pooled[estimates:], double=True),
+        "mean": TextureGroup(numbered("u_mean", estimates), numbered("mean", estimates), double=True),
+        "deviation": TextureGroup(numbered("u_deviation", estimates), numbered("deviation", estimates), double=True),
         "own": TextureGroup(numbered("u_own", estimates), numbered("own", estimates)),
         "work": TextureGroup(numbered("u_work", estimates), numbered("work", estimates), double=True),
         "status": TextureGroup(("u_work_status",), numbered("work", 1, estimates), double=True),

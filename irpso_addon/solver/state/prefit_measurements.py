@@ -10,14 +10,10 @@ import numpy as np
 from ...core.optional import present
 from .separation_record import SEPARATED_SHADOW, Separation
 
-# Arrays in checkpoints: field → name. A field that was renamed keeps the array of older checkpoints.
+# Arrays in checkpoints: field → name.
 _ARRAYS = {
-    "fitness": "prefit_fitness",
-    "indirect_misfit": "prefit_evidence",
-    "sheen": "prefit_sheen",
-    "sheen_chosen": "prefit_sheen_chosen",
-    "shadow": "prefit_shadow",
-    "separation": "prefit_separation",
+    field: f"prefit_{field}"
+    for field in ("fitness", "indirect_misfit", "sheen", "sheen_chosen", "shadow", "separation")
 }
 FLAT_ARRAYS = frozenset(_ARRAYS[field] for field in ("fitness", "sheen_chosen", "shadow"))  # without channels
 

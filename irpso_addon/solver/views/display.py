@@ -113,13 +113,12 @@ class Display:
         None before a ``picture`` has measured the current deviations, and at a coarser level.
         """
         measure, domain, model = self._measures.get("confidence"), self._recovery.domain, self._recovery.model
-        packing = Packing(domain.solvable, domain.seams)
         if measure is None or measure.measured != self._recovery.progress:
             return None
-        measured = list(measure.bindings().values())
-        if (measured[0].width, measured[0].height) != (packing.width, packing.height):
+        if self._level is None or self._level[0][::-1] != domain.shape:
             return None
-        place = packing.places(np.array([row]), np.array([column]))
+        measured = list(measure.bindings().values())
+        place = Packing(domain.solvable, domain.seams).places(np.array([row]), np.array([column]))
         numbers = np.concatenate([textures.texels(texture, place)[0] for texture in measured])
         (x, y), (x0, y0) = domain.origin, self._whole.domain.origin
         at, deviations, unknown = (slice(row + y - y0, row + y - y0 + 1), column + x - x0), {}, {}

@@ -81,7 +81,7 @@ def _camera_names(operator, context, text: str) -> tuple[str, ...]:
 
 class ChoosePhotographs(VideoBrowser, bpy.types.Operator):
     """Choose the folder of photographs of one subject, each under another lamp, or a video of a lamp that is carried
-    around it; their lights are found next"""
+    around it. Then their lights are found, or taken from a rig"""
 
     bl_idname = "irpso.choose_photographs"
     bl_label = "Choose Photographs"
@@ -91,14 +91,23 @@ class ChoosePhotographs(VideoBrowser, bpy.types.Operator):
     filter_image: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     rig: StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # which gives the lights
 
+    def invoke(self, context, event):
+        """Open the file browser; for a rig without videos, which have no photograph for each lamp."""
+        self.filter_movie = not self.rig
+        return super().invoke(context, event)
+
     def execute(self, context):
         """Open the dialog of Find Lights, or Apply Rig, for the chosen folder; make photographs of a video first."""
         try:
             chosen = absolute(self.filepath or self.directory, "Photographs")
+            if self.rig and is_video(chosen):
+                raise InputError(
+                    f"{chosen}: is video; a rig needs a photograph for each lamp, choose the folder of photographs"
+                )
         except InputError as error:
             return failures.report_and_cancel(self, error)
         if self.rig:
-            bpy.ops.irpso.apply_rig("INVOKE_DEFAULT", rig=self.rig, photographs=str(chosen))
+            bpy.ops.irpso.apply_rig("INVOKE_DEFAULT", rig=self.rig, photographs=str(capture_at(chosen)))
         elif is_video(chosen):
             bpy.ops.irpso.photographs_of_video(filepath=str(chosen))
         else:

@@ -15,7 +15,8 @@ from ..common import failures
 from ..common.file_paths import relative_to
 from ..common.words import n_
 
-PATHS = ("capture_path", "checked_path", "chart_photograph", "model_path")
+_PATHS = ("capture_path", "checked_path", "chart_photograph", "model_path")  # of a scene's settings
+_PRESET = "preset"  # of its schedule: a shipped one's name, or a path
 _BASE = "paths_base"  # the setting with the folder that relative paths start from: an undo sets all of them back
 _DOING = n_("Keeping the paths of captures")
 
@@ -27,10 +28,11 @@ def _move(folder: str) -> None:
             continue
         stored = system_properties(scene.irpso)  # a set attribute would reset the settings of the capture
         former = stored.get(_BASE) or _open_folder()
-        for name in PATHS:
-            path = stored.get(name, "")
-            if path.startswith("//") and former and former != folder:
-                stored[name] = relative_to(bpy.path.abspath(path, start=former), folder)
+        if former and former != folder:
+            schedule = system_properties(scene.irpso.schedule)
+            for owner, name in (*((stored, name) for name in _PATHS), (schedule, _PRESET)):
+                if (path := owner.get(name, "")).startswith("//"):
+                    owner[name] = relative_to(bpy.path.abspath(path, start=former), folder)
         stored[_BASE] = folder
 
 
@@ -55,8 +57,8 @@ def _to_open_file(*_: object) -> None:
 
 @persistent
 @failures.reported(_DOING)
-def _after_loading(*_: object) -> None:
-    """Files that were moved together with the .blend file, without Blender, stay beside it."""
+def _start_from_open_file(*_: object) -> None:
+    """After loading: files that were moved together with the .blend file, without Blender, stay beside it."""
     for scene in bpy.data.scenes:
         if scene.library is None:
             system_properties(scene.irpso)[_BASE] = _open_folder()
@@ -68,14 +70,16 @@ _HANDLERS = {
     "save_post_fail": _to_open_file,
     "undo_post": _to_open_file,
     "redo_post": _to_open_file,
-    "load_post": _after_loading,
+    "load_post": _start_from_open_file,
 }
 
 
 def register() -> None:
-    """Add the handlers."""
+    """Add the handlers. The open file may have been saved, and moved, without the add-on."""
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
+    if hasattr(bpy.data, "scenes"):  # absent while Blender enables add-ons at its start, before it loads a file
+        _start_from_open_file()
 
 
 def unregister() -> None:

@@ -6,6 +6,7 @@ from functools import lru_cache
 
 from ...core.errors import InputError
 from ...gpu import probe
+from ...pipeline.job import possible_schedule
 from ...reflectance.model import load_model
 from ...solver.planning.cost import recovery_cost
 from ...solver.planning.forecast import forecast, in_units
@@ -28,7 +29,8 @@ def search_time(context) -> str:
         return ""
     fixed = tuple(item.name for item in settings.parameters if not item.recover)
     try:
-        schedule, mesh = schedule_of(settings.schedule), settings.subject == "MESH"
+        mesh = settings.subject == "MESH"
+        schedule = possible_schedule(schedule_of(settings.schedule), mesh and settings.shadows)
         work, most_work = _work_per_texel(_model(settings), schedule, fixed, settings.checked_images, mesh)
     except InputError:  # Recover says what is wrong
         return ""

@@ -156,7 +156,8 @@ def wanted_slots(settings, obj) -> tuple[int, ...] | None:
 
 def mesh_of(settings, obj) -> MeshData:
     """Return the mesh of the settings' slots, with the objects around it. Raises InputError."""
-    return with_occluders(extract_mesh(obj, wanted_slots(settings, obj)), _occluders(settings, obj))
+    mesh = extract_mesh(obj, wanted_slots(settings, obj))
+    return with_occluders(mesh, _occluders(settings, obj), of_collection=True)
 
 
 def _occluders(settings, obj) -> list[Any]:

@@ -152,6 +152,16 @@ def test_a_sheared_object_keeps_its_shape_and_normals(tmp_path):
     assert angle(normals, mesh.normals.reshape(-1, 3)[at][distance.argmin(axis=1)]).max() < 0.1
 
 
+def test_an_object_scaled_to_zero_is_refused_and_nothing_is_left(tmp_path):
+    result, obj = on_a_sheet("principled", texels=32)
+    obj.scale.z = 0
+    bpy.context.view_layer.update()
+    before = counts()
+    with pytest.raises(InputError, match=f"object '{obj.name}' has a scale of zero along an axis; set its scale"):
+        gltf.write_gltf(replace(result, card=False), tmp_path / "leaf.glb", obj)
+    assert counts() == before and not any(tmp_path.iterdir())
+
+
 def test_blenders_exporter_alone_carries_all_maps_but_specular(tmp_path):
     """Why the material is built anew for it."""
     result, obj = on_a_sheet("principled")

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender import occluders
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.blender.occluders import named_occluders, with_occluders
 from irpso_addon.blender.ray_caster import ray_caster
@@ -220,3 +221,27 @@ def test_what_cannot_occlude_is_refused_by_name():
     with pytest.raises(InputError, match="occluder 'Cube' is not in the active view layer or is hidden"):
         with_occluders(mesh, [bpy.data.objects["Cube"]])
     assert with_occluders(mesh, []) is mesh
+
+
+def test_without_occluders_no_instance_is_looked_at(monkeypatch):
+    bpy.ops.mesh.primitive_plane_add()
+    mesh = extract_mesh(bpy.context.object)
+    monkeypatch.setattr(occluders, "_instances", None)
+    assert with_occluders(mesh, []) is mesh
+
+
+def test_an_instance_of_lights_alone_is_left_out_of_a_collection_and_refused_by_name():
+    bpy.ops.mesh.primitive_plane_add()
+    mesh = extract_mesh(bpy.context.object)
+    lamps = bpy.data.collections.new("lamps")
+    lamps.objects.link(bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT")))
+    empty = bpy.data.objects.new("Lights", None)
+    bpy.context.scene.collection.objects.link(empty)
+    empty.instance_type, empty.instance_collection = "COLLECTION", lamps
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="occluder 'Lights' has no faces"):
+        with_occluders(mesh, [cube, empty])
+    assert with_occluders(mesh, [cube, empty], of_collection=True).occluders.shape == (12, 3, 3)
+    assert with_occluders(mesh, [empty], of_collection=True).occluders.shape == (0, 3, 3)

@@ -15,6 +15,8 @@ from irpso_addon.results.false_color import COLORS, false_color
 from irpso_addon.solver.engine.coarse_to_fine import Pyramid
 from irpso_addon.solver.engine.engine import Capabilities
 from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.views import display as display_module
 from irpso_addon.solver.views.display import Display, Shown
 from tests.builders.domains import SHORT, makers, recoveries, subject
 from tests.builders.rounds import SINGLE, matt_bowl, rounds_of
@@ -263,6 +265,31 @@ def test_a_coarse_level_is_shown_at_its_size(show):
         maps = pyramid.maps(confidence=False)
         np.testing.assert_allclose(picture[..., :3], srgb_from_linear(maps.values["base_color"]), atol=HALF)
         np.testing.assert_allclose(error[..., :3], false_color(maps.residual, 0.1), atol=2 * HALF)
+        display.close()
+
+
+def test_a_texel_whose_deviations_are_not_measured_costs_no_pass_over_the_domain(running, show, monkeypatch):
+    display, texel = show(running), np.argwhere(running.domain.solvable)[0]
+    built = []
+    monkeypatch.setattr(display_module, "Packing", lambda *given: built.append(given) or Packing(*given))
+    assert display.unknown_at(*texel) is None and not built
+    display.picture(Shown("confidence", "normal"))
+    built.clear()
+    assert display.unknown_at(*texel) is not None and built
+    running.step(iterations=1)  # older deviations say nothing of it
+    built.clear()
+    assert display.unknown_at(*texel) is None and not built
+
+
+def test_at_a_coarse_level_no_texel_of_the_domain_has_deviations(show, monkeypatch):
+    domain, _ = subject(20, 23, holes=False)
+    schedule = load_schedule("swarm").replaced(iterations=3, levels=2, particles=4, particles_per_dimension=0.0)
+    with Pyramid(domain, load_model("lambert"), schedule, entry="fragment") as pyramid:
+        pyramid.step(iterations=1)
+        display = show(pyramid)
+        display.picture(Shown("confidence", "normal"))
+        monkeypatch.setattr(display_module, "Packing", None)
+        assert display.unknown_at(*np.argwhere(domain.solvable)[0]) is None
         display.close()
 
 

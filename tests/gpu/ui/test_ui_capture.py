@@ -1,18 +1,23 @@
 """Captures of files and of the scene in the window's settings: import, check, what bars Recover."""
 
+import shutil
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+import irpso_addon
 from irpso_addon.blender.images import decode
 from irpso_addon.capture import write_exr
 from irpso_addon.capture.inspect.report import inspect_steps
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import PRESETS
 from irpso_addon.pipeline.result import capture_warnings
+from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.ui.operators import capture_import
 from irpso_addon.ui.properties import findings
+from irpso_addon.ui.properties.schedule_settings import schedule_of
 from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import LIGHTS, chunk, shade, sphere, write_diligent, write_png
 from tests.builders.exif import exif
@@ -264,6 +269,8 @@ def two_jobs(scene, tmp_path):
     bpy.ops.irpso.import_capture(filepath=str(jobs[0] / "photos" / "lights.lp"))
     settings = bpy.context.scene.irpso
     settings.chart_photograph, settings.model_path = "//photos/p0.png", "//photos/own.toml"
+    shutil.copy(PRESETS / "paper.toml", jobs[0] / "photos" / "search.toml")
+    settings.schedule.preset, settings.schedule.inertia = "//photos/search.toml", 0.25
     settings.chart_corners[0] = 3.0
     assert settings.capture_path == "//photos/lights.lp" == settings.checked_path
     return jobs
@@ -276,6 +283,8 @@ def assert_first_job(folder):
     for name, path in (("chart_photograph", "p0.png"), ("model_path", "own.toml")):
         assert getattr(settings, name).startswith("//")
         assert Path(bpy.path.abspath(getattr(settings, name))).resolve() == photos / path
+    assert settings.schedule.preset.startswith("//")
+    assert schedule_of(settings.schedule) == load_schedule(str(photos / "search.toml")).replaced(inertia=0.25)
     assert findings.is_checked(settings) and settings.chart_corners[0] == 3.0  # unlike with another capture
     assert scene_capture.capture_of(bpy.context.scene).observations[0].read()[..., :3].max() < 0.1
 
@@ -315,4 +324,15 @@ def test_a_folder_moved_with_file_and_photographs_has_its_own(two_jobs, tmp_path
     bpy.ops.wm.save_mainfile()
     first.rename(tmp_path / "moved")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "moved" / "card.blend"))
+    assert_first_job(tmp_path / "moved")
+
+
+def test_a_folder_moved_before_the_add_on_is_enabled_has_its_own(two_jobs, tmp_path):
+    first, second = two_jobs
+    bpy.ops.wm.save_mainfile()
+    irpso_addon.unregister()
+    first.rename(tmp_path / "moved")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "moved" / "card.blend"))
+    irpso_addon.register()
+    bpy.ops.wm.save_as_mainfile(filepath=str(second / "card.blend"))
     assert_first_job(tmp_path / "moved")

@@ -110,3 +110,28 @@ def test_a_rig_is_saved_and_applied(settings, tmp_path):
         bpy.ops.irpso.apply_rig(rig=str(tmp_path / "dome"))
     with pytest.raises(RuntimeError, match="is no rig"):
         bpy.ops.irpso.apply_rig(rig=str(later), photographs=str(later))
+
+
+@pytest.fixture
+def later(settings, tmp_path):
+    """A rig of the photographs, ``dome``, and the folder of other photographs under its lamps."""
+    bpy.ops.irpso.save_rig(filepath=str(tmp_path / "dome"))
+    later = tmp_path / "later"
+    later.mkdir()
+    for n in range(5):
+        write_png(later / f"{n}.png", np.full((*SHOWN.rgba.shape[:2], 3), 9000), 16)
+    return later
+
+
+def test_a_photograph_chosen_for_a_rig_stands_for_its_folder(settings, later, tmp_path):
+    chosen = {"rig": str(tmp_path / "dome"), "filepath": str(later / "0.png")}
+    assert bpy.ops.irpso.choose_photographs(**chosen) == {"FINISHED"}
+    assert settings.capture_path == str(tmp_path / "later_capture")
+
+
+def test_a_video_is_refused_for_a_rig(settings, later, tmp_path):
+    (tmp_path / "lamp.mp4").touch()
+    before = settings.capture_path
+    with pytest.raises(RuntimeError, match=r"lamp\.mp4: is video; a rig needs a photograph for each lamp"):
+        bpy.ops.irpso.choose_photographs(rig=str(tmp_path / "dome"), filepath=str(tmp_path / "lamp.mp4"))
+    assert settings.capture_path == before

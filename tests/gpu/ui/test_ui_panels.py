@@ -240,6 +240,7 @@ def test_a_result_of_photographs_that_state_srgb_opens_none_of_them_to_be_drawn(
 @pytest.mark.bpy_only
 def test_below_recover_stands_how_long_the_search_will_take(settings, card, monkeypatch):
     from irpso_addon.gpu import probe
+    from irpso_addon.ui.session.forecast import search_time
 
     def times():
         return [text for text in drawn().texts if "minutes" in text or "hours" in text]
@@ -259,6 +260,16 @@ def test_below_recover_stands_how_long_the_search_will_take(settings, card, monk
     assert times() != whole
     settings.framing, settings.corners = "CORNERS", (0, 0, 12, 0, 12, 10, 0, 10)
     assert times() == whole
+    settings.subject = "MESH"
+    with_rounds = search_time(bpy.context)
+    for impossible in ({"shadows": False}, {"levels": 2}):  # matte rounds do not run then, and are not counted
+        for name, value in impossible.items():
+            setattr(settings if name == "shadows" else settings.schedule, name, value)
+        found = search_time(bpy.context)
+        settings.schedule.interreflection_matte_rounds = 0
+        assert found == search_time(bpy.context) != with_rounds
+        settings.schedule.preset, settings.shadows = "standard", True
+        assert search_time(bpy.context) == with_rounds
     settings.capture_path = ""
     assert times() == []
 

@@ -296,6 +296,10 @@ def test_a_photograph_that_exif_turns_is_turned_behind_its_camera(scene, tmp_pat
         assert background.image == shown and (background.use_flip_x, background.use_flip_y) == (flipped, False)
         np.testing.assert_allclose((background.rotation, background.scale), (turn, scale), rtol=1e-6)
         assert background.frame_method == ("FIT" if turn else "STRETCH")
+    scene_setup.set_background(camera, images[0])
+    background.rotation, background.frame_method, background.scale = 0, "STRETCH", 1  # as earlier versions left it
+    scene_setup.set_background(camera, images[0])
+    np.testing.assert_allclose((background.rotation, background.scale), (np.pi / 2, 1.5), rtol=1e-6)
 
 
 def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scene, tmp_path):

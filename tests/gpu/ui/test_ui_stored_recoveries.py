@@ -111,6 +111,9 @@ def test_a_collection_that_an_empty_shows_is_among_the_occluders(plane):
     empty.instance_type, empty.instance_collection = "COLLECTION", hidden
     plane.occluders, plane.object = around, bpy.data.objects["Plane"]
     assert make_job(bpy.context).mesh.occluders.shape == (12, 3, 3)
+    hidden.objects.unlink(cube)
+    hidden.objects.link(bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT")))
+    assert not len(make_job(bpy.context).mesh.occluders)  # a lighting kit hides nothing
 
 
 def test_occluders_come_back_with_their_recovery(plane, folder):

@@ -119,6 +119,16 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
             checkpoint.read(path, WHO)
 
 
+def test_a_checkpoint_under_former_rules_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "run.irpso"
+    with monkeypatch.context() as patched:
+        patched.setattr(checkpoint, "_VERSION", 7)  # other scales of dark texels, and other priors
+        checkpoint.write(path, WHO, checkpoint.Checkpoint(1, -4, 9, ARRAYS))
+    for ask in (checkpoint.read, checkpoint.glance):
+        with pytest.raises(CheckpointError, match="of another version of the program; finish it there, or leave out"):
+            ask(path, WHO)
+
+
 def test_a_checkpoint_of_another_version_is_refused(saved, monkeypatch):
     monkeypatch.setattr(checkpoint, "_VERSION", checkpoint._VERSION + 1)
     with pytest.raises(InputError, match="of another version"):
@@ -273,7 +283,7 @@ def test_the_state_per_texel_equals_the_atlas(tiles):
 
 
 def test_a_prefits_measurements_keep_their_names_and_shapes():
-    flat, channels = ("fitness", "shadow", "sheen_chosen"), {"evidence": 4, "sheen": 4, "separation": 14}
+    flat, channels = ("fitness", "shadow", "sheen_chosen"), {"indirect_misfit": 4, "sheen": 4, "separation": 14}
     arrays = {f"prefit_{name}": np.random.default_rng(3).random((3, 4), np.float32) for name in flat}
     arrays |= {f"prefit_{name}": np.ones((3, 4, count), np.float32) for name, count in channels.items()}
     measurements = PrefitMeasurements.of_arrays({**arrays, "estimate_0": np.ones((3, 4, 4))})

@@ -1,15 +1,13 @@
-"""Former names of settings: read from presets and checkpoints of earlier formats, elsewhere refused with the new."""
+"""Former names of settings: read from presets of earlier formats, elsewhere refused with the new."""
 
 import json
 import re
-from dataclasses import asdict
 
 import pytest
 
-from irpso_addon.core.errors import CheckpointError, InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.solver.settings.schedule import SETTINGS, load_schedule
-from irpso_addon.solver.state import checkpoint
 
 FORMER = {  # table → former name → present name and a value that no preset has
     "swarm": {
@@ -107,16 +105,3 @@ def test_former_values_and_tables_are_refused_with_the_present_ones(tmp_path):
         load_schedule("swarm").replaced(loss="robust")
     with pytest.raises(InputError, match=r"unknown key 'polish'; it is 'refinement' now"):
         loaded(tmp_path, text_of({"polish": {"iterations": 3}}, 3))
-
-
-def test_a_checkpoint_with_former_names_is_of_the_same_recovery(tmp_path):
-    path, now = tmp_path / "run.npz", load_schedule("standard")
-    preset = asdict(now)
-    for table, old, name, _ in EVERY:
-        preset[table][old] = preset[table].pop(name)
-    preset["fitness"]["loss"] = "robust"
-    checkpoint.write(path, {"preset": preset}, checkpoint.Checkpoint(1, 2, 3, {}))
-    assert checkpoint.read(path, {"preset": asdict(now)}).iteration == 2
-    other = asdict(now.replaced(refinement_neighbour_weight=1.0))
-    with pytest.raises(CheckpointError, match=r"preset differs \(in the preset neighbour_weight\)"):
-        checkpoint.read(path, {"preset": other})

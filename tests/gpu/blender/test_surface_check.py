@@ -1,0 +1,43 @@
+"""Whether an object still has the UV map of its recovery."""
+
+import bpy
+import pytest
+
+from irpso_addon.blender.materials.surface_check import check_surface, uv_warnings
+from irpso_addon.blender.mesh import extract_mesh
+
+
+@pytest.fixture
+def grid():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=4, y_subdivisions=4)
+    yield bpy.context.object
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_nothing_is_known_of_a_mesh_whose_modifier_drops_the_uv_map(grid):
+    mesh = extract_mesh(grid)
+    grid.modifiers.new("Remesh", "REMESH").mode = "BLOCKS"
+    check_surface(grid, mesh, "Grid")
+    before = len(bpy.data.meshes)
+    assert uv_warnings(grid, mesh) == [] and len(bpy.data.meshes) == before
+
+
+def test_a_uv_map_edited_on_a_linked_duplicate_is_warned_of_before_edit_mode_ends(grid):
+    import bmesh  # exists once bpy is imported
+
+    mesh = extract_mesh(grid)
+    twin = grid.copy()
+    bpy.context.scene.collection.objects.link(twin)
+    grid.select_set(False)
+    twin.select_set(True)
+    bpy.context.view_layer.objects.active = twin
+    bpy.ops.object.mode_set(mode="EDIT")
+    edited = bmesh.from_edit_mesh(twin.data)
+    layer = edited.loops.layers.uv.active
+    for loop in (loop for face in edited.faces for loop in face.loops):
+        loop[layer].uv *= 0.5
+    bmesh.update_edit_mesh(twin.data)
+    (warning,) = uv_warnings(grid, mesh)
+    assert "of 'Grid' has changed since its maps were recovered" in warning
