@@ -49,7 +49,5 @@ def test_a_wide_deviation_of_one_number_is_no_sign_that_nothing_is_determined():
 
 
 def test_texels_that_are_not_solved_are_not_unknown():
-    maps = replace(
-        maps_of(1.0), solved=np.zeros(SHAPE, bool), unknown_texels={"normal": {Cause.LATER_ROUND: np.True_}}
-    )
+    maps = replace(maps_of(1.0), solved=np.zeros(SHAPE, bool), unknown_texels={"normal": {Cause.LATER_ROUND: np.True_}})
     assert not any(mask.any() for masks in maps.unknown_by_cause().values() for mask in masks.values())
