@@ -310,3 +310,18 @@ def test_the_beam_of_a_spot_or_flat_light_is_divided_out_of_samples(shape, card)
         sure = cosine > 0.1
     np.testing.assert_allclose(domain.stack.values[0, ..., 0][sure], radiance[sure], rtol=0.02)
     np.testing.assert_allclose(domain.lights[0, 3], 1)
+
+
+def test_the_beam_is_divided_out_of_samples_in_predicted_shadow_too():
+    axis = tuple(oracle.unit(np.array([-0.5, 0.3, -1.0])))
+    light = Light((1.2, -0.6, 2.0), distant=False, axis=axis, cosine=32.0)
+    image = np.full((96, 96, 4), 0.2, np.float32)
+    image[..., 3] = 1
+    capture = taken(None, [light], [Camera.from_fov(96, 96, 36.9, ABOVE)], lambda *_: image)
+    domain = domain_from_mesh(capture, ball_over_floor(), *SIZE, falloff=False, areas=False)
+    radiance, weight = domain.stack.values[0, ..., 0], domain.stack.values[0, ..., 3]
+    share = np.maximum((oracle.unit(domain.bake.position - np.array(light.vector)) * axis).sum(-1), 0) ** 32
+    seen, wide = radiance > 0, share > 0.05 + 1e-4
+    assert (seen & wide & (weight == 0)).sum() > 200 and (seen & (share < 0.05)).sum() > 20
+    np.testing.assert_allclose(radiance[seen & wide], 0.2 / share[seen & wide], rtol=1e-4)
+    np.testing.assert_allclose(radiance[seen & (share < 0.05 - 1e-4)], 0.2, rtol=1e-6)  # unusable: as photographed
