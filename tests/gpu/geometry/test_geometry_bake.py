@@ -117,6 +117,19 @@ def test_a_camera_bake_agrees_with_a_float64_ray_caster(name):
     assert_same_bake(bake.bake_camera(mesh, camera), expected, (distance > ROUNDING) & ~edge_on)
 
 
+@pytest.mark.parametrize("name", ["perspective off centre", "orthographic"])
+def test_a_camera_wider_than_the_largest_texture_is_drawn_in_blocks(name, monkeypatch):
+    camera, mesh, sizes = cameras()[name], oracle.sphere(columns=12, rows=8), []
+    draw = raster.rasterize
+    monkeypatch.setattr(bake.context, "max_texture_size", lambda: 24)
+    monkeypatch.setattr(raster, "rasterize", lambda *given: sizes.append(given[2:4]) or draw(*given))
+    drawn = bake.bake_camera(mesh, camera)
+    assert len(sizes) == 6 and np.max(sizes) == 24
+    expected, distance = oracle.bake_camera(mesh, camera)
+    edge_on = expected.coverage & (np.abs((expected.face_normal * toward(camera, expected.position)).sum(-1)) < 0.2)
+    assert_same_bake(drawn, expected, (distance > ROUNDING) & ~edge_on)
+
+
 def test_a_surface_that_passes_behind_the_camera_is_cut_at_the_camera():
     floor = oracle.plane(40.0, columns=1, rows=1)
     camera = Camera(40, 30, (30.0, 30.0), (20.0, 15.0), looking((0, 0, 1.0), (0, 5, 0.5)))
