@@ -196,7 +196,19 @@ def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: 
     )
 
 
+def _check_count(mesh: MeshData) -> None:
+    """Raise InputError where mesh and occluders have more triangles than can be told apart."""
+    own, beside = len(mesh.positions), len(mesh.occluders)
+    if own + beside > raster.MAX_TRIANGLES:
+        objects = f"'{mesh.name}' has {own} triangles" + (f", its occluders {beside}" if beside else "")
+        raise InputError(
+            f"{objects}; the limit is {raster.MAX_TRIANGLES} in all: reduce them with a Decimate modifier or a lower"
+            " Subdivision level" + (", or choose fewer occluders" if beside else "")
+        )
+
+
 def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
+    _check_count(mesh)
     places = np.zeros((*mesh.uvs.shape[:2], 4))
     places[..., :2] = mesh.texel_uvs * np.array([width, height], np.float64)
     places[..., 3] = 1.0
@@ -205,6 +217,7 @@ def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
     """Return (T + M, 3, 4) a camera's pixel coordinates x·w, y·w, depth·w (depth in −1…1) and w, occluders last."""
+    _check_count(mesh)
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     local = mesh.opaque.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
     depth = -local[..., 2]

@@ -235,6 +235,19 @@ def test_no_texel_is_seen_through_another_part_of_the_mesh():
     assert len(points) > 1000 and hit.mean() < 0.002
 
 
+def test_more_triangles_than_float32_numbers_tell_apart_are_refused():
+    limit = raster.MAX_TRIANGLES
+    assert int(np.float32(limit)) == limit and int(np.float32(limit + 2)) != limit + 2
+    one = oracle.plane(columns=1, rows=1)
+    parts = {k: getattr(one, k)[:1] for k in ("positions", "normals", "tangents", "uvs")}
+    most = {k: np.broadcast_to(part, (limit, *part.shape[1:])) for k, part in parts.items()}
+    mesh = replace(one, **most, occluders=parts["positions"])  # without memory: every triangle is the same
+    camera = Camera.from_fov(8, 8, 40, looking((0, 0, 3)))
+    for draw in (lambda: bake.bake_uv(mesh, 8, 8), lambda: bake.bake_camera(mesh, camera)):
+        with pytest.raises(InputError, match="'test' has 16777215 triangles, its occluders 1; the limit is 16777215"):
+            draw()
+
+
 def test_overlapping_texture_coordinates_are_refused_unless_allowed():
     one = oracle.plane(u_span=(0, 0.75))
     both = oracle.joined(one, oracle.plane(z=1, u_span=(0.5, 1.0)))
