@@ -267,14 +267,13 @@ def _beam_correction(light: Light, positions: np.ndarray, texels: np.ndarray) ->
 
 
 def _scale_samples(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.ndarray) -> None:
-    """Multiply radiance and weight of a layer (H, W, 4) at texels (flat indices); at weight 0 the radiance stays."""
+    """Multiply radiance and weight of a layer (H, W, 4) at texels (flat indices); at gain 0 the radiance stays."""
     if (gain == 1).all() and (weight == 1).all():
         return
     values = layer.reshape(-1, 4)[texels]
     own, clipped = weight_and_clipped(values[:, 3])
-    counted = np.maximum(own * weight, 0)
-    values[:, 3] = bounded(counted, clipped)
-    values[:, :3] = np.where(counted[:, None] > 0, values[:, :3] * gain[:, None], values[:, :3])
+    values[:, 3] = bounded(np.maximum(own * weight, 0), clipped)
+    values[:, :3] *= np.where(gain > 0, gain, 1)[:, None]
     layer.reshape(-1, 4)[texels] = values
 
 

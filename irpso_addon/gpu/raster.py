@@ -12,6 +12,7 @@ from .library import read_source
 from .textures import Texture
 
 SURFACE = ("position", "normal", "tangent", "uv", "face")
+MAX_TRIANGLES = (1 << 24) - 1  # shaders write triangle numbers, from 1, as float32, which holds no larger integers
 _TRIANGLES_A_ROW = 1024  # 3072 texels: below every device's limit, and 16 million triangles fit 16384 rows
 
 

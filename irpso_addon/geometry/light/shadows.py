@@ -31,6 +31,13 @@ _FARTHEST = 8.0
 # Cosine to the light, below zero, at which a face's weight reaches 0: 95 % of the normals in the head scan's normal map
 # are within 7° of the mesh's own, so faces turned away by less may still be lit.
 _TURNED = 0.12
+# Cosines from face to light between which the rise of a texel falls from the whole to none. On a convex surface the
+# neighbours shade a face that is turned to the light only within the map's resolution: there a rise up to a texel's
+# width remains. More lifts texels out of cast shadows. (Cycles limits its terminator offset to cosines under 0.1, too.)
+_TERMINATOR = 0.0, 0.1
+# Cosines from face to corner normal between which the rise grows from nothing to whole: the edge of a box, 45°, has
+# none; an icosahedron as a coarse ball, 37°, has the whole.
+_SHARP = 0.71, 0.79
 
 
 class ShadowCaster:
@@ -52,7 +59,7 @@ class ShadowCaster:
         self._rounding = ROUNDING * float(np.abs(own).max())  # of the texels: an occluder may be far larger
         self._centre = (own.min(axis=(0, 1)) + own.max(axis=(0, 1))) / 2
         self._radius = float(np.linalg.norm(own - self._centre, axis=-1).max())
-        self._points = _lifted(mesh, bake)
+        self._rise = _rise(mesh, bake)
 
     def weights(self, light: Light, texels: np.ndarray) -> np.ndarray:
         """Return (N,) float32 the weight of each texel's sample under a light: 1 lit, 0 in shadow.
@@ -75,13 +82,22 @@ class ShadowCaster:
         result = np.zeros(len(texels), np.float32)
         for part in blocks(np.arange(len(texels))):
             block = texels[filled(part)]
-            toward = _toward(light, self._points[block].astype(np.float64))
+            toward = _toward(light, self._bake.position.reshape(-1, 3)[block].astype(np.float64))
             cosines = [
                 np.einsum("ij,ij->i", normals.reshape(-1, 3)[block].astype(np.float64), toward)
                 for normals in (self._bake.face_normal, self._bake.normal)
             ]
             result[part] = np.clip(1 + np.maximum(*cosines) / _TURNED, 0, 1)[: len(part)]
         return result
+
+    def _points(self, light: Light, texels: np.ndarray) -> np.ndarray:
+        """Return (N, 3) float64 positions of texels, at the terminator on the curved surface."""
+        points = self._bake.position.reshape(-1, 3)[texels].astype(np.float64)
+        faces = self._bake.face_normal.reshape(-1, 3)[texels].astype(np.float64)
+        cosine = np.einsum("ij,ij->i", faces, _toward(light, points))
+        rise = self._rise[texels]
+        small = np.clip(2 - np.linalg.norm(rise, axis=1) / max(self._texel, 1e-30), 0, 1)
+        return points + np.maximum(small, 1 - _ramp(cosine, _TERMINATOR))[:, None] * rise
 
     def _views(self, light: Light, texels: np.ndarray, left: np.ndarray) -> Iterator[tuple[Camera, np.ndarray]]:
         """Yield cameras at the light, each with the remaining texels that it covers."""
@@ -105,7 +121,7 @@ class ShadowCaster:
         size = self._size(2 * (distance + self._radius))
         side = np.empty(len(left), np.uint8)
         for part in blocks(np.arange(len(left))):
-            points = self._points[texels[left[part]]] - vector
+            points = self._points(light, texels[left[part]]) - vector
             longest = np.abs(points).argmax(axis=1)
             side[part] = 2 * longest + (np.take_along_axis(points, longest[:, None], axis=1)[:, 0] < 0)
         for number in range(6):
@@ -129,7 +145,7 @@ class ShadowCaster:
     ) -> np.ndarray:
         """Return (N,) the lit share of the map pixels around each texel."""
         own = self._bake.triangle.ravel()[texels]
-        points = self._points[texels].astype(np.float64)
+        points = self._points(light, texels)
         place, depth = view.project(points)
         place = np.clip(place - 0.5, 0, [view.width - 1.001, view.height - 1.001])
         corner = np.floor(place).astype(np.int64)
@@ -159,20 +175,27 @@ def texel_size(mesh: MeshData, bake: SurfaceBake) -> float:
     return math.sqrt(float((areas * counts).sum()) / max(int(counts.sum()), 1))
 
 
-def _lifted(mesh: MeshData, bake: SurfaceBake) -> np.ndarray:
-    """Return (H · W, 3) float32: texels moved from flat triangles to the curved surface of the shading normals.
+def _rise(mesh: MeshData, bake: SurfaceBake) -> np.ndarray:
+    """Return (H · W, 3) float32: the way from flat triangles to the curved surface of the shading normals.
 
     Without it the facets of a smooth mesh shade each other near the terminator (Hanika 2021, Hacking the shadow
     terminator): a point rises by its depth below the planes at the corners.
     """
-    lifted = bake.position.reshape(-1, 3).copy()
+    rise = np.zeros((bake.coverage.size, 3), np.float32)
     for part in blocks(np.flatnonzero(bake.coverage)):
         numbers = bake.triangle.ravel()[part]
         corners, normals = mesh.positions[numbers].astype(np.float64), mesh.normals[numbers].astype(np.float64)
-        points = lifted[part].astype(np.float64)
+        points = bake.position.reshape(-1, 3)[part].astype(np.float64)
+        faces = bake.face_normal.reshape(-1, 3)[part].astype(np.float64)
         below = np.minimum(np.einsum("nkj,nkj->nk", points[:, None] - corners, normals), 0)
-        lifted[part] = points - np.einsum("nk,nkj->nj", corner_weights(corners, points) * below, normals)
-    return lifted
+        below *= _ramp(np.einsum("nj,nkj->nk", faces, normals), _SHARP)
+        rise[part] = -np.einsum("nk,nkj->nj", corner_weights(corners, points) * below, normals)
+    return rise
+
+
+def _ramp(values: np.ndarray, ends: tuple[float, float]) -> np.ndarray:
+    """Return 0 below the first end, 1 above the second, linear between."""
+    return np.clip((values - ends[0]) / (ends[1] - ends[0]), 0, 1)
 
 
 def _toward(light: Light, points: np.ndarray) -> np.ndarray:

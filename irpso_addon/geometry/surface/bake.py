@@ -50,20 +50,28 @@ def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False
     """
     if not allow_overlap:
         _refuse_overlap(mesh)
-    places = _uv_places(mesh, width, height)
+    return _in_blocks(mesh, _uv_places(mesh, width, height), width, height, nearest=False)
+
+
+def _in_blocks(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: bool) -> SurfaceBake:
+    """Return ``_bake``, drawn in parts where UDIM tiles side by side or photographs exceed a texture's size."""
     context.ensure()
     side = min(context.max_texture_size(), _MAX_SIDE)
     if max(width, height) <= side:
-        return _bake(mesh, places, width, height, nearest=False)
-    # UDIM tiles side by side may be wider than a texture can be.
+        return _bake(mesh, places, width, height, nearest)
     rows = []
     for y in range(0, height, side):
         blocks = [
-            _bake(mesh, places - np.array([x, y, 0, 0]), min(side, width - x), min(side, height - y), nearest=False)
+            _bake(mesh, _moved(places, x, y), min(side, width - x), min(side, height - y), nearest)
             for x in range(0, width, side)
         ]
         rows.append(_joined(blocks, axis=1))
     return _joined(rows, axis=0)
+
+
+def _moved(places: np.ndarray, x: int, y: int) -> np.ndarray:
+    """Return places with the picture's lower left corner at pixel (x, y)."""
+    return places - places[..., 3:] * np.array([x, y, 0, 0])
 
 
 def _joined(parts: list[SurfaceBake], axis: int) -> SurfaceBake:
@@ -81,8 +89,8 @@ def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
     for y in range(0, height, _BLOCK):
         for x in range(0, width, _BLOCK):
             size = min(_BLOCK, width - x), min(_BLOCK, height - y)
-            moved = places - np.array([x, y, 0, 0])
-            covered[y : y + _BLOCK, x : x + _BLOCK] = raster.triangle_numbers(moved, *size, first=False) > 0
+            numbers = raster.triangle_numbers(_moved(places, x, y), *size, first=False)
+            covered[y : y + _BLOCK, x : x + _BLOCK] = numbers > 0
     return covered
 
 
@@ -98,7 +106,7 @@ def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
     if any(camera.distortion):
         plain, index = undistorted_frame(camera)
         return _picked(bake_camera(mesh, plain), index)
-    return _bake(mesh, _camera_places(mesh, camera), camera.width, camera.height, nearest=True)
+    return _in_blocks(mesh, _camera_places(mesh, camera), camera.width, camera.height, nearest=True)
 
 
 def camera_triangles(mesh: MeshData, camera: Camera) -> np.ndarray:
@@ -131,7 +139,7 @@ def _first_and_last(mesh: MeshData, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and the last triangle over each texel, from 1; 0 for none. UDIM tiles are stacked in rows."""
     places = _uv_places(mesh, size * len(mesh.tiles), size)
     numbers = [
-        [raster.triangle_numbers(places - np.array([x, 0, 0, 0]), size, size, first) for first in (True, False)]
+        [raster.triangle_numbers(_moved(places, x, 0), size, size, first) for first in (True, False)]
         for x in range(0, size * len(mesh.tiles), size)
     ]
     first, last = (np.concatenate(part) for part in zip(*numbers, strict=True))
@@ -188,7 +196,19 @@ def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: 
     )
 
 
+def _check_count(mesh: MeshData) -> None:
+    """Raise InputError where mesh and occluders have more triangles than can be told apart."""
+    own, beside = len(mesh.positions), len(mesh.occluders)
+    if own + beside > raster.MAX_TRIANGLES:
+        objects = f"'{mesh.name}' has {own} triangles" + (f", its occluders {beside}" if beside else "")
+        raise InputError(
+            f"{objects}; the limit is {raster.MAX_TRIANGLES} in all: reduce them with a Decimate modifier or a lower"
+            " Subdivision level" + (", or choose fewer occluders" if beside else "")
+        )
+
+
 def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
+    _check_count(mesh)
     places = np.zeros((*mesh.uvs.shape[:2], 4))
     places[..., :2] = mesh.texel_uvs * np.array([width, height], np.float64)
     places[..., 3] = 1.0
@@ -197,6 +217,7 @@ def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
     """Return (T + M, 3, 4) a camera's pixel coordinates x·w, y·w, depth·w (depth in −1…1) and w, occluders last."""
+    _check_count(mesh)
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     local = mesh.opaque.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
     depth = -local[..., 2]

@@ -117,6 +117,19 @@ def test_a_camera_bake_agrees_with_a_float64_ray_caster(name):
     assert_same_bake(bake.bake_camera(mesh, camera), expected, (distance > ROUNDING) & ~edge_on)
 
 
+@pytest.mark.parametrize("name", ["perspective off centre", "orthographic"])
+def test_a_camera_wider_than_the_largest_texture_is_drawn_in_blocks(name, monkeypatch):
+    camera, mesh, sizes = cameras()[name], oracle.sphere(columns=12, rows=8), []
+    draw = raster.rasterize
+    monkeypatch.setattr(bake.context, "max_texture_size", lambda: 24)
+    monkeypatch.setattr(raster, "rasterize", lambda *given: sizes.append(given[2:4]) or draw(*given))
+    drawn = bake.bake_camera(mesh, camera)
+    assert len(sizes) == 6 and np.max(sizes) == 24
+    expected, distance = oracle.bake_camera(mesh, camera)
+    edge_on = expected.coverage & (np.abs((expected.face_normal * toward(camera, expected.position)).sum(-1)) < 0.2)
+    assert_same_bake(drawn, expected, (distance > ROUNDING) & ~edge_on)
+
+
 def test_a_surface_that_passes_behind_the_camera_is_cut_at_the_camera():
     floor = oracle.plane(40.0, columns=1, rows=1)
     camera = Camera(40, 30, (30.0, 30.0), (20.0, 15.0), looking((0, 0, 1.0), (0, 5, 0.5)))
@@ -220,6 +233,19 @@ def test_no_texel_is_seen_through_another_part_of_the_mesh():
         # Nearer than a grazing pixel's length it may be the same surface.
         hit[start : start + 200] = ((u >= 0) & (v >= 0) & (u + v <= 1) & (along > 10 * pixel)).any(1)
     assert len(points) > 1000 and hit.mean() < 0.002
+
+
+def test_more_triangles_than_float32_numbers_tell_apart_are_refused():
+    limit = raster.MAX_TRIANGLES
+    assert int(np.float32(limit)) == limit and int(np.float32(limit + 2)) != limit + 2
+    one = oracle.plane(columns=1, rows=1)
+    parts = {k: getattr(one, k)[:1] for k in ("positions", "normals", "tangents", "uvs")}
+    most = {k: np.broadcast_to(part, (limit, *part.shape[1:])) for k, part in parts.items()}
+    mesh = replace(one, **most, occluders=parts["positions"])  # without memory: every triangle is the same
+    camera = Camera.from_fov(8, 8, 40, looking((0, 0, 3)))
+    for draw in (lambda: bake.bake_uv(mesh, 8, 8), lambda: bake.bake_camera(mesh, camera)):
+        with pytest.raises(InputError, match="'test' has 16777215 triangles, its occluders 1; the limit is 16777215"):
+            draw()
 
 
 def test_overlapping_texture_coordinates_are_refused_unless_allowed():

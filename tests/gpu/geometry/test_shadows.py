@@ -140,6 +140,36 @@ def test_the_shadows_on_a_monkey_agree_with_rays(vector, distant):
     assert same[sure].mean() > 0.99 and same[facing].mean() > 0.97
 
 
+@pytest.mark.parametrize(("bevel", "cosine"), [(0.0, 0.93), (0.0, 0.3), (0.0, 0.06), (0.03, 0.93), (0.03, 0.15)])
+def test_a_plate_shades_the_large_faces_of_a_smooth_box_as_rays_have_it(bevel, cosine):
+    bpy.ops.mesh.primitive_cube_add(size=1)
+    box = bpy.context.object
+    if bevel:
+        modifier = box.modifiers.new("bevel", "BEVEL")
+        modifier.width, modifier.segments = bevel, 2
+        bpy.ops.object.modifier_apply(modifier="bevel")
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 0, 0.53), scale=(0.12, 0.5, 0.02))
+    box.select_set(True)
+    bpy.ops.object.join()
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.uv.smart_project(island_margin=0.02)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.object.shade_smooth()
+    mesh = extract_mesh(bpy.context.object)
+    aside = np.sqrt(1 - cosine**2) * oracle.unit(np.array([0.35, 0.1]))
+    light = Light((*aside, cosine))
+    texels, weights = all_weights(mesh, light, (192, 192))
+    top = texels.coverage & (texels.face_normal[..., 2] > 0.9) & (texels.position[..., 2] < 0.501)
+    tree = BVHTree.FromPolygons(
+        mesh.positions.reshape(-1, 3).tolist(), np.arange(3 * len(mesh.positions)).reshape(-1, 3).tolist()
+    )
+    seen = cast(tree, texels.position[top].astype(np.float64) + (0, 0, 1e-4), light)
+    lit, dark = (weights[top][seen == way] for way in (True, False))
+    print(f"{(dark > 0.5).mean():.3f} of {len(dark)} shadowed texels lit, {(lit < 0.5).mean():.3f} of the others dark")
+    assert len(dark) > 200 and (dark > 0.5).mean() < 0.05 and (lit < 0.5).mean() < 0.08
+
+
 def cast(tree, points, light):
     """Return (N,) bool: which points see a light."""
     seen = np.empty(len(points), bool)
@@ -280,3 +310,18 @@ def test_the_beam_of_a_spot_or_flat_light_is_divided_out_of_samples(shape, card)
         sure = cosine > 0.1
     np.testing.assert_allclose(domain.stack.values[0, ..., 0][sure], radiance[sure], rtol=0.02)
     np.testing.assert_allclose(domain.lights[0, 3], 1)
+
+
+def test_the_beam_is_divided_out_of_samples_in_predicted_shadow_too():
+    axis = tuple(oracle.unit(np.array([-0.5, 0.3, -1.0])))
+    light = Light((1.2, -0.6, 2.0), distant=False, axis=axis, cosine=32.0)
+    image = np.full((96, 96, 4), 0.2, np.float32)
+    image[..., 3] = 1
+    capture = taken(None, [light], [Camera.from_fov(96, 96, 36.9, ABOVE)], lambda *_: image)
+    domain = domain_from_mesh(capture, ball_over_floor(), *SIZE, falloff=False, areas=False)
+    radiance, weight = domain.stack.values[0, ..., 0], domain.stack.values[0, ..., 3]
+    share = np.maximum((oracle.unit(domain.bake.position - np.array(light.vector)) * axis).sum(-1), 0) ** 32
+    seen, wide = radiance > 0, share > 0.05 + 1e-4
+    assert (seen & wide & (weight == 0)).sum() > 200 and (seen & (share < 0.05)).sum() > 20
+    np.testing.assert_allclose(radiance[seen & wide], 0.2 / share[seen & wide], rtol=1e-4)
+    np.testing.assert_allclose(radiance[seen & (share < 0.05 - 1e-4)], 0.2, rtol=1e-6)  # unusable: as photographed
