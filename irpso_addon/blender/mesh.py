@@ -90,7 +90,7 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
     tiles, placed = lay_out(f"UV map '{layer.name}' of '{name}'", uvs[chosen])
     places = placed if solved is None else np.zeros_like(uvs)
     places[chosen] = placed
-    normals = read_attribute(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops].reshape(-1, 3, 3)
+    normals = shading_normals(mesh)
     return {
         "positions": positions,
         "normals": normals,
@@ -102,6 +102,39 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
         "slots": names,
         "solved": solved,
     }
+
+
+def shading_normals(mesh: Any) -> np.ndarray:
+    """Return (T, 3, 3) float32 normals of the loop triangles' corners in the object's space, as Cycles shades them.
+
+    Without custom normals, and without sharp edges on a mesh that has smooth faces, Cycles takes the normals of
+    vertices on smooth faces and that of each triangle on others. Blender's corner normals there are those of polygons.
+    """
+    count = len(mesh.loop_triangles)
+    loops = read_attribute(mesh.loop_triangles, "loops", 3 * count, np.int32).reshape(-1, 3)
+    corners = read_attribute(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops]
+    is_smooth = read_attribute(mesh.polygons, "use_smooth", len(mesh.polygons), bool)
+    is_sharp = read_attribute(mesh.edges, "use_edge_sharp", len(mesh.edges), bool)
+    if mesh.has_custom_normals or is_smooth.all() or (is_smooth.any() and is_sharp.any()):
+        return corners
+    vertices = read_attribute(mesh.loop_triangles, "vertices", 3 * count, np.int32).reshape(-1, 3)
+    smooth = read_attribute(mesh.vertex_normals, "vector", 3 * len(mesh.vertices)).reshape(-1, 3)[vertices]
+    flat = read_attribute(mesh.loop_triangles, "normal", 3 * count).reshape(-1, 1, 3)
+    flat = np.where(flat.any(axis=2, keepdims=True), flat, corners)  # a triangle without area has none
+    polygons = read_attribute(mesh.loop_triangles, "polygon_index", count, np.int32)
+    return np.where(is_smooth[polygons][:, None, None], smooth, flat)
+
+
+def set_corner_normals(mesh: Any, normals: np.ndarray) -> None:
+    """Set the custom normals (3 T, 3) of a mesh's corners.
+
+    MikkTSpace joins corners of equal normals alone. Rounded ones, of 16 bits, join other corners than in Cycles.
+    """
+    exact = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")
+    exact.data.foreach_set("vector", normals.astype(np.float32).ravel())
+    if not mesh.has_custom_normals:  # a Blender that has rounded ones alone
+        mesh.attributes.remove(mesh.attributes["custom_normal"])
+        mesh.normals_split_custom_set(normals)
 
 
 def read_attribute(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
@@ -171,7 +204,7 @@ def _tangents_together(
     try:
         # Not kept in a variable: the next call adds a layer and frees the memory it would point to.
         mesh.uv_layers.new(name="irpso").uv.foreach_set("vector", uvs.ravel())
-        mesh.normals_split_custom_set(normals.reshape(-1, 3))
+        set_corner_normals(mesh, normals.reshape(-1, 3))
         mesh.calc_tangents(uvmap="irpso")
         tangents = read_attribute(mesh.loops, "tangent", 9 * count).reshape(-1, 3, 3)
         signs = read_attribute(mesh.loops, "bitangent_sign", 3 * count).reshape(-1, 3, 1)

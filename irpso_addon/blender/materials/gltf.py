@@ -21,7 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ...geometry.spaces import unit
 from ..colour_spaces import Use, use_space
-from ..mesh import mesh_of_faces, new_evaluated_mesh
+from ..mesh import mesh_of_faces, new_evaluated_mesh, set_corner_normals, shading_normals
 from ..operators import quiet_operator, removed_afterwards
 from .displacement import DIVISION
 from .material import TAG
@@ -249,7 +249,7 @@ def _triangles(
     loops, vertices = (_read(source.loop_triangles, name, 3 * count, np.int32) for name in ("loops", "vertices"))
     slots = _read(source.loop_triangles, "material_index", count, np.int32)
     uvs = _read(layer.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
-    normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
+    normals = shading_normals(source).reshape(-1, 3)
     corners = np.reshape(vertices, (-1, 3))
     shear = _shear(obj.matrix_world)
     coordinates = _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3) @ shear.T
@@ -264,7 +264,7 @@ def _triangles(
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
-    mesh.normals_split_custom_set(unit(normals @ np.linalg.inv(shear)))
+    set_corner_normals(mesh, unit(normals @ np.linalg.inv(shear)))
     mesh.update()
     copy = bpy.data.objects.new(name, mesh)
     made.append(copy)
