@@ -21,7 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ...geometry.spaces import unit
 from ..colour_spaces import Use, use_space
-from ..mesh import mesh_of_faces, new_evaluated_mesh, set_corner_normals, shading_normals
+from ..mesh import mesh_with_normals, new_evaluated_mesh, shading_normals
 from ..operators import quiet_operator, removed_afterwards
 from .displacement import DIVISION
 from .material import TAG
@@ -249,11 +249,12 @@ def _triangles(
     loops, vertices = (_read(source.loop_triangles, name, 3 * count, np.int32) for name in ("loops", "vertices"))
     slots = _read(source.loop_triangles, "material_index", count, np.int32)
     uvs = _read(layer.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
-    normals = shading_normals(source).reshape(-1, 3)
+    normals, _ = shading_normals(source)
     corners = np.reshape(vertices, (-1, 3))
     shear = _shear(obj.matrix_world)
     coordinates = _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3) @ shear.T
-    mesh = mesh_of_faces(name, coordinates, corners)
+    normals = unit(normals @ np.linalg.inv(shear)).astype(np.float32)
+    mesh = mesh_with_normals(name, coordinates, corners, normals)
     made.append(mesh)
     is_recovered = [chosen is None or index in chosen for index in range(len(obj.material_slots))]
     is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
@@ -264,7 +265,6 @@ def _triangles(
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
-    set_corner_normals(mesh, unit(normals @ np.linalg.inv(shear)))
     mesh.update()
     copy = bpy.data.objects.new(name, mesh)
     made.append(copy)

@@ -58,7 +58,8 @@ def test_the_encoded_normal_map_renders_the_recovered_normals(shading, tmp_path)
     print(f"{shading}: {sure.sum()} pixels, median {np.median(angle):.4f}°, 99 % {np.percentile(angle, 99):.4f}°")
     assert sure.sum() > 3000 and np.percentile(angle, 99) < 0.05
     back = frames.to_blender(mesh, seen, solver)
-    np.testing.assert_allclose(back[seen.coverage], np.broadcast_to(wanted, (seen.coverage.sum(), 3)), atol=2e-6)
+    rounding = 2e-6 if shading == "smooth" else 1e-5  # frames of other shadings are further from orthogonal
+    np.testing.assert_allclose(back[seen.coverage], np.broadcast_to(wanted, (seen.coverage.sum(), 3)), atol=rounding)
 
 
 def orthographic_view(obj, wanted):
