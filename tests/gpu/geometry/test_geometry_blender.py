@@ -106,6 +106,7 @@ def render_exr(path, size):
 def test_meshes_come_out_in_world_space_with_modifiers_normals_and_a_clean_file():
     obj = monkey(1, scale=(2, 1, 0.5), location=(1, 2, 3))
     obj.data.polygons.foreach_set("use_smooth", np.ones(len(obj.data.polygons), bool))
+    obj.data.update()
     bpy.context.view_layer.update()
     before = len(bpy.data.meshes)
     mesh = extract_mesh(obj)
