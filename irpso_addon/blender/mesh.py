@@ -91,18 +91,60 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
     tiles, placed = lay_out(f"UV map '{layer.name}' of '{name}'", uvs[chosen])
     places = placed if solved is None else np.zeros_like(uvs)
     places[chosen] = placed
-    normals = read_attribute(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops].reshape(-1, 3, 3)
+    normals, of_tangents = shading_normals(mesh)
     return {
         "positions": positions,
         "normals": normals,
         "uvs": places,
-        "tangents": _tangents(coordinates, vertices, normals, uvs),
+        "tangents": _tangents(coordinates, vertices, of_tangents, uvs),
         "materials": materials,
         "uv_map": layer.name,
         "tiles": tiles,
         "slots": names,
         "solved": solved,
     }
+
+
+def shading_normals(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return two (T, 3, 3) float32 normals of the loop triangles' corners in the object's space, as Cycles has them.
+
+    The first shade, the second make tangents. Without custom normals, and before 5.1 without sharp edges on a mesh with
+    smooth faces, Cycles takes the normals of vertices on smooth faces and that of each triangle on others. Blender's
+    corner normals there are those of polygons. Since 5.1 a mesh with smooth faces has corner normals, but its flat
+    faces have tangents of the triangles' normals. (Measured on 4.2, 5.0 and 5.2.)
+    """
+    import bpy
+
+    count = len(mesh.loop_triangles)
+    loops = read_attribute(mesh.loop_triangles, "loops", 3 * count, np.int32).reshape(-1, 3)
+    corners = read_attribute(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops]
+    is_smooth = read_attribute(mesh.polygons, "use_smooth", len(mesh.polygons), bool)
+    if is_smooth.all():
+        return corners, corners
+    has_corner_normals = bpy.app.version >= (5, 1, 0)
+    is_sharp = has_corner_normals or read_attribute(mesh.edges, "use_edge_sharp", len(mesh.edges), bool).any()
+    vertices = read_attribute(mesh.loop_triangles, "vertices", 3 * count, np.int32).reshape(-1, 3)
+    at_vertices = read_attribute(mesh.vertex_normals, "vector", 3 * len(mesh.vertices)).reshape(-1, 3)[vertices]
+    by_corner = mesh.has_custom_normals or (is_smooth.any() and is_sharp)
+    flat = read_attribute(mesh.loop_triangles, "normal", 3 * count).reshape(-1, 1, 3)
+    flat = np.where(flat.any(axis=2, keepdims=True), flat, corners)  # a triangle without area has none
+    polygons = read_attribute(mesh.loop_triangles, "polygon_index", count, np.int32)
+    of_faces = np.where(is_smooth[polygons][:, None, None], corners if by_corner else at_vertices, flat)
+    shading = corners if by_corner else of_faces
+    return shading, of_faces if has_corner_normals else shading
+
+
+def mesh_with_normals(name: str, coordinates: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> Any:
+    """Return a new Blender mesh of triangles (T, 3) of vertices (V, 3), with custom normals (T, 3, 3) float32.
+
+    A vertex becomes one for each of its normals. Around one vertex, Blender would make one of normals that differ by
+    less than about 1°, and MikkTSpace would join their corners.
+    """
+    keys = np.column_stack([triangles.reshape(-1).astype(np.int32), (normals.reshape(-1, 3) + 0.0).view(np.int32)])
+    vertices, corners = np.unique(keys, axis=0, return_inverse=True)
+    mesh = mesh_of_faces(name, coordinates.reshape(-1, 3)[vertices[:, 0]], corners.reshape(-1, 3))
+    mesh.normals_split_custom_set(normals.reshape(-1, 3))
+    return mesh
 
 
 def read_attribute(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
@@ -167,12 +209,10 @@ def _tangents_together(
     import bpy
 
     count = len(uvs)
-    used, vertices = np.unique(triangles, return_inverse=True)
-    mesh = mesh_of_faces("irpso tangents", coordinates.reshape(-1, 3)[used], vertices.reshape(-1, 3))
+    mesh = mesh_with_normals("irpso tangents", coordinates, triangles, normals)
     try:
         # Not kept in a variable: the next call adds a layer and frees the memory it would point to.
         mesh.uv_layers.new(name="irpso").uv.foreach_set("vector", uvs.ravel())
-        mesh.normals_split_custom_set(normals.reshape(-1, 3))
         mesh.calc_tangents(uvmap="irpso")
         tangents = read_attribute(mesh.loops, "tangent", 9 * count).reshape(-1, 3, 3)
         signs = read_attribute(mesh.loops, "bitangent_sign", 3 * count).reshape(-1, 3, 1)

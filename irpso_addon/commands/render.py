@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..blender.materials.tangent_frames import converted_normals, from_blender
+from ..blender.materials.tangent_frames import maps_from_blender
 from ..blender.mesh import extract_mesh
 from ..blender.scenes.scene import mesh_object, open_blend, scene_cameras
 from ..capture.formats.lists import read_numbers
@@ -45,7 +45,7 @@ def run(options: Namespace) -> dict:
         shown = sample_maps(model, values, bake.uv)
         shown_count += np.count_nonzero(bake.coverage)
         empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
-        turned = converted_normals(model, shown, mesh, bake, from_blender)
+        turned = maps_from_blender(model, shown, mesh, bake)
         renderers.append(camera_renderer(bake, model, turned, camera, lights))
     masks = [bake.coverage for bake in bakes]
     capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)

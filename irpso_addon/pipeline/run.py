@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..blender.materials.tangent_frames import converted_normals, from_blender
+from ..blender.materials.tangent_frames import maps_from_blender
 from ..blender.ray_caster import ray_caster_steps
 from ..capture.inspect.damage import with_skip_remedy
 from ..core.errors import InputError
@@ -309,8 +309,8 @@ class Run:
 
 
 def in_solver_frames(job: Job, bake: GeometryBake) -> tuple[MapsOf, MapsOf | None]:
-    """Return the job's fixed maps and ground truth with normals in the frames of the domain's texels."""
+    """Return the job's fixed maps and ground truth with normals and grain in the frames of the domain's texels."""
     if job.mesh is None:
         return job.fixed, job.truth
-    turn = partial(converted_normals, job.model, mesh=job.mesh, bake=surface_bake(bake), change=from_blender)
+    turn = partial(maps_from_blender, job.model, mesh=job.mesh, bake=surface_bake(bake))
     return turn(values=job.fixed), job.truth and turn(values=job.truth)

@@ -81,29 +81,33 @@ def image_of(table, binary, texture, folder):
     return picture(path)
 
 
-def bent_sheet(size=1.0):
-    """Return a sheet of 6 × 6 bent quads, its left half mirrored in the UV square, rotated and moved in the world."""
+def bent_sheet(size=1.0, mirrored=False, smooth=True):
+    """Return a sheet of 6 × 6 bent quads, its left half mirrored in the UV square, rotated and moved in the world.
+
+    mirrored: by the object's scale.
+    """
     u, v = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7))
     points = np.stack([u, v, 0.3 * np.cos(1.5 * u) + 0.2 * np.sin(2 * v)], axis=-1).reshape(-1, 3) * size
     corner = np.arange(42).reshape(6, 7)[:, :-1].ravel()
     faces = np.stack([corner, corner + 1, corner + 8, corner + 7], axis=-1)
     mesh = bpy.data.meshes.new("sheet")
     mesh.from_pydata(points.tolist(), [], faces.tolist())
-    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
+    mesh.polygons.foreach_set("use_smooth", np.full(len(faces), smooth))
     x, y = points[faces][..., 0] / size, points[faces][..., 1] / size
     left = x.mean(axis=1, keepdims=True) < 0
     flat = np.stack([np.where(left, -0.45 * x + 0.03, 0.52 + 0.45 * x), 0.5 + 0.45 * y], axis=-1)
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", flat.ravel().astype(np.float32))
     obj = bpy.data.objects.new("sheet", mesh)
     obj.matrix_world = Matrix.Translation((1, 2, 3)) @ Matrix.Rotation(0.7, 4, "X") @ Matrix.Scale(1.5, 4)
+    obj.matrix_world = obj.matrix_world @ Matrix.Diagonal((-1 if mirrored else 1, 1, 1, 1))
     bpy.context.scene.collection.objects.link(obj)
     bpy.context.view_layer.update()
     return obj
 
 
-def on_a_sheet(name, texels=192):
+def on_a_sheet(name, texels=192, **shape):
     """Return a result on a bent sheet whose normals tilt by the world field ``lean``, and the sheet's object."""
-    obj = bent_sheet()
+    obj = bent_sheet(**shape)
     mesh = extract_mesh(obj)
     surface = bake.bake_uv(mesh, texels, texels)
     values = cli_maker.smooth_maps((texels, texels), RANGES[name], seed=2)

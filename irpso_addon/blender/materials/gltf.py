@@ -21,7 +21,7 @@ from ...core.png import encode_png
 from ...core.udim import tile_place
 from ...geometry.spaces import unit
 from ..colour_spaces import Use, use_space
-from ..mesh import check_matrix, mesh_of_faces, new_evaluated_mesh
+from ..mesh import check_matrix, mesh_with_normals, new_evaluated_mesh, shading_normals
 from ..operators import quiet_operator, removed_afterwards
 from .displacement import DIVISION
 from .material import TAG
@@ -249,12 +249,14 @@ def _triangles(
     loops, vertices = (_read(source.loop_triangles, name, 3 * count, np.int32) for name in ("loops", "vertices"))
     slots = _read(source.loop_triangles, "material_index", count, np.int32)
     uvs = _read(layer.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
-    normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
+    normals, _ = shading_normals(source)
     corners = np.reshape(vertices, (-1, 3))
     check_matrix(obj.name, np.array(obj.matrix_world))
-    shear = _shear(obj.matrix_world)
-    coordinates = _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3) @ shear.T
-    mesh = mesh_of_faces(name, coordinates, corners)
+    placed, rest = _placed(obj.matrix_world)
+    coordinates = _read(source.vertices, "co", 3 * len(source.vertices)).reshape(-1, 3) @ rest.T
+    order = [0, 1, 2] if np.linalg.det(rest) > 0 else [2, 1, 0]  # a mirrored triangle keeps its outer side
+    normals = unit(normals @ np.linalg.inv(rest)).astype(np.float32)
+    mesh = mesh_with_normals(name, coordinates, corners[:, order], normals[:, order])
     made.append(mesh)
     is_recovered = [chosen is None or index in chosen for index in range(len(obj.material_slots))]
     is_recovered = np.array(is_recovered if any(is_recovered) else [True] * max(len(is_recovered), 1))
@@ -264,23 +266,28 @@ def _triangles(
     for material in (*(materials[n] for n in sorted(materials)), *originals):
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
-    mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
-    mesh.normals_split_custom_set(unit(normals @ np.linalg.inv(shear)))
+    mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs[:, order].astype(np.float32).ravel())
     mesh.update()
     copy = bpy.data.objects.new(name, mesh)
     made.append(copy)
-    copy.matrix_world = obj.matrix_world
+    copy.matrix_world = placed
     bpy.context.scene.collection.objects.link(copy)
     bpy.context.view_layer.update()
     return copy
 
 
-def _shear(matrix: Any) -> np.ndarray:
-    """Return (3, 3) what an object's location, rotation and scale leave of its matrix: its parents may shear it."""
+def _placed(matrix: Any) -> tuple[Any, np.ndarray]:
+    """Return location, rotation and positive scale as a matrix, and (3, 3) what they leave of an object's matrix.
+
+    The rest holds a shear by parents, and the reflection of a mirrored object: glTF's viewers take the bitangent as
+    w n × t in the world, which a reflection of the node would turn over.
+    """
     from mathutils import Matrix
 
-    rest = np.array(Matrix.LocRotScale(*matrix.decompose()).inverted() @ matrix)[:3, :3]
-    return rest if np.abs(rest - np.eye(3)).max() > _SHEARED else np.eye(3)
+    mirror = Matrix.Diagonal((-1 if matrix.determinant() < 0 else 1, 1, 1, 1))
+    placed = Matrix.LocRotScale(*(matrix @ mirror).decompose())
+    rest, plain = np.array(placed.inverted() @ matrix)[:3, :3], np.array(mirror)[:3, :3]
+    return placed, rest if np.abs(rest - plain).max() > _SHEARED else plain
 
 
 def _tiles(uvs: np.ndarray, numbers: list[int], recovered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

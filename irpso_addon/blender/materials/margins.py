@@ -1,4 +1,4 @@
-"""Maps for Blender materials: normals in Blender's tangent frame, and margins filled across seams.
+"""Maps for Blender materials: normals and grain in Blender's tangent frames, and margins filled across seams.
 
 A renderer interpolates between texels, so at an island's edge it reads outside the island. The margin holds the values
 of the seam's other side, so both sides interpolate toward the same values.
@@ -16,54 +16,63 @@ from ...geometry.spaces import unit, world_normals
 from ...geometry.surface.bake import SurfaceBake
 from ...geometry.surface.mesh import MeshData
 from ...results.maps import Maps
-from .tangent_frames import converted_normals, to_blender, world_to_blender
+from .tangent_frames import blender_axes, changed_grains, grains_of, maps_to_blender, solver_axes, world_to_blender
 
 # Least bilinear weight of the solved texels among the four around a place on the other side.
 _MIN_WEIGHT = 0.05
 
 
 def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap | None) -> Maps:
-    """Return maps with normals in the frame of Blender's Normal Map node, and their margin past seams filled.
+    """Return maps with normals and grain in the frames of Blender's nodes, and their margin past seams filled.
 
     maps: in the solver's frames. seams: of the domain; None leaves the margins unfilled.
     """
-    values = converted_normals(maps.model, maps.values, mesh, bake, to_blender)
+    values = maps_to_blender(maps.model, maps.values, mesh, bake)
     maps, solved = replace(maps, values=values, tiles=mesh.tiles, wrapped=True), maps
     if seams is None or maps.solved.all() or not maps.solved.any():
         return maps
     place, beside, taps, weights = _across(seams, maps.solved)
-    filled = {}
+    turns = _turns(bake, taps, weights, beside)
+    normal = next(p.name for p in maps.model.parameters if p.is_normal)
+    world = world_normals(bake, solved.values[normal]) if normal in values else bake.normal
+    world = world.reshape(-1, 3).astype(np.float64)
+    normals = unit(np.einsum("nij,nt,ntj->ni", turns, weights, world[taps]))
+    margins = {}
     for p in maps.model.parameters:
-        if p.name not in values:
-            continue
-        array = np.array(values[p.name], np.float32)
-        if p.is_normal:
-            world = world_normals(bake, solved.values[p.name]).reshape(-1, 3)
-            opposite = np.einsum("nt,ntc->nc", weights, world[taps])
-            margin_values = world_to_blender(mesh, bake, beside, _carried(opposite, bake, taps, weights, beside))
-        else:
-            margin_values = np.einsum("nt,ntc->nc", weights, array.reshape(-1, p.components)[taps])
-        array.reshape(-1, array.shape[-1])[place] = margin_values
-        filled[p.name] = array
+        if p.is_normal and p.name in values:
+            margins[p.name] = world_to_blender(mesh, bake, beside, normals)
+        elif p.name in values:
+            texels = np.asarray(values[p.name], np.float32).reshape(-1, p.components)
+            margins[p.name] = np.einsum("nt,ntc->nc", weights, texels[taps])
+    if (found := grains_of(maps.model, solved.values, maps.solved.shape)) is not None:
+        names, grains = found
+        source = solver_axes(bake, taps.ravel(), world[taps].reshape(-1, 3)).reshape(*taps.shape, 2, 3)
+        source = np.einsum("nij,ntaj->ntai", turns, source)
+        target = blender_axes(mesh, bake, beside, normals)[:, None]
+        mean = (weights * changed_grains(grains.ravel()[taps], source, target)).sum(axis=1)
+        margins |= dict(zip(names, np.stack([mean.real, mean.imag])[..., None], strict=True))
+    filled = {}
+    for name, margin_values in margins.items():
+        filled[name] = np.array(values[name], np.float32)
+        filled[name].reshape(-1, margin_values.shape[-1])[place] = margin_values
     margin = np.zeros(maps.solved.shape, bool)
     margin.ravel()[place] = True
     return replace(maps, values={**values, **filled}, margin=margin)
 
 
-def _carried(
-    normals: np.ndarray, bake: SurfaceBake, taps: np.ndarray, weights: np.ndarray, beside: np.ndarray
-) -> np.ndarray:
-    """Return (M, 3) world normals rotated as the surface turns from their place to the texel beside.
+def _turns(bake: SurfaceBake, taps: np.ndarray, weights: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Return (M, 3, 3) rotations of world vectors, as the surface turns from their place to the texel beside.
 
     A normal map holds the tilt from the surface normal, and outside the edge a renderer uses the edge's normal: an
     unrotated normal would tilt too far, across a crease by the crease's angle.
     """
     surface = bake.normal.reshape(-1, 3).astype(np.float64)
     a, b = unit(np.einsum("nt,ntc->nc", weights, surface[taps])), surface[beside]
-    cosine, axis = (a * b).sum(axis=-1, keepdims=True), np.cross(a, b)
     # Rodrigues' formula for the smallest rotation from a to b; for opposite vectors, any of them.
-    along = axis * (axis * normals).sum(axis=-1, keepdims=True) / np.maximum(1 + cosine, 1e-6)
-    return cosine * normals + np.cross(axis, normals) + along
+    cosine, axis = (a * b).sum(axis=-1)[:, None, None], np.cross(a, b)
+    cross = np.cross(axis[:, None], np.eye(3)).transpose(0, 2, 1)
+    along = axis[:, :, None] * axis[:, None, :] / np.maximum(1 + cosine, 1e-6)
+    return cosine * np.eye(3) + cross + along
 
 
 def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

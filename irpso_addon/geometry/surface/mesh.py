@@ -18,7 +18,7 @@ _DEGENERATE_LIMIT = 0.005
 class MeshData:
     """T triangles, by corner, in world units and world axes; all float32.
 
-    positions: (T, 3, 3). normals: (T, 3, 3) unit, Blender's shading normals (custom and sharp ones included). tangents:
+    positions: (T, 3, 3). normals: (T, 3, 3) unit, Cycles' shading normals (custom and sharp ones included). tangents:
     (T, 3, 4) unit MikkTSpace tangent and the bitangent's sign. uvs: (T, 3, 2) in 0…1, the place in the domain.
     materials: (T,) int32 slot. uv_map: name of the UV map of texture coordinates and tangents. matrix: (4, 4) float64
     object to world. tiles: the domain's UDIM tiles, side by side from the left: ``uvs`` span all of them, tangents are

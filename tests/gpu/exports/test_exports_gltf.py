@@ -98,15 +98,17 @@ def gltf_normals(table, binary, path, unit_frame):
     texel = (image[y0, x0] * (1 - fx) + image[y0, x0 + 1] * fx) * (1 - fy)
     texel = (texel + (image[y0 + 1, x0] * (1 - fx) + image[y0 + 1, x0 + 1] * fx) * fy)[:, :3] * 2 - 1
     normal, tangent = at["NORMAL"], at["TANGENT"][:, :3]
-    sign = np.sign(at["TANGENT"][:, 3:])
     if unit_frame:  # as three.js does, and the Khronos sample viewer
         normal, tangent = oracles.unit(normal), oracles.unit(tangent)
-    shaded = texel[:, :1] * tangent + texel[:, 1:2] * sign * np.cross(normal, tangent) + texel[:, 2:] * normal
     node = table["nodes"][0]
     turn = Matrix.LocRotScale(
         node["translation"], Quaternion((node["rotation"][3], *node["rotation"][:3])), node["scale"]
     )
     to_world = np.array(turn)
+    sign = np.sign(at["TANGENT"][:, 3:] * np.linalg.det(to_world))  # viewers take the cross product in the world
+    shaded = texel[:, :1] * tangent + texel[:, 1:2] * sign * np.cross(normal, tangent) + texel[:, 2:] * normal
+    a, b, c = read["POSITION"][corner].transpose(1, 0, 2)
+    assert (np.einsum("tki,ti->tk", read["NORMAL"][corner], np.cross(b - a, c - a)) > 0).all()  # counterclockwise
     shaded = oracles.unit(shaded @ to_world[:3, :3].T)
     surface = oracles.unit(oracles.unit(at["NORMAL"]) @ to_world[:3, :3].T)
     place = at["POSITION"] @ to_world[:3, :3].T + to_world[:3, 3]
@@ -116,8 +118,10 @@ def gltf_normals(table, binary, path, unit_frame):
     return angle(shaded, oracles.unit(surface + lean(place)))
 
 
-def test_a_gltf_viewer_shades_with_the_recovered_world_normals(tmp_path):
-    result, obj = on_a_sheet("principled", texels=384)
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("smooth", [True, False])
+def test_a_gltf_viewer_shades_with_the_recovered_world_normals(smooth, mirrored, tmp_path):
+    result, obj = on_a_sheet("principled", texels=384, mirrored=mirrored, smooth=smooth)
     gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
     table, binary = read_glb(tmp_path / "leaf.glb")
     for frame in (False, True):

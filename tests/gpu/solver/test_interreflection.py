@@ -132,7 +132,7 @@ def test_the_window_marks_the_texels_that_the_maps_call_unknown(bowl, monkeypatc
             mask = maps.unknown_by_cause()["normal"][cause]
             assert mask.any()
             alpha = textures.download(display.picture(shown))[..., 3]
-            for texel in np.argwhere(maps.covered)[::37]:
+            for texel in np.argwhere(maps.solved)[::37]:
                 causes = [why for why, there in maps.unknown_by_cause()["normal"].items() if there[*texel]]
                 assert list(display.unknown_at(*texel).values()) == causes, texel
             np.testing.assert_array_equal((alpha > 0) & (alpha < 1), maps.unknown()["normal"])
