@@ -9,7 +9,7 @@ from ..results.maps import Maps
 
 
 def filled(values: np.ndarray, maps: Maps) -> np.ndarray:
-    """Return values (H, W) or (H, W, C) as (H, W, C), with filled margins outside the covered texels."""
+    """Return values (H, W) or (H, W, C) as (H, W, C), with filled margins outside the solved texels."""
     values = values[..., None] if values.ndim == 2 else values
     return fill_margin(values, maps.solved, keep=maps.margin)
 

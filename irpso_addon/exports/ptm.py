@@ -116,7 +116,7 @@ def _fitted(renderer: Renderer, basis: np.ndarray) -> np.ndarray:
 
 
 def _psnr(renderer: Renderer, basis: np.ndarray, shown: np.ndarray, covered: np.ndarray) -> float:
-    """Return the PSNR (dB) of a viewer's image, clipped to 0…255, over the covered texels and all lights."""
+    """Return the PSNR (dB) of a viewer's image, clipped to 0…255, over the solved texels and all lights."""
     squared = 0.0
     for k, picture in enumerate(_pictures(renderer, len(basis))):
         difference = np.clip(shown @ basis[k], 0, 255) - picture

@@ -23,7 +23,7 @@ from ..solver.views.history import History
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between updates of the progress bar and checks for Ctrl-C
 _SLOW_SAVE, _MAX_SAVING = 1.0, 0.05  # checkpoints that take more seconds get at most this share of the run's time
-_ELAPSED, _PREVIEWED = "seconds", "previewed"  # keys among a checkpoint's arrays: the run's seconds, its preview
+_ELAPSED, _PREVIEWED = "seconds", "previewed"  # a checkpoint's extra arrays: the run's seconds, its preview
 _MAX_ITERATIONS = 100  # in a slice: a driver queues work that the GPU has not done yet
 
 

@@ -38,7 +38,8 @@ _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states 
 
 @dataclass(frozen=True)
 class ResultMaps:
-    """Maps of a run. in_solver_frames, in_blender_frames: with normals in the solver's, in Blender's tangent frames.
+    """Maps of a run. in_solver_frames, in_blender_frames: with normals and grain in the solver's, in Blender's tangent
+    frames.
 
     derived: maps besides the model's. height: the relief, None unless the user wants it.
     """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from .model import MAX_COMPONENTS, MIN_PRIOR_WIDTH, ReflectanceModel
 
-# In figures: checkpoints hold a digest of the generated text (solver/state/checkpoint.py).
 _ROOM = f"[{MAX_COMPONENTS}]"
 _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 

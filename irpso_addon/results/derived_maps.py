@@ -54,8 +54,8 @@ def derived_maps(
 ) -> tuple[list[DerivedMap], Height | None]:
     """Compute the chosen maps; return them and the relief, None if not chosen.
 
-    recovered: maps with normals in the solver's frames. written: with normals in the frames of Blender's normal maps.
-    bake: the domain's. mesh: None for a card; then object space is that of ``camera``, and world space the capture's.
+    recovered: maps with normals and grain in the solver's frames. written: in those of Blender's normal maps. bake: the
+    domain's. mesh: None for a card; then object space is that of ``camera``, and world space the capture's.
     """
     name = next((parameter.name for parameter in recovered.model.parameters if parameter.is_normal), None)
     if name is None or not (extras.normals or extras.relief):

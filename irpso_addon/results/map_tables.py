@@ -69,7 +69,7 @@ def map_tables(model: ReflectanceModel) -> list[MapTable]:
 
 
 def map_values(table: MapTable, maps: Maps) -> np.ndarray:
-    """Return (H, W, components) float32 of a map, with a margin of 8 texels around the covered ones.
+    """Return (H, W, components) float32 of a map, with a margin of 8 texels around the solved ones.
 
     Texels outside the margin have the mean, or a flat normal. Missing parameters have their default.
     """

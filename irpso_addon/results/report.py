@@ -11,8 +11,8 @@ from ..gpu.versions import versions
 from ..reflectance.model import Parameter
 from .maps import Maps
 
-_LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative distance to the limit; fraction of the covered texels
-_MODES_SHARE = 0.05  # fraction of the covered texels
+_LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative distance to the limit; fraction of the solved texels
+_MODES_SHARE = 0.05  # fraction of the solved texels
 
 
 def build_report(
@@ -32,7 +32,7 @@ def build_report(
 
     gpu: the renderer's name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
     parameter's units, row 0 at the bottom. evaluated: (H, W) bool, texels of the error statistics, by default the
-    covered ones; the report has the excluded fraction. noise: the domain's, reported in 8-bit codes unless 0.
+    solved ones; the report has the excluded fraction. noise: the domain's, reported in 8-bit codes unless 0.
     """
     texels = maps.solved if evaluated is None else maps.solved & evaluated
     covered = int(maps.solved.sum())
@@ -90,7 +90,7 @@ def limit_warnings(maps: Maps, fixed: Collection[str] = ()) -> list[str]:
 
 
 def mode_shares(maps: Maps) -> dict[str, float]:
-    """Return parameter name → fraction of the covered texels with two modes, for each tested parameter."""
+    """Return parameter name → fraction of the solved texels with two modes, for each tested parameter."""
     return {name: round(float(there[maps.solved].mean()), 4) for name, there in maps.two_modes.items()}
 
 

@@ -69,7 +69,7 @@ def maps_from_blender(
 def grains_of(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], shape: tuple[int, int]
 ) -> tuple[tuple[str, str], np.ndarray] | None:
-    """Return the grain's two names and (H, W) complex grains of maps; None unless values hold a map of either."""
+    """Return the grain's two names and (H, W) complex grains of maps; None for constants, or without both."""
     names = grain_parameters(model)
     if names is None or not all(name in values for name in names):
         return None

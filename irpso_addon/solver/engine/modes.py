@@ -50,7 +50,7 @@ def with_modes(maps: Maps) -> Maps:
 
 
 def _texels(maps: Maps) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield (n,) rows, (n,) columns and (n, C) float64 components of the covered texels, some rows at a time."""
+    """Yield (n,) rows, (n,) columns and (n, C) float64 components of the solved texels, some rows at a time."""
     height, width = maps.solved.shape
     step = max(1, _AT_ONCE // width)
     for first in range(0, height, step):

@@ -25,7 +25,7 @@ from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
 _VERSION = 8  # raised where the file, or a recovery that resumes from it, would be another
-_EXTRA = "extra_"  # prefix of the caller's own arrays in the file
+_EXTRA, _FORMER_EXTRA = "extra_", "note_"  # prefixes of the caller's own arrays in the file; until version 7
 NEVER = -1  # value of ``begun`` where the stage cannot restart from its begin
 PHASE = "phase_"  # prefix of the arrays of the running phase
 
@@ -141,9 +141,9 @@ def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_extra_array(path: Path, name: str) -> np.ndarray:
-    """Return one of a checkpoint's extra arrays. Raises CheckpointError if it is missing."""
+    """Return one of a checkpoint's extra arrays, of any version. Raises CheckpointError if it is missing."""
     with _reading(path), np.load(path) as file:
-        return file[_EXTRA + name]
+        return file[_EXTRA + name if _EXTRA + name in file else _FORMER_EXTRA + name]
 
 
 # Raised by numpy, zipfile and json when single bytes of a checkpoint were changed.

@@ -101,9 +101,7 @@ class ChoosePhotographs(VideoBrowser, bpy.types.Operator):
         try:
             chosen = absolute(self.filepath or self.directory, "Photographs")
             if self.rig and is_video(chosen):
-                raise InputError(
-                    f"{chosen}: is video; a rig needs a photograph for each lamp, choose the folder of photographs"
-                )
+                raise InputError(f"{chosen}: is a video; a rig needs a photograph for each lamp: choose their folder")
         except InputError as error:
             return failures.report_and_cancel(self, error)
         if self.rig:

@@ -53,7 +53,7 @@ def test_tiles_that_take_turns_note_the_errors_of_the_whole(schedule, monkeypatc
 
 
 @pytest.mark.parametrize("stop", [1, 10, 31])
-def test_notes_continue_from_a_checkpoint(stop, tmp_path):
+def test_records_continue_from_a_checkpoint(stop, tmp_path):
     domain, truth = subject(9, 8, holes=False)
     with turns_of(domain, STAGES) as recovery:
         wanted = driven(recovery, History(recovery, truth))
@@ -102,7 +102,7 @@ def test_steps_end_with_a_round_so_that_checkpoints_take_no_turn():
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_a_note_is_what_the_maps_have(entry):
+def test_a_record_is_what_the_maps_have(entry):
     domain, _ = subject(9, 8, holes=True)
     rows, columns = (found[::7] for found in np.nonzero(domain.solvable))
     with Recovery(domain, LAMBERT, STAGES, 1, entry=entry) as recovery:

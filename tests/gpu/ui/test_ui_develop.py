@@ -132,6 +132,6 @@ def test_a_photograph_chosen_for_a_rig_stands_for_its_folder(settings, later, tm
 def test_a_video_is_refused_for_a_rig(settings, later, tmp_path):
     (tmp_path / "lamp.mp4").touch()
     before = settings.capture_path
-    with pytest.raises(RuntimeError, match=r"lamp\.mp4: is video; a rig needs a photograph for each lamp"):
+    with pytest.raises(RuntimeError, match=r"lamp\.mp4: is a video; a rig needs a photograph for each lamp"):
         bpy.ops.irpso.choose_photographs(rig=str(tmp_path / "dome"), filepath=str(tmp_path / "lamp.mp4"))
     assert settings.capture_path == before

@@ -310,6 +310,20 @@ def test_a_stored_recovery_with_former_names_of_settings_is_restored(stored, pla
     assert (found.start, found.refinement_neighbour_weight, found.loss) == ("random", 2.5, "cauchy")
 
 
+def test_a_stored_recovery_of_an_earlier_version_is_listed_and_can_be_deleted(stored):
+    from irpso_addon.ui.session import stored_recoveries
+
+    with np.load(stored.path) as file:
+        arrays = {name.replace("extra_", "note_"): file[name] for name in file.files}
+    with stored.path.open("wb") as file:
+        np.savez(file, **arrays)
+    stored_recoveries.refresh()
+    (found,) = stored_recoveries.listed()
+    assert found.name == stored.name
+    stored_recoveries.delete(found.path)
+    assert not stored.path.exists() and stored_recoveries.listed() == []
+
+
 def test_a_given_image_that_is_not_in_the_file_is_named(stored):
     from irpso_addon.ui.properties import recipe
 

@@ -156,7 +156,7 @@ def test_fixed_parameters_are_not_searched_and_empty_stages_are_dropped():
     assert titles(paper, model="lambert") == ["base_color", "normal"]
 
 
-def test_held_are_the_fixed_parameters_and_those_of_no_stage():
+def test_unsearched_are_the_fixed_parameters_and_those_of_no_stage():
     model, schedule = load_model("principled"), load_schedule("standard")
     assert unsearched_names(schedule, model, {"specular"}) == {"specular"}
     assert unsearched_names(schedule.replaced(search=("normal",)), model, ()) == {"base_color", "roughness", "specular"}
