@@ -8,7 +8,7 @@ from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
-from ..blender.materials import material
+from ..blender.materials import material, result_blend
 from ..blender.materials.margins import blender_maps
 from ..blender.mesh import extract_mesh
 from ..blender.scenes import head
@@ -112,7 +112,7 @@ def _write(
         joint_figures,
     )
     material.apply_material(subject, material.build_material(_turned(found, joint.maps), subject.name))
-    material.save_result_blend(folder)
+    result_blend.save_result_blend(folder)
     return {"output": str(folder), "excluded_fraction": report["excluded_fraction"], "texels": report["texels"],
             "runs": errors, "seconds": report["seconds"]}  # fmt: skip
 

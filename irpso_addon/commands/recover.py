@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from ..blender.materials import material
+from ..blender.materials import result_blend
 from ..cluster.transport import joined
 from ..core.errors import InputError
 from ..core.files import write_json
@@ -171,7 +171,7 @@ def _each_slot(options: Namespace) -> dict:
         return {"slots": reports}
     result = {"texels": sum(report["texels"] for report in reports.values()), "slots": reports}
     write_json(folder / REPORT, plain(result))  # first: it makes the other file one of ours
-    material.save_blend(folder / BLEND)
+    result_blend.save_blend(folder / BLEND)
     return {"output": str(folder), **result}
 
 
@@ -184,7 +184,7 @@ def _recovered(options: Namespace, run: Run, previewed: bool) -> dict:
         report, found, started, interrupted = _solved(options, run, folder, saving, writing)
         height = found.height if options.displacement else None
         _, subject = make_material(run.job, subject_of(run.job), found, height)
-        material.save_result_blend(folder)
+        result_blend.save_result_blend(folder)
         (folder / CHECKPOINT).unlink(missing_ok=True)
         if not previewed:
             _remove_former_preview(folder / PREVIEW)

@@ -6,7 +6,7 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from ..blender.materials import material
+from ..blender.materials import material, result_blend
 from ..core.errors import InputError
 from ..exports.result import Result, read_result
 from ..exports.tile import Tile, tiled
@@ -49,7 +49,7 @@ def _checked(options: Namespace, result: Result) -> Path:
 def _write_material(maps: Maps, name: str, folder: Path) -> None:
     made = material.build_material(maps, name)
     material.apply_material(material.card_object(name, *maps.solved.shape), made)
-    material.save_result_blend(folder)
+    result_blend.save_result_blend(folder)
 
 
 def _summary(name: str, tile: Tile, folder: Path) -> str:

@@ -82,7 +82,7 @@ def image_of(table, binary, texture, folder):
 
 
 def bent_sheet(size=1.0, mirrored=False, smooth=True):
-    """Return a sheet of 6 × 6 bent quads, its left half mirrored in the UV square, rotated and moved in the world.
+    """Return a mesh of 6 × 6 non-planar quads, the left half mirrored in the UV map, with a rotation and a place.
 
     mirrored: by the object's scale.
     """

@@ -35,8 +35,8 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
     turns = _turns(bake, taps, weights, beside)
     normal = next(p.name for p in maps.model.parameters if p.is_normal)
     world = world_normals(bake, solved.values[normal]) if normal in values else bake.normal
-    world = world.reshape(-1, 3).astype(np.float64)
-    normals = unit(np.einsum("nij,nt,ntj->ni", turns, weights, world[taps]))
+    across = world.reshape(-1, 3)[taps].astype(np.float64)
+    normals = unit(np.einsum("nij,nt,ntj->ni", turns, weights, across))
     margins = {}
     for p in maps.model.parameters:
         if p.is_normal and p.name in values:
@@ -46,7 +46,7 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
             margins[p.name] = np.einsum("nt,ntc->nc", weights, texels[taps])
     if (found := grains_of(maps.model, solved.values, maps.solved.shape)) is not None:
         names, grains = found
-        source = solver_axes(bake, taps.ravel(), world[taps].reshape(-1, 3)).reshape(*taps.shape, 2, 3)
+        source = solver_axes(bake, taps.ravel(), across.reshape(-1, 3)).reshape(*taps.shape, 2, 3)
         source = np.einsum("nij,ntaj->ntai", turns, source)
         target = blender_axes(mesh, bake, beside, normals)[:, None]
         mean = (weights * changed_grains(grains.ravel()[taps], source, target)).sum(axis=1)

@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender.materials.material import apply_material, build_material, card_object, save_blend
+from irpso_addon.blender.materials.material import apply_material, build_material, card_object
+from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.blender.materials.textures import mark_saved
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model

@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from irpso_addon.blender.materials.material import save_blend
+from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.results.write import write_maps
 from tests.builders.exports import on_a_sheet
 

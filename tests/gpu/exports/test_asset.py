@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from irpso_addon.blender.materials.asset import recovered_slot
-from irpso_addon.blender.materials.material import TAG, apply_material, build_material, card_object, save_blend
+from irpso_addon.blender.materials.material import TAG, apply_material, build_material, card_object
 from irpso_addon.blender.materials.pictures import icon
+from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
 from irpso_addon.exports.asset import Shelf, write_to_shelf

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 
-from irpso_addon.blender.materials.material import save_blend
+from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.blender.occlusion import mesh_open_sky
 from irpso_addon.blender.operators import quiet_operator
