@@ -154,14 +154,7 @@ def calibrate_steps(
     if all(ball.searched for ball in requests):
         kinds = KINDS if request.kind == AUTO else (request.kind,)
         found = tuple((yield from map_steps(search_steps(readers, camera, kinds), lambda part: _SEARCH * part)))
-        if not found:
-            raise InputError(_NO_BALL)
-        used = usable_balls(found)
-        if not used:
-            raise _too_small(found[0], camera)
-        balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
-        inverse = float(np.mean([one.inverse[0] / ball.radius for one, ball in zip(used, balls, strict=True)]))
-        request = replace(request, kind=used[0].kind, inverse=inverse, tables=known_tables(used))
+        balls, request = _found_balls(found, request, camera, radius)
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     start = _SEARCH if found else 0.0
@@ -176,13 +169,7 @@ def calibrate_steps(
         contradictions += yield from map_steps(steps, lambda n: 1 - each * (len(indices) - n))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
-    lit = sum(light.light is not None for light in result.lights)
-    if lit < max(1, _MIN_LIT * len(indices)):
-        missing = next(i for i, light in enumerate(result.lights) if light.light is None)
-        raise InputError(
-            f"{names[missing]}: {'; '.join(result.lights[missing].warnings)} ({len(indices) - lit} of {len(indices)}"
-            " photographs show no light; check --ball and --kind)"
-        )
+    _check_lit(names, result)
     warnings = [
         *unknown_lens(spec.views[number], camera, balls), *ball_warnings(found), *contradictions,
         *near_lamps(found, result, camera, radius, original_request.distance),
@@ -193,6 +180,31 @@ def calibrate_steps(
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
     calibrated = Calibrated(spec, number, indices, names, result, tuple(warnings), original_request, radius, found)
     return replace(calibrated, warnings=(*calibrated.warnings, *_distance_warnings(calibrated)))
+
+
+def _found_balls(
+    found: tuple[FoundBall, ...], request: Request, camera: Camera, radius: float | None
+) -> tuple[list[Ball], Request]:
+    """Return the usable balls of a search and the request with their kind. Raises InputError if there are none."""
+    if not found:
+        raise InputError(_NO_BALL)
+    used = usable_balls(found)
+    if not used:
+        raise _too_small(found[0], camera)
+    balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
+    inverse = float(np.mean([one.inverse[0] / ball.radius for one, ball in zip(used, balls, strict=True)]))
+    return balls, replace(request, kind=used[0].kind, inverse=inverse, tables=known_tables(used))
+
+
+def _check_lit(names: Sequence[str], result: Calibration) -> None:
+    """Raise InputError if more than half of the photographs ``names`` show no light."""
+    lit = sum(light.light is not None for light in result.lights)
+    if lit < max(1, _MIN_LIT * len(names)):
+        missing = next(i for i, light in enumerate(result.lights) if light.light is None)
+        raise InputError(
+            f"{names[missing]}: {'; '.join(result.lights[missing].warnings)} ({len(names) - lit} of {len(names)}"
+            " photographs show no light; check --ball and --kind)"
+        )
 
 
 def _second_opinion_steps(

@@ -71,6 +71,25 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         help="leave photographs (by name, or by number from 0) out of the fit, and relight them; auto: one in eight,"
         " six at most",
     )
+    _add_framing(add)
+    add.add_argument(
+        "--intensities",
+        choices=("auto", "given", "estimate"),
+        default="auto",
+        help="light intensities: as given; estimated up to one scale; auto (the default): estimated if the capture has"
+        " none and the images contradict equal ones",
+    )
+    add.add_argument("--refine-directions", type=float, default=0.0, metavar="DEGREES",
+                     help="correct light directions, whose typical error (standard deviation) is DEGREES, 0 to 20"
+                     " (default 0: keep them)")  # fmt: skip
+    _add_result(add)
+    _add_run(add)
+    _add_solver(add)
+    add_common(add)
+
+
+def _add_framing(add: argparse.ArgumentParser) -> None:
+    """Add the options of how photographs are read and which part of a card is recovered."""
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=COLOUR_SPACE)
     add_distance(add)
     add.add_argument(
@@ -84,16 +103,10 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--scale", type=float, metavar="S", help="size of the pictures, 0.25 for a quick preview (default 1)"
     )
     add.add_argument("--skip-damaged", action="store_true", help=SKIP_DAMAGED)
-    add.add_argument(
-        "--intensities",
-        choices=("auto", "given", "estimate"),
-        default="auto",
-        help="light intensities: as given; estimated up to one scale; auto (the default): estimated if the capture has"
-        " none and the images contradict equal ones",
-    )
-    add.add_argument("--refine-directions", type=float, default=0.0, metavar="DEGREES",
-                     help="correct light directions, whose typical error (standard deviation) is DEGREES, 0 to 20"
-                     " (default 0: keep them)")  # fmt: skip
+
+
+def _add_result(add: argparse.ArgumentParser) -> None:
+    """Add the options of what is written beside the maps."""
     add.add_argument("--normals", metavar="A,B", help="write more normal maps: object, world, directx")
     add.add_argument("--height", action="store_true", help="also integrate the normals to a relief")
     add.add_argument("--displacement", action="store_true",
@@ -102,6 +115,10 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--asset", metavar="LIBRARY", help="also save the material to this folder, a Blender asset library"
     )
     add_shelf(add)
+
+
+def _add_run(add: argparse.ArgumentParser) -> None:
+    """Add the options of the run: checkpoints, previews, memory."""
     add.add_argument(
         "--resume", action="store_true", help="continue from the checkpoint that an interrupted run left in OUT"
     )
@@ -118,8 +135,6 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--dry-run", action="store_true", help="print the plan of tiles and memory; read no image, write nothing"
     )
-    _add_solver(add)
-    add_common(add)
 
 
 def _add_batch(commands: argparse._SubParsersAction) -> None:

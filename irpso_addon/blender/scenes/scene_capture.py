@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from ...capture.camera import Camera
 from ...capture.errors import CaptureError
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import DAMAGE, check_numbers
-from ...capture.types import Capture, LeftOut, Observation
+from ...capture.types import Capture, LeftOut, Light, Observation
 from ...core.errors import InputError
 from ...core.files import natural
 from ...core.steps import run_steps
@@ -22,6 +22,8 @@ from .scene_lights import light_of, too_wide
 
 CAPTURE = "irpso_capture"  # custom property of imported objects: the capture's name
 _SETTINGS = "irpso"  # the user interface's property group with an object's image and camera
+
+_Seen = tuple[Any, list[tuple[Any, Photograph]]]  # a camera, and its lights with their photographs
 
 
 def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = False) -> Generator[None, None, Capture]:
@@ -37,29 +39,7 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
     if not lights:
         raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")
     store = ImageStore(decode)
-    # By session number: linked objects may have the names of local ones.
-    by_camera: dict[int, tuple[Any, list[tuple[Any, Photograph]]]] = {}
-    vectors, why = {}, {}
-    for obj in lights:
-        yield
-        try:
-            photograph = open_photograph(setting(obj, "image"), f"light '{obj.name}'", store, colour_space)
-            if skip_damaged:
-                check_numbers(photograph.where, photograph.read())
-        except CaptureError as error:
-            if not skip_damaged or error.code not in DAMAGE:
-                raise
-            why[obj.session_uid] = error.message
-            continue
-        vectors[obj.session_uid] = light_of(obj)
-        camera = _camera_object(obj, scene)
-        by_camera.setdefault(camera.session_uid, (camera, []))[1].append((obj, photograph))
-    seen_by = sorted(by_camera.values(), key=lambda one: natural(one[0].name))
-    if skip_damaged:
-        for camera, pairs in seen_by:
-            odd = {obj.session_uid: error.message for obj, error in _odd_sizes(pairs, camera.name)}
-            pairs[:] = [pair for pair in pairs if pair[0].session_uid not in odd]
-            why |= odd
+    seen_by, vectors, why = yield from _photograph_steps(lights, scene, store, colour_space, skip_damaged)
     photographs = {
         obj.session_uid: (index, photograph) for index, (_, pairs) in enumerate(seen_by) for obj, photograph in pairs
     }
@@ -81,6 +61,40 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
         for camera, photograph in (photographs[obj.session_uid],)
     )
     return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks), left_out=left_out)
+
+
+def _photograph_steps(
+    lights: Sequence[Any], scene: Any, store: ImageStore, colour_space: str, skip_damaged: bool
+) -> Generator[None, None, tuple[list[_Seen], dict[int, Light], dict[int, str]]]:
+    """Yield before each photograph; return (camera, its lights with photographs) pairs sorted by the camera's name.
+
+    Also returns, by the light's session number, the lights and why others were left out: linked objects may have the
+    names of local ones.
+    """
+    by_camera: dict[int, _Seen] = {}
+    vectors: dict[int, Light] = {}
+    why: dict[int, str] = {}
+    for obj in lights:
+        yield
+        try:
+            photograph = open_photograph(setting(obj, "image"), f"light '{obj.name}'", store, colour_space)
+            if skip_damaged:
+                check_numbers(photograph.where, photograph.read())
+        except CaptureError as error:
+            if not skip_damaged or error.code not in DAMAGE:
+                raise
+            why[obj.session_uid] = error.message
+            continue
+        vectors[obj.session_uid] = light_of(obj)
+        camera = _camera_object(obj, scene)
+        by_camera.setdefault(camera.session_uid, (camera, []))[1].append((obj, photograph))
+    seen_by = sorted(by_camera.values(), key=lambda one: natural(one[0].name))
+    if skip_damaged:
+        for camera, pairs in seen_by:
+            odd = {obj.session_uid: error.message for obj, error in _odd_sizes(pairs, camera.name)}
+            pairs[:] = [pair for pair in pairs if pair[0].session_uid not in odd]
+            why |= odd
+    return seen_by, vectors, why
 
 
 def capture_of_open_file(colour_space: str = "auto", skip_damaged: bool = False) -> Capture:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -90,19 +91,8 @@ def handheld_steps(
     _check_count(len(tracks.used), f"; too little of the card is in {_listed(np.delete(names[sharp], tracks.used))}")
     yield 0.75
     seen_by, radiance = ([side[n] for n in sharp] for side in (capture.cameras, pictures.radiance))
-    placed = placed_cameras(tracks, seen_by, pictures.factor, lens)
-    failed = _listed(np.delete(names[sharp], placed.tracks.used))
-    _check_count(len(placed.cameras), f"; the card is not recognised well in {failed}")
-    ambiguous: tuple[int, ...] = ()
-    if tracks.board is None:
-        yield 0.8
-        ambiguous = _ambiguous(placed, radiance)
-    reason = f"{_ALIKE} {_listed(names[sharp[list(ambiguous)]])}; {_BOARD}" if ambiguous else ""
-    if ambiguous:
-        _check_count(len(placed.cameras) - len(ambiguous), f"; {reason}")
-        placed = placed_cameras(placed.tracks.without(ambiguous), seen_by, pictures.factor, lens)
-        failed = _listed(np.delete(names[sharp], [*placed.tracks.used, *ambiguous]))
-        _check_count(len(placed.cameras), f"; the card is not recognised well in {failed}")
+    place = partial(placed_cameras, seen_by=seen_by, factor=pictures.factor, lens=lens)
+    placed, left_out = yield from _placed_steps(tracks, place, radiance, names[sharp])
     numbers = sharp[list(placed.tracks.used)]
     field, cameras = _in_unit(_field(tracks.board, placed), placed.cameras, tracks.board)
     angle = _view_angle(cameras)
@@ -119,14 +109,41 @@ def handheld_steps(
     flash, intensities, flash_warnings = _flash(samples, flash_offset, tracks.board)
     notes = (
         f"left out as blurred: {blurred}" if blurred else "",
-        f"left out, because the card is not recognised well in it: {failed}" if failed else "",
-        f"left out, because {reason}" if ambiguous else "",
+        *left_out,
         f"{len(numbers)} photographs are used; {ENOUGH} or more are better" if len(numbers) < ENOUGH else "",
     )
     return Handheld(
         tuple(numbers.tolist()), cameras, flash, intensities, field, placed.error, angle, tracks.board,
         (*filter(None, notes), *warnings, *flash_warnings), turns,
     )  # fmt: skip
+
+
+def _placed_steps(
+    tracks: Tracks, place: Callable[[Tracks], Placed], radiance: Sequence[np.ndarray], names: np.ndarray
+) -> Generator[float, None, tuple[Placed, tuple[str, ...]]]:
+    """Yield the fraction done; return the cameras that ``place`` finds and why photographs are left out.
+
+    names: of the photographs of ``tracks`` and ``radiance``. Without markers a card may look alike from two sides:
+    such photographs are left out, and the others are placed again. Raises InputError if too few are left.
+    """
+    placed = place(tracks)
+    failed = _listed(np.delete(names, placed.tracks.used))
+    _check_count(len(placed.cameras), f"; the card is not recognised well in {failed}")
+    ambiguous: tuple[int, ...] = ()
+    if tracks.board is None:
+        yield 0.8
+        ambiguous = _ambiguous(placed, radiance)
+    reason = f"{_ALIKE} {_listed(names[list(ambiguous)])}; {_BOARD}" if ambiguous else ""
+    if ambiguous:
+        _check_count(len(placed.cameras) - len(ambiguous), f"; {reason}")
+        placed = place(placed.tracks.without(ambiguous))
+        failed = _listed(np.delete(names, [*placed.tracks.used, *ambiguous]))
+        _check_count(len(placed.cameras), f"; the card is not recognised well in {failed}")
+    notes = (
+        f"left out, because the card is not recognised well in it: {failed}" if failed else "",
+        f"left out, because {reason}" if ambiguous else "",
+    )
+    return placed, notes
 
 
 def _sensors(cameras: Sequence[Camera], turns: np.ndarray) -> np.ndarray:

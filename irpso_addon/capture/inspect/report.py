@@ -88,11 +88,7 @@ def inspect_steps(
     """
     path = Path(path)
     try:
-        spec = read_spec(path, colour_space)
-        spec = spec if change is None else change(spec)
-        if skip_damaged:
-            steps = without_damaged_steps(spec, ImageStore(decoder))
-            spec = yield from _numbered("Looking for damaged images", len(spec.observations), steps)
+        spec = yield from _spec_steps(path, decoder, colour_space, skip_damaged, change)
     except CaptureError as error:
         return Report(path, (), _errors(error))
     framing = replace(spec.framing, card_width=None if card_distance else card_width or spec.framing.card_width)
@@ -125,11 +121,7 @@ def inspect_steps(
         facts += _facts(spec, capture, part)
     except CaptureError as error:
         findings += _errors(error)
-    if capture.encoding is not None:
-        yield from _numbered("Testing the encoding", 0, capture.encoding.test_steps())
-        facts.append(("encoding", _encoding(capture.encoding)))
-        if message := capture.encoding.message():
-            findings.append(Finding("encoding", message))
+    yield from _encoding_steps(capture, facts, findings)
     noise = yield from _numbered("Estimating the noise", images_read(capture), noise_of(capture))
     if noise:
         facts.append(("noise", f"{255 * noise:.1f} codes of 255"))
@@ -138,6 +130,34 @@ def inspect_steps(
 
 
 inspect_capture = blocking("inspect_capture", inspect_steps)
+
+
+def _spec_steps(
+    path: Path,
+    decoder: Decoder | None,
+    colour_space: str,
+    skip_damaged: bool,
+    change: Callable[[CaptureSpec], CaptureSpec] | None,
+) -> Generator[str, None, CaptureSpec]:
+    """Yield a line before each image that is checked for damage; return the changed specification."""
+    spec = read_spec(path, colour_space)
+    spec = spec if change is None else change(spec)
+    if not skip_damaged:
+        return spec
+    steps = without_damaged_steps(spec, ImageStore(decoder))
+    return (yield from _numbered("Looking for damaged images", len(spec.observations), steps))
+
+
+def _encoding_steps(
+    capture: Capture, facts: list[tuple[str, str]], findings: list[Finding]
+) -> Generator[str, None, None]:
+    """Append the fact and the finding of the images' encoding; yield a line before each step."""
+    if capture.encoding is None:
+        return
+    yield from _numbered("Testing the encoding", 0, capture.encoding.test_steps())
+    facts.append(("encoding", _encoding(capture.encoding)))
+    if message := capture.encoding.message():
+        findings.append(Finding("encoding", message))
 
 
 def _image_steps(
