@@ -7,7 +7,7 @@ texel is fitted independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from .surface import F0_HALF, Lobe, Surface
 
 _VIEWS = (0.0, 30.0, 60.0)  # view angles for unknown views, degrees from the normal
-_VIEW_STEP = 10.0  # degrees between the tables for known views
+_VIEW_STEP = 2.0  # degrees between the tables for known views
 _SLOPES, _TURNS = 48, 8  # half vectors: logarithmic steps of their angle's tangent, and azimuths over half a turn
 _WIDTHS = 64  # of the tables
 _BLOCK = 1 << 14  # texels per block
@@ -23,49 +23,55 @@ _BLOCK = 1 << 14  # texels per block
 
 @dataclass(frozen=True)
 class Fit:
-    """The fitted lobe. alpha: (H, W) its width. scale: (H, W), times f0 its strength.
+    """The fitted lobe. alpha: (H, W) its width. strength: (H, W) or (H, W, 3) the factor of the lobe.
 
     error: (H, W) root of the squared difference of radiance over root of the original's squared radiance.
     """
 
     alpha: np.ndarray
-    scale: np.ndarray
+    strength: np.ndarray
     error: np.ndarray
 
 
 def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
-    """Return the Ward lobes nearest to a surface's, with widths lowest…highest; their albedo is scale · f0.
+    """Return the Ward lobes nearest to a surface's, with widths lowest…highest; their strength is their albedo.
 
     The view is straight from above: the texel's normal gives the view angle at which the lobe is fitted. The fitted
-    albedo includes the terms that a Ward lobe lacks: Fresnel, and the cosines of a microfacet lobe.
+    albedo, one for each colour, includes the terms that a Ward lobe lacks: Fresnel, and the cosines of a microfacet
+    lobe. Width and error are of the mean of the colours.
     """
     if not surface.lobes:
-        return _none(surface.f0.shape)
+        return _none(surface.base_color.shape)
+    f0, f90 = surface.specular_reflectance
     widths = np.geomspace(lowest, highest, _WIDTHS)
     angle = np.degrees(np.arccos(np.clip(surface.normal[..., 2], 0, 1)))
     step = np.minimum(np.rint(angle / _VIEW_STEP), 80 / _VIEW_STEP)
-    fitted = np.zeros((3, *surface.f0.shape))
+    alpha, error, *shares = fitted = np.zeros((4, *surface.f0.shape))
     for number in np.unique(step):
         mask = step == number
-        fitted[:, mask] = _fit(_texels(surface, mask), _ward, widths, (number * _VIEW_STEP,))
-    return Fit(*fitted)
+        fresnel = f0[mask].mean(axis=-1), f90[mask]
+        fitted[:, mask] = _fit(_texels(surface, mask), fresnel, _ward, widths, (number * _VIEW_STEP,))
+    return Fit(alpha, shares[0][..., None] * f0 + (shares[1] * f90)[..., None], error)
 
 
 def fit_ggx(surface: Surface) -> Fit:
-    """Return the single GGX lobes nearest to a surface's; their reflectance at normal incidence is scale · f0."""
+    """Return the single GGX lobes nearest to a surface's; their strength scales the surface's Fresnel curve."""
     if not surface.lobes:
         return _none(surface.f0.shape)
     if len(surface.lobes) == 1 and surface.lobes[0].distribution == "GGX":
         alpha = surface.lobes[0].alpha
         return Fit(alpha, np.ones_like(alpha), np.zeros_like(alpha))
     everywhere = np.ones(surface.f0.shape, bool)
-    fitted = _fit(_texels(surface, everywhere), _microfacet, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
-    return Fit(*fitted.reshape(3, *surface.f0.shape))
+    fresnel = np.full((2, everywhere.size), [[F0_HALF], [1.0]])
+    widths = np.geomspace(1e-3, 1.0, 2 * _WIDTHS)
+    fitted = _fit(_texels(surface, everywhere), fresnel, _ggx, widths, _VIEWS)
+    alpha, error, *shares = fitted.reshape(4, *surface.f0.shape)
+    return Fit(alpha, F0_HALF * shares[0] + shares[1], error)
 
 
 def _none(shape: tuple[int, ...]) -> Fit:
     """Return the fit of a surface without lobes: width 1, strength 0."""
-    return Fit(np.ones(shape), np.zeros(shape), np.zeros(shape))
+    return Fit(np.ones(shape[:2]), np.zeros(shape), np.zeros(shape[:2]))
 
 
 def _texels(surface: Surface, mask: np.ndarray) -> list[Lobe]:
@@ -98,7 +104,7 @@ def _configurations(views: tuple[float, ...]) -> _Configurations:
 
 
 def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str = "GGX") -> np.ndarray:
-    """Return (…, K) radiance over f0 of lobes of widths (…): Cook & Torrance 1982 with Smith's masking."""
+    """Return (…, K) radiance of lobes of widths (…) without Fresnel: Cook & Torrance 1982 with Smith's masking."""
     alpha = np.asarray(alpha, np.float64)[..., None]
     slope = (1 - k.half**2) / k.half**2 / alpha**2
     if distribution == "GGX":
@@ -106,8 +112,18 @@ def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str = "GGX"
     else:
         density = np.exp(-slope) / (np.pi * alpha**2 * k.half**4)
     masked = 1 / (1 + _smith(k.light, alpha, distribution) + _smith(k.view, alpha, distribution))
-    fresnel = 1 + (1 / F0_HALF - 1) * (1 - k.between) ** 5
-    return density * masked * fresnel / (4 * k.view)
+    return density * masked / (4 * k.view)
+
+
+def _schlick(k: _Configurations) -> np.ndarray:
+    """Return (2, K) shares of F0 and F90 in Fresnel's reflectance (Schlick 1994, Eq. 15)."""
+    rise = (1 - k.between) ** 5
+    return np.stack([1 - rise, rise])
+
+
+def _ggx(k: _Configurations, alpha: np.ndarray) -> np.ndarray:
+    """Return (…, K) radiance of GGX lobes of widths (…) and the reflectance of common dielectrics."""
+    return _microfacet(k, alpha) * ([F0_HALF, 1.0] @ _schlick(k))
 
 
 def _smith(cosine: np.ndarray, alpha: np.ndarray, distribution: str) -> np.ndarray:
@@ -128,27 +144,35 @@ def _ward(k: _Configurations, alpha: np.ndarray) -> np.ndarray:
 
 def _fit(
     lobes: list[Lobe],
+    fresnel: Sequence[np.ndarray] | np.ndarray,
     candidate: Callable[[_Configurations, np.ndarray], np.ndarray],
     widths: np.ndarray,
     views: tuple[float, ...],
 ) -> np.ndarray:
-    """Return (3, N) width, scale and error of the candidates nearest to N texels' lobes. views: angles in degrees."""
+    """Return (4, N) width, error, and strengths due to F0 and F90, of the candidates nearest to N texels' lobes.
+
+    fresnel: F0 and F90 (N,) by which the lobes are multiplied; the strengths are those of one unit. views: angles in
+    degrees.
+    """
     k = _configurations(views)
     rows = np.sqrt(k.weight)
     grid = np.geomspace(1e-3, 1.0, 2 * _WIDTHS)
-    tables = [_microfacet(k, grid, lobe.distribution) * rows for lobe in lobes]
     candidates = candidate(k, widths) * rows
     own = np.einsum("jk,jk->j", candidates, candidates)
-    crosses = [table @ candidates.T for table in tables]
-    places = [_cells(lobe.alpha, grid) for lobe in lobes]
-    weights = [lobe.weight.astype(np.float64) for lobe in lobes]
-    fitted = np.zeros((3, len(weights[0])))
+    # Each lobe counts twice: times Schlick's share of F0, and of F90.
+    tables = [_microfacet(k, grid, lobe.distribution) * share * rows for share in _schlick(k) for lobe in lobes]
+    crosses = [table @ candidates.T / own for table in tables]
+    places = 2 * [_cells(lobe.alpha, grid) for lobe in lobes]
+    weights = [lobe.weight * reflectance for reflectance in fresnel for lobe in lobes]
+    fitted = np.zeros((4, len(weights[0])))
     for start in range(0, len(weights[0]), _BLOCK):
         block = slice(start, start + _BLOCK)
-        product = sum(
-            w[block, None] * _row_at(cross, p, block) for w, cross, p in zip(weights, crosses, places, strict=True)
-        )
-        fitted[:, block] = _best(product, own, _energy(tables, weights, places, block), widths)
+        parts = [_row_at(cross, place, block) for cross, place in zip(crosses, places, strict=True)]
+        parts = [lobe.weight[block, None] * part for lobe, part in zip(2 * lobes, parts, strict=True)]
+        shares = np.stack([sum(parts[: len(lobes)]), sum(parts[len(lobes) :])])
+        strength = sum(f[block, None] * share for f, share in zip(fresnel, shares, strict=True))
+        at, error = _best(strength**2 * own, _energy(tables, weights, places, block))
+        fitted[:, block] = np.exp(np.interp(at, np.arange(len(widths)), np.log(widths))), error, *_between(shares, at)
     return fitted
 
 
@@ -178,19 +202,23 @@ def _energy(lobes: list, weights: list, places: list, block: slice) -> np.ndarra
     return total
 
 
-def _best(product: np.ndarray, own: np.ndarray, energy: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return width, scale and relative error (3, N) of the best candidates, refined by a parabola over log width."""
-    score = product**2 / own
-    best = np.clip(score.argmax(axis=1), 1, len(widths) - 2)
+def _best(score: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return places (N,) of the best candidates, by a parabola over log width, and their relative errors (N,).
+
+    score: (N, candidates) squared norms of the lobes' projections. energy: (N,) squared norms of the lobes.
+    """
+    best = np.clip(score.argmax(axis=1), 1, score.shape[1] - 2)
     row = np.arange(len(best))
     left, middle, right = (score[row, best + d] for d in (-1, 0, 1))
     curvature = left - 2 * middle + right
     shift = np.where(curvature < 0, 0.5 * (left - right) / np.where(curvature < 0, curvature, 1), np.sign(right - left))
     at = best + np.clip(shift, -1, 1)
-    low = np.minimum(at.astype(int), len(widths) - 2)
-    part = at - low
-    width = np.exp(np.log(widths)[low] * (1 - part) + np.log(widths)[low + 1] * part)
-    scale = (product / own)[row, low] * (1 - part) + (product / own)[row, low + 1] * part
-    peak = score[row, low] * (1 - part) + score[row, low + 1] * part
-    error = np.sqrt(np.maximum(1 - np.maximum(peak, middle) / np.maximum(energy, 1e-30), 0))
-    return np.stack([width, scale, error])
+    peak = np.maximum(_between(score, at), middle)
+    return at, np.sqrt(np.maximum(1 - peak / np.maximum(energy, 1e-30), 0))
+
+
+def _between(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return (…, N) values (…, N, candidates) at places (N,) between the candidates."""
+    low = np.minimum(at.astype(int), values.shape[-1] - 2)
+    row, part = np.arange(len(at)), at - low
+    return values[..., row, low] * (1 - part) + values[..., row, low + 1] * part

@@ -61,20 +61,21 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
             }  # fmt: skip
             stem = tile_stem("info", number, tiles)
             (place / f"{stem}.json").write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")
-            lit = maps.solved & (fit.scale * surface.f0 > 0)
-            report[stem] = {"alphaLimits": limits, "ward_error": plain(quantiles(fit.error[lit]))}
+            lit = maps.solved & (fit.strength > 0).any(axis=-1)
+            clipped = float((fit.strength[lit] > 1).any(axis=-1).mean()) if lit.any() else 0.0
+            error = plain(quantiles(fit.error[lit]))
+            report[stem] = {"alphaLimits": limits, "ward_error": error, "ks_clipped": clipped}
     return {"output": str(folder), **report}
 
 
 def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, np.ndarray]:
-    metallic = surface.metallic[..., None]
-    f0 = surface.f0[..., None] * (1 - metallic) + surface.base_color * metallic
-    kd = surface.base_color * (1 - metallic)
+    kd = surface.base_color * (1 - surface.metallic)[..., None]
     if surface.layered:
-        kd = kd * (1 - f0)  # the base gets only the light that the layer transmits, here at normal incidence
+        # The base gets only the light that the layer transmits, here at normal incidence.
+        kd = kd * (1 - surface.specular_reflectance[0])
     return {
         "kd": pixels.colour(kd, maps),
-        "ks": pixels.colour(f0 * fit.scale[..., None], maps),
+        "ks": pixels.colour(fit.strength, maps),
         "normals": np.where(maps.solved[..., None], encode_normal(surface.normal), _OUTSIDE),
         "gloss": pixels.packed(maps, gloss_of(fit.alpha, limits)),
     }

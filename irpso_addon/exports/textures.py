@@ -156,7 +156,7 @@ def _pictures(
         drawn = _drawn(known, shape)
         return drawn | _unchanged(maps, {p.name for p in maps.model.parameters} - {normal}), None
     fit = fit_ggx(surface)
-    specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
+    specular = surface.f0 * fit.strength * _SPECULAR_OF_F0
     drawn = _drawn(textures, _Set(**vars(shape), surface=surface, roughness=np.sqrt(fit.alpha), specular=specular))
     error = fit.error[maps.solved] if len(surface.lobes) > 1 else None
     return drawn | _unchanged(maps, unused_parameters(maps.model)), error

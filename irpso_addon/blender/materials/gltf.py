@@ -1,7 +1,7 @@
 """glTF 2.0 by Blender's own exporter: an object as triangles, with pictures that the exporter writes unchanged.
 
 Blender's exporter writes a texture at Specular IOR Level unchanged as the specular factor, which is twice the level.
-The textures here hold the factor, and a node halves it.
+The textures here hold the factor, and a node halves it. Specular Tint is the specular colour.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ _OUTPUT = "glTF Material Output"
 class Surface:
     """A material as glTF has it. base_color, orm, normal: (H, W, 3) pixels in 0…1, colours sRGB-encoded.
 
-    occluded: red of orm is an occlusion. specular: the factor, one number for all or (H, W, 4) pixels with it in alpha.
-    ior: index of refraction.
+    occluded: red of orm is an occlusion. specular: grey of the specular colour (linear), and the factor, for all; or
+    (H, W, 4) pixels with the colour and, in alpha, the factor. ior: index of refraction.
     """
 
     name: str
     base_color: np.ndarray
     orm: np.ndarray
     normal: np.ndarray
-    specular: np.ndarray | float
+    specular: np.ndarray | tuple[float, float]
     ior: float
     occluded: bool = False
 
@@ -183,7 +183,7 @@ def _material(made: list[Any], surface: Surface, folder: Path, extension: str) -
     tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
     shader.inputs["IOR"].default_value = surface.ior
 
-    def texture(suffix: str, image: np.ndarray, use: Use = "data", output: str = "Color") -> Any:
+    def texture(suffix: str, image: np.ndarray, use: Use = "data") -> Any:
         file = folder / f"{surface.name}{suffix}.png"
         encode_png(file, image, bits=8)
         made.append(loaded := bpy.data.images.load(str(file)))
@@ -192,7 +192,7 @@ def _material(made: list[Any], surface: Surface, folder: Path, extension: str) -
         loaded.pack()
         node = tree.nodes.new("ShaderNodeTexImage")
         node.image, node.extension = loaded, extension
-        return node.outputs[output]
+        return node.outputs["Color"]
 
     tree.links.new(texture("_BaseColor", surface.base_color, "srgb"), shader.inputs["Base Color"])
     split = tree.nodes.new("ShaderNodeSeparateColor")
@@ -206,15 +206,18 @@ def _material(made: list[Any], surface: Surface, folder: Path, extension: str) -
     bend = tree.nodes.new("ShaderNodeNormalMap")
     tree.links.new(texture("_Normal", surface.normal), bend.inputs["Color"])
     tree.links.new(bend.outputs["Normal"], shader.inputs["Normal"])
-    level = shader.inputs["Specular IOR Level"]
-    if isinstance(surface.specular, float):
-        level.default_value = 0.5 * surface.specular
+    level, tint = shader.inputs["Specular IOR Level"], shader.inputs["Specular Tint"]
+    if isinstance(surface.specular, tuple):
+        grey, factor = surface.specular
+        level.default_value, tint.default_value = 0.5 * factor, (grey, grey, grey, 1)
         return material
     half = tree.nodes.new("ShaderNodeMath")
     half.operation = "MULTIPLY"
     half.inputs[1].default_value = 0.5
     # glTF has the factor in alpha; the exporter writes the picture unchanged.
-    tree.links.new(texture("_Specular", surface.specular, output="Alpha"), half.inputs[0])
+    color = texture("_Specular", surface.specular, "srgb")
+    tree.links.new(color, tint)
+    tree.links.new(color.node.outputs["Alpha"], half.inputs[0])
     tree.links.new(half.outputs[0], level)
     return material
 
