@@ -35,7 +35,7 @@ def catalog_id(library: Path, name: str) -> str:
     """
     path, catalog = library / CATALOGS, catalog_path(name)
     try:
-        text = path.read_text(encoding="utf-8") if path.is_file() else _HEAD
+        text = path.read_bytes().decode() if path.is_file() else _HEAD  # with its own line ends
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); repair it, or leave out the catalog") from error
     for line in text.splitlines():
@@ -43,7 +43,8 @@ def catalog_id(library: Path, name: str) -> str:
         if not line.startswith("#") and rest.partition(":")[0].strip() == catalog:
             return number.strip()
     added = str(uuid.uuid4())
-    line = f"{added}:{catalog}:{catalog.replace('/', '-')}\n"
+    end = "\r\n" if "\r\n" in text else "\n"
+    line = f"{added}:{catalog}:{catalog.replace('/', '-')}{end}"
     with replacing_file(path, durable=True) as partial:
-        partial.write_text(text + ("" if text.endswith("\n") else "\n") + line, encoding="utf-8")
+        partial.write_bytes((text + ("" if text.endswith("\n") else end) + line).encode())
     return added

@@ -40,7 +40,8 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
     info.json holds a layer's options: ``new OpenLIME.Layer(info)``. replace: files of the same names. Raises InputError
     if the model's lobes are unknown or the folder cannot be written.
     """
-    tiles, report = result.maps.tiles, {}
+    tiles = result.maps.tiles
+    report: dict[str, Any] = {}
     with filled_folder(folder, replace) as place:
         for number, maps in split_maps(result.maps):
             surface = surface_of(maps)
@@ -62,9 +63,10 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
             stem = tile_stem("info", number, tiles)
             (place / f"{stem}.json").write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")
             lit = maps.solved & (fit.strength > 0).any(axis=-1)
-            clipped = float((fit.strength[lit] > 1).any(axis=-1).mean()) if lit.any() else 0.0
-            error = plain(quantiles(fit.error[lit]))
-            report[stem] = {"alphaLimits": limits, "ward_error": error, "ks_clipped": clipped}
+            report[stem] = {"alphaLimits": limits, "ward_error": plain(quantiles(fit.error[lit]))}
+            if (clipped := (fit.strength[lit] > 1).any(axis=-1)).any():
+                text = f"{stem}: the highlight of {clipped.mean():.2%} of the texels is too dark: ks holds at most 1"
+                report.setdefault("warnings", []).append(text)
     return {"output": str(folder), **report}
 
 

@@ -12,6 +12,7 @@ from ..geometry.relief.solid import relief_solid
 from .place import file_place, file_stem
 from .result import Result
 
+_WIDEST = 1e9  # far within a mesh file's float32
 WIDTH, BASE = 100.0, 0.02  # card's width in mm, STL's unit in printing programs; base as a fraction of it
 
 
@@ -25,8 +26,8 @@ def write_relief(result: Result, out: str | Path, width: float = WIDTH, replace:
         raise InputError(f"{result.folder}: has no height; recover with --height")
     if result.height.unit != TEXELS:
         raise InputError(f"{result.folder}: its height is the fine detail of a mesh; export the mesh as gltf")
-    if not width > 0:
-        raise InputError(f"--width {width:g}: give a length above 0")
+    if not 0 < width <= _WIDEST:
+        raise InputError(f"--width {width:g}: give a length above 0 and up to {_WIDEST:g}")
     path = file_place(out, file_stem(result.name), SUFFIXES, replace)
     path.parent.mkdir(parents=True, exist_ok=True)
     vertices, quads = relief_solid(result.height, width, BASE * width)

@@ -141,6 +141,13 @@ def test_an_image_whose_file_is_gone_is_named_and_the_others_stay_files(tmp_path
     assert not list((tmp_path / "library").glob("*"))
 
 
+def test_a_catalog_files_line_ends_stay(tmp_path):
+    theirs = b"VERSION 1\r\n\r\n11111111-2222-3333-4444-555555555555:Stone/Marble:Stone-Marble\r\n"
+    (tmp_path / CATALOGS).write_bytes(theirs)
+    made = catalog_id(tmp_path, "Leaves")
+    assert (tmp_path / CATALOGS).read_bytes() == theirs + f"{made}:Leaves:Leaves\r\n".encode()
+
+
 def test_a_catalog_is_made_once_and_others_stay(tmp_path):
     theirs = "# mine\nVERSION 1\n\n11111111-2222-3333-4444-555555555555:Stone/Marble:marble"
     (tmp_path / CATALOGS).write_text(theirs)

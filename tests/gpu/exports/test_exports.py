@@ -156,6 +156,19 @@ def test_openlimes_layer_looks_like_the_material(name, bound, tmp_path):
     assert error < bound
 
 
+def test_openlimes_layer_says_where_its_highlights_are_too_dark(tmp_path):
+    """A quarter of the texels are a bright metal, tilted by 65°."""
+    model, shape = load_model("metallic_roughness"), (4, 4)
+    metal = np.zeros((*shape, 1), np.float32)
+    metal[0] = 1
+    tilt = np.radians(65) * metal
+    values = {p.name: np.full((*shape, p.components), 0.5, np.float32) for p in model.parameters}
+    normal = np.concatenate([np.sin(tilt), 0 * tilt, np.cos(tilt)], axis=-1)
+    values |= {"normal": normal, "metallic": metal, "base_color": np.full((*shape, 3), 0.9, np.float32)}
+    found = openlime.write_openlime(Result("leaf", Maps(model, values, np.ones(shape, bool))), tmp_path)
+    assert found["warnings"] == ["info: the highlight of 25.00% of the texels is too dark: ks holds at most 1"]
+
+
 def test_uncovered_texels_are_transparent_in_openlime(tmp_path):
     covered = np.ones(SHAPE, bool)
     covered[:4] = False

@@ -45,6 +45,28 @@ def volume_of(triangles):
     return (a * np.cross(b, c)).sum() / 6
 
 
+def touching():
+    """Reliefs whose holes, or whose parts, touch at one texel, along both diagonals."""
+    holes, parts = np.ones(SHAPE, bool), np.zeros(SHAPE, bool)
+    holes[2, 2] = holes[4, 4] = holes[4, 8] = holes[6, 6] = False
+    parts[:3, :3] = parts[2:5, 2:8] = parts[4:, 7:] = parts[4:, 1:3] = True
+    random = np.random.default_rng(3).normal(size=SHAPE).astype(np.float32)
+    return [Height(np.where(covered, random, 0), covered, "texels") for covered in (holes, parts)]
+
+
+@pytest.mark.parametrize("height", touching())
+def test_every_edge_belongs_to_two_faces_even_where_equal_places_are_joined(height):
+    vertices, quads = relief_solid(height, 130.0, 4.0)
+    _, joined = np.unique(vertices.round(3), axis=0, return_inverse=True)
+    faces = joined.reshape(-1)[quads]
+    edges = np.sort(np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert (count == 2).all()
+    # Seen from above, all faces of the top turn the same way: no part is drawn into its neighbour.
+    a, b, _, d = np.moveaxis(vertices[quads[(vertices[quads][..., 2] > 0).all(axis=1)]], 1, 0)
+    assert (np.cross(b - a, d - a)[:, 2] > 0).all()
+
+
 def test_the_body_is_closed_and_every_edge_has_its_reverse():
     vertices, quads = relief_solid(leaf(), 130.0, 4.0)
     edges = np.concatenate([quads[:, [k, (k + 1) % 4]] for k in range(4)])
@@ -104,7 +126,12 @@ def test_the_command_replaces_a_file_only_on_request(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("height", "width", "why"),
-    [(None, 100.0, "recover with --height"), (leaf("world"), 100.0, "fine detail of a mesh"), (leaf(), 0.0, "--width")],
+    [
+        (None, 100.0, "recover with --height"),
+        (leaf("world"), 100.0, "fine detail of a mesh"),
+        (leaf(), 0.0, "--width"),
+        (leaf(), np.inf, "--width inf"),
+    ],
 )
 def test_what_has_no_relief_is_refused(height, width, why, tmp_path):
     with pytest.raises(InputError, match=why):
