@@ -12,8 +12,8 @@ from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.relief.height import Height
 from irpso_addon.geometry.relief.occlusion import open_sky
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.results.maps import Maps
 from irpso_addon.results.derived_map import height_map
+from irpso_addon.results.maps import Maps
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
