@@ -14,6 +14,7 @@ from ..calibration.radiometry.curve_file import write_response
 from ..calibration.radiometry.frames import Patch
 from ..calibration.radiometry.response import Response, bracket_step, response_from_brackets
 from ..calibration.radiometry.source import Exposing, brackets_of_images, images_in
+from ..capture.formats.diligent import is_mask
 from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
@@ -68,7 +69,7 @@ def _from_greys(path: Path, greys: tuple[Patch, ...] | str, store: ImageStore) -
 def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: Namespace) -> tuple[Response, list[str]]:
     if not path.is_dir():
         raise InputError(f"{path}: is no folder of brackets; give one, or a photograph with --grey-card")
-    brackets, warnings = brackets_of_images(images_in(path), exposing)
+    brackets, warnings = brackets_of_images([p for p in images_in(path) if not is_mask(p)], exposing)
     bar = ProgressBar("response", silent(options))
     samples, exposures = [], []
     brackets = [bracket for bracket in brackets if len(bracket.paths) > 1]

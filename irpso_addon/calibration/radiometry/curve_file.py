@@ -69,6 +69,10 @@ def _checked(path: Path, codes: np.ndarray, linear: np.ndarray, used: np.ndarray
         raise InputError(f"{path}: codes must rise from 0 to 1 (code value / largest code); correct them")
     if (np.diff(linear, axis=0) < 0).any() or linear.min() < 0 or (linear[-1] <= linear[0]).any():
         raise InputError(f"{path}: linear values must rise with the codes, from 0; correct them")
+    if codes[0] > 0 and (linear[0] > 0).any():
+        raise InputError(
+            f"{path}: its first code is {codes[0]:g}; add the line of code 0, else dark pixels are unknown"
+        )
     return Response(codes, linear / linear[-1], used, residual)
 
 

@@ -85,6 +85,11 @@ class Dark:
         to the exposure if there is only one. where: names the photograph. Raises InputError if no dark frame fits.
         """
         levels = sorted(((a, level) for a, level in self.levels if a is not None), key=lambda pair: pair[0])
+        if amount is None and len(levels) > 1:
+            raise InputError(
+                f"{where}: its exposure is unknown, and the dark frames have several; give it an exposure as the"
+                " photographs have it, or dark frames of one exposure"
+            )
         if amount is None or not levels:
             return np.mean([level for _, level in self.levels], axis=0, dtype=np.float32)
         nearest = min(levels, key=lambda pair: abs(np.log2(pair[0] / amount)))

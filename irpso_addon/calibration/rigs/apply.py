@@ -11,6 +11,7 @@ import numpy as np
 
 from ...capture.formats.diligent import mask_of
 from ...capture.formats.table import TABLE
+from ...capture.framing import Framing
 from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Decoder
@@ -73,7 +74,9 @@ def apply_steps(
     if is_exr(source.groups[0].images[0].path) != of_rig:  # the rig's colour space is of its own kind of file
         space = "auto"
         source = read_source(photographs, decoder, exposing, space)
-    groups = source.groups
+    groups, warnings = source.groups, source.warnings
+    if source.framing != Framing():
+        warnings += (f"{photographs}: its crop, corners or scale are left out; give them again with the new capture",)
     store = ImageStore(decoder)
     lamps = matched(rig, [_name(group) for group in groups], way, str(photographs))
     taken = [photograph_at(_file(group), group.images[0].path) for group in groups]
@@ -95,13 +98,13 @@ def apply_steps(
     order = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(groups[k])))
     used = [(groups[k], lamps[k]) for k in order]
     spec = _spec(rig, photographs, out, used)
-    applied = Applied({_file(group): names[lamp] for group, lamp in used}, tuple(left_out), source.warnings,
+    applied = Applied({_file(group): names[lamp] for group, lamp in used}, tuple(left_out), warnings,
                       measured is not None)  # fmt: skip
     report = {"rig": str(rig.path), "photographs": str(photographs), "lamps": applied.lamps, "left_out": left_out}
     if measured is None:
         _write_table(spec, out, space, report, decoder)
         return applied
-    developing = Source(tuple(group for group, _ in used), build_capture(spec, decoder), source.warnings)
+    developing = Source(tuple(group for group, _ in used), build_capture(spec, decoder), warnings)
     writing = write_developed_steps(store, developing, measured, out, report, Output(half=half, corrections=False))
     written = yield from map_steps(writing, lambda step: Progress(_CHECKED + (1 - _CHECKED) * step.done, step.what))
     return replace(applied, warnings=tuple(written["warnings"]))

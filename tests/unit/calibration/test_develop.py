@@ -153,6 +153,7 @@ def test_a_response_curve_of_brackets_makes_8_bit_files_linear(photographs, tmp_
     wedge = np.exp(np.linspace(np.log(0.01), np.log(20), SIZE**2)).reshape(SIZE, SIZE, 1) * np.ones(3)
     for i in range(6):
         write(tmp_path / "wedge" / f"{i}.png", wedge * 2.0 ** (i - 5), (1, 2 ** (5 - i)), 8, curve)
+    write(tmp_path / "wedge" / "mask.png", np.ones((SIZE, SIZE, 3)), None)  # no photograph
     code, out, _ = run_cli("response", tmp_path / "wedge", "-o", tmp_path / "camera.toml", "--json")
     assert code == 0 and json.loads(out)["residual"] < 0.02
     for k, frame in enumerate(SCENE):

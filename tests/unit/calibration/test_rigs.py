@@ -211,6 +211,16 @@ def test_the_width_of_a_part_is_a_distance_for_whole_photographs(capture, later,
     assert read_capture(tmp_path / "out", decode_png).card_distance == pytest.approx(10 / np.tan(np.radians(20)))
 
 
+def test_the_part_that_a_list_of_photographs_states_is_not_left_out_silently(plain_rig, later, tmp_path):
+    rows = "".join(f'[[observation]]\nimage = "lamp_{k + 1}.png"\nlight_direction = [0, 0, 1]\n' for k in range(5))
+    (later / "capture.toml").write_text(f"format = 1\ncrop = [4, 6, 20, 16]\n[[camera]]\n{rows}")
+    code, _, err = run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / "out", "--quiet")
+    assert code == 0, err
+    assert f"{later}: its crop, corners or scale are left out; give them again with the new capture" in err
+    camera = read_capture(tmp_path / "out", decode_png).cameras[0]
+    assert (camera.width, camera.height) == (SIZE, SIZE)
+
+
 def test_fewer_photographs_are_matched_by_names_or_numbers(plain_rig, later, tmp_path):
     (later / "lamp_2.png").unlink()
     for match in ("names", "numbers"):
