@@ -207,6 +207,9 @@ class Recovery(RecoveryEngine):
     def snapshot(self, running: bool = True) -> Checkpoint:
         """Return the contents of all textures that outlive an iteration. running: as in ``state``."""
         self._finish_iteration()
+        while not self._repeats and self._phase is not None and self._phase.iteration < 0:  # it may have begun warm
+            self._pending = self._iteration(self._phase, band_seconds(None))
+            self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None and running:
             arrays |= {PHASE + name: array for name, array in self._phase.state().items()}
@@ -243,6 +246,8 @@ class Recovery(RecoveryEngine):
         stages = resolve(schedule, self.model, set(self.fixed), self.domain.observations)
         self._finish_iteration()
         goes_on = reusable(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
+        if seed != self.seed:
+            goes_on = replace(goes_on, phase=False)
         domain_textures, stack = self._textures, self._stack
         if not goes_on.samples:
             domain_textures, stack, _ = samples_of(self.domain, self.model, schedule, prepared)

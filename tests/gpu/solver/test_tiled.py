@@ -373,3 +373,37 @@ def test_a_stage_whose_settings_changed_is_stored_whole(tiles, tmp_path, monkeyp
         recovery.load(path)
         recovery.step()
         assert everything(recovery.maps()) == wanted
+
+
+@pytest.mark.parametrize("tiles", [False, True], ids=["whole", "tiles"])
+def test_a_stage_that_other_settings_restart_is_stored_before_its_swarms_are_placed(tiles, tmp_path):
+    """Its swarms begin closer around the estimates than the settings say."""
+    (domain, _, _), schedule, path = known("several stages"), SCHEDULES["several stages"], tmp_path / "run.npz"
+    changed = schedule.replaced(particles=5)
+    with Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as recovery:
+        recovery.step(iterations=2)
+        other = recovery.reconfigure(changed)
+    assert other.save(path)
+    other.step()
+    wanted = everything(other.maps())
+    other.close()
+    with tiled(domain, changed, FEW) if tiles else Recovery(domain, TWO_LOBES, changed, 1, entry="fragment") as again:
+        again.load(path)
+        again.step()
+        assert everything(again.maps()) == wanted
+
+
+def test_another_seed_holds_from_the_current_stage_on(tmp_path):
+    (domain, _, _), schedule, path = known("several stages"), SCHEDULES["several stages"], tmp_path / "run.npz"
+    with Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as recovery:
+        recovery.step(iterations=2)
+        other = recovery.reconfigure(schedule, seed=2)
+    other.step(iterations=1)
+    assert other.save(path, running=True)
+    other.step()
+    wanted = everything(other.maps())
+    other.close()
+    with Recovery(domain, TWO_LOBES, schedule, 2, entry="fragment") as recovery:
+        recovery.load(path)
+        recovery.step()
+        assert everything(recovery.maps()) == wanted
