@@ -8,6 +8,7 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -100,6 +101,11 @@ def truncated(path: Path) -> CaptureError:
     return CaptureError(f"{path}: is cut short or damaged; copy or export it again", "image_truncated")
 
 
+def _stated_by(tags: dict[int, Any]) -> str:
+    """Return the encoding that EXIF states, "srgb" or ""; weaker than profiles and chunks."""
+    return "srgb" if tags.get(_COLOUR_SPACE) == _SRGB else ""
+
+
 def _png(path: Path, data: bytes) -> ImageHeader:
     chunks = png_chunks(data)
     if not chunks.keys() >= {b"IHDR", b"IEND"} or len(chunks[b"IHDR"]) < 9:
@@ -111,6 +117,7 @@ def _png(path: Path, data: bytes) -> ImageHeader:
     elif b"gAMA" in chunks:
         states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
     tags = tiff_tags(chunks.get(b"eXIf", b""))
+    states = states or _stated_by(tags)
     # cICP overrides iCCP (Portable Network Graphics, third edition, 4.3).
     cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
     icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
@@ -132,7 +139,7 @@ def _jpeg(path: Path, data: bytes) -> ImageHeader:
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
     adobe = not icc and is_adobe_rgb(tags)
-    states = "srgb" if icc or adobe or tags.get(_COLOUR_SPACE) == _SRGB else ""
+    states = "srgb" if icc or adobe else _stated_by(tags)
     return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags),
                        adobe_rgb=adobe)  # fmt: skip
 
@@ -157,7 +164,7 @@ def _tiff(path: Path, data: bytes) -> ImageHeader:
     depth, is_float = np.max(bits), np.max(sample_format) == _FLOATS
     if not is_float and depth > 16:
         raise CaptureError(f"{path}: holds {depth}-bit whole numbers; save it with 8 or 16 bits", "image_unknown")
-    states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else ""
+    states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else _stated_by(tags)
     bits, icc = 32 if is_float else 16 if depth > 8 else 8, tags.get(_ICC_PROFILE, b"")
     icc = icc if isinstance(icc, bytes) else b""
     return ImageHeader("TIFF", width, height, bits, orientation_of(tags), states, icc, None, exposure_in(tags))
