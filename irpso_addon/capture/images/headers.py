@@ -19,7 +19,7 @@ from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
 _NO_SEGMENT = b"\xd9\xda"  # end of a JPEG file, and start of a scan
-_LINEAR_GAMMA = struct.pack(">I", 100_000)  # of a gAMA chunk: 100 000 over the exponent
+_GAMMAS, _SAME_GAMMA = {"linear": 1.0, "srgb": 1 / 2.2}, 0.01  # of gAMA chunks; their relative tolerance
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
 _MAX_ICC = 1 << 22  # bytes
 _WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT, _ICC_PROFILE, _COLOUR_SPACE = 256, 257, 258, 339, 34675, 40961  # TIFF tags
@@ -33,7 +33,8 @@ class ImageHeader:
     bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
     (of HEIF 1: libheif applies ``applied``). states: the encoding that the file states, "srgb" or "linear", "" for
     none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of
-    ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise.
+    ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise. gamma: the power
+    from samples to light that a PNG states, 0 without one and for about that of linear values or sRGB.
     """
 
     kind: str
@@ -47,6 +48,7 @@ class ImageHeader:
     exposure: Exposure | None = None
     applied: int = 1
     adobe_rgb: bool = False
+    gamma: float = 0.0
 
     @property
     def tag(self) -> int:
@@ -111,18 +113,25 @@ def _png(path: Path, data: bytes) -> ImageHeader:
     if not chunks.keys() >= {b"IHDR", b"IEND"} or len(chunks[b"IHDR"]) < 9:
         raise truncated(path)
     width, height, bits = struct.unpack_from(">IIB", chunks[b"IHDR"])
-    states = ""
+    states, gamma = _png_gamma(chunks.get(b"gAMA", b""))
     if chunks.keys() & _PROFILES:  # they override gAMA
-        states = "srgb"
-    elif b"gAMA" in chunks:
-        states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
+        states, gamma = "srgb", 0.0
     tags = tiff_tags(chunks.get(b"eXIf", b""))
     states = states or _stated_by(tags)
     # cICP overrides iCCP (Portable Network Graphics, third edition, 4.3).
     cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
     icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
     bits, turn = 16 if bits == 16 else 8, orientation_of(tags)
-    return ImageHeader("PNG", width, height, bits, turn, states, icc, cicp, exposure_in(tags))
+    return ImageHeader("PNG", width, height, bits, turn, states, icc, cicp, exposure_in(tags), gamma=gamma)
+
+
+def _png_gamma(chunk: bytes) -> tuple[str, float]:
+    """Return ``states`` and ``gamma`` of a gAMA chunk: 100 000 over the power; 0 is to be ignored (PNG, 11.2.2)."""
+    value = int.from_bytes(chunk, "big") / 100_000
+    near = [encoding for encoding, usual in _GAMMAS.items() if abs(value / usual - 1) <= _SAME_GAMMA]
+    if near or not value:
+        return near[0] if near else "", 0.0
+    return "srgb", 1 / value
 
 
 def _png_icc(chunk: bytes) -> bytes:
