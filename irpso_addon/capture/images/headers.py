@@ -23,7 +23,8 @@ _GAMMAS, _SAME_GAMMA = {"linear": 1.0, "srgb": 1 / 2.2}, 0.01  # of gAMA chunks;
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
 _MAX_ICC = 1 << 22  # bytes
 _WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT, _ICC_PROFILE, _COLOUR_SPACE = 256, 257, 258, 339, 34675, 40961  # TIFF tags
-_FLOATS, _SRGB = 3, 1  # of the sample format, of the colour space
+_PHOTOMETRIC = 262
+_FLOATS, _SRGB, _WHITE_IS_ZERO = 3, 1, 0  # of the sample format, of the colour space, of the photometric tag
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,8 @@ def _tiff(path: Path, data: bytes) -> ImageHeader:
     depth, is_float = np.max(bits), np.max(sample_format) == _FLOATS
     if not is_float and depth > 16:
         raise CaptureError(f"{path}: holds {depth}-bit whole numbers; save it with 8 or 16 bits", "image_unknown")
+    if depth > 8 and tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:  # measured on bpy 5.0.1: only 8 bits are inverted
+        raise CaptureError(f"{path}: stores white as 0 (WhiteIsZero); save it with black as 0", "image_unknown")
     states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else _stated_by(tags)
     bits, icc = 32 if is_float else 16 if depth > 8 else 8, tags.get(_ICC_PROFILE, b"")
     icc = icc if isinstance(icc, bytes) else b""

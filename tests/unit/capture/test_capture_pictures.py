@@ -11,7 +11,7 @@ from irpso_addon.capture.images.headers import read_header
 from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture
 from irpso_addon.core.encode import linear_from_srgb
 from tests.builders.captures import chunk, write_png
-from tests.builders.exif import exif, jpeg
+from tests.builders.exif import exif, jpeg, tiff
 
 
 def picture(codes, bits):
@@ -169,3 +169,17 @@ def test_pictures_with_alpha_give_the_samples_of_those_without_where_they_are_op
         np.testing.assert_array_equal(getattr(whole, name)[7:], getattr(opaque, name)[7:])
         np.testing.assert_array_equal(getattr(whole, name)[:2], getattr(opaque, name)[:2])
     assert (whole.rgba[2:7, :, 3] == 0).all() and (whole.bounds[4:7, :, 3] <= 0).all()
+
+
+@pytest.mark.parametrize("dtype", ["u2", "f4"])
+def test_a_deep_tiff_with_zero_as_white_is_refused_because_decoders_do_not_invert_it(dtype, tmp_path):
+    codes = np.full((4, 6, 1), 10000).astype(dtype)
+    sample_format = (339, 3, [3 if dtype == "f4" else 1])
+    (tmp_path / "white.tif").write_bytes(tiff(codes, [(262, 3, [0]), sample_format]))
+    with pytest.raises(CaptureError, match="white.tif: stores white as 0 .*; save it with black as 0") as refused:
+        read_header(tmp_path / "white.tif")
+    assert refused.value.code == "image_unknown"
+    (tmp_path / "black.tif").write_bytes(tiff(codes, [sample_format]))
+    assert read_header(tmp_path / "black.tif").width == 6
+    (tmp_path / "eight.tif").write_bytes(tiff(codes.astype("u1"), [(262, 3, [0])]))
+    assert read_header(tmp_path / "eight.tif").bits == 8
