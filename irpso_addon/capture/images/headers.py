@@ -18,6 +18,7 @@ from .exif import JPEG_START, Exposure, exposure_in, is_adobe_rgb, open_jpeg, or
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
+_HDR_GAIN = re.compile(rb"\n(EXPOSURE|COLORCORR)=([^\n]*)")
 _NO_SEGMENT = b"\xd9\xda"  # end of a JPEG file, and start of a scan
 _GAMMAS, _SAME_GAMMA = {"linear": 1.0, "srgb": 1 / 2.2}, 0.01  # of gAMA chunks; their relative tolerance
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
@@ -35,7 +36,8 @@ class ImageHeader:
     (of HEIF 1: libheif applies ``applied``). states: the encoding that the file states, "srgb" or "linear", "" for
     none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of
     ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise. gamma: the power
-    from samples to light that a PNG states, 0 without one and for about that of linear values or sRGB.
+    from samples to light that a PNG states, 0 without one and for about that of linear values or sRGB. gains: red,
+    green, blue of an HDR file over the radiance.
     """
 
     kind: str
@@ -50,6 +52,7 @@ class ImageHeader:
     applied: int = 1
     adobe_rgb: bool = False
     gamma: float = 0.0
+    gains: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     @property
     def tag(self) -> int:
@@ -189,4 +192,19 @@ def _hdr(path: Path, data: bytes) -> ImageHeader:
     sizes = {match[1][1:]: int(match[2]), match[3][1:]: int(match[4])}
     if set(sizes) != {b"X", b"Y"}:
         raise truncated(path)
-    return ImageHeader("HDR", sizes[b"X"], sizes[b"Y"], 32, states="linear")
+    gains = _hdr_gains(path, data[: match.start()])
+    return ImageHeader("HDR", sizes[b"X"], sizes[b"Y"], 32, states="linear", gains=gains)
+
+
+def _hdr_gains(path: Path, head: bytes) -> tuple[float, ...]:
+    """Return ``gains``: the product of all lines EXPOSURE and COLORCORR (Radiance file formats, picture files)."""
+    gains = np.ones(3)
+    for key, text in _HDR_GAIN.findall(head):
+        try:
+            gains *= [float(number) for number in text.split()]
+        except ValueError:
+            gains[:] = np.nan
+        if not (np.isfinite(gains) & (gains > 0)).all():
+            what = f"states {key.decode()}={text.decode(errors='replace').strip()}, which is no gain above 0"
+            raise CaptureError(f"{path}: {what}; correct its header, or export it again", "image_unknown")
+    return tuple(gains.tolist())

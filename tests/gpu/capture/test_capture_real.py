@@ -71,6 +71,20 @@ def test_hdr_arrives_linear(tmp_path):
     np.testing.assert_array_equal(found.values[..., :3], np.broadcast_to([2, 1, 0.5], (2, 4, 3)))
 
 
+def test_the_exposure_and_colour_correction_of_an_hdr_file_are_divided_out(tmp_path):
+    # Radiance file formats: the original radiance is the value over the product of all these lines.
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=2.0\nCOLORCORR= 1 0.5 2\nVIEW= -vf EXPOSURE=8\nEXPOSURE=4\n"
+    (tmp_path / "a.hdr").write_bytes(head + b"\n-Y 2 +X 4\n" + bytes([128, 64, 32, 130]) * 8)
+    found = decode(tmp_path / "a.hdr").values
+    expected = np.array([2, 1, 0.5]) / (2 * 4) / (1, 0.5, 2)
+    np.testing.assert_allclose(found[..., :3], np.broadcast_to(expected, (2, 4, 3)), rtol=1e-6)
+    assert (found[..., 3] == 1).all()
+    for wrong in (b"EXPOSURE=0", b"EXPOSURE=bright", b"COLORCORR=1 2", b"EXPOSURE=nan"):
+        (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\n" + wrong + b"\n\n-Y 2 +X 4\n" + bytes(32))
+        with pytest.raises(InputError, match=f"{wrong[:8].decode()}.*; correct"):
+            decode(tmp_path / "a.hdr")
+
+
 @pytest.mark.parametrize("kind", ["png", "tif", "jpg"])
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_pictures_are_turned_upright_by_their_tag(tmp_path, kind, orientation):
