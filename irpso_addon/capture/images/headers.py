@@ -18,6 +18,7 @@ from .exif import JPEG_START, Exposure, exposure_in, is_adobe_rgb, open_jpeg, or
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
+_HDR_ORIENTATIONS = {b"-Y+X": 1, b"-Y-X": 2, b"+Y-X": 3, b"+Y+X": 4}  # by where the first pixel lies
 _HDR_GAIN = re.compile(rb"\n(EXPOSURE|COLORCORR)=([^\n]*)")
 _NO_SEGMENT = b"\xd9\xda"  # end of a JPEG file, and start of a scan
 _GAMMAS, _SAME_GAMMA = {"linear": 1.0, "srgb": 1 / 2.2}, 0.01  # of gAMA chunks; their relative tolerance
@@ -32,12 +33,12 @@ _FLOATS, _SRGB, _WHITE_IS_ZERO = 3, 1, 0  # of the sample format, of the colour 
 class ImageHeader:
     """Header of one image. kind: "EXR", "PNG", "JPEG", "TIFF", "HDR" or "HEIF". width, height: pixels, upright.
 
-    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
-    (of HEIF 1: libheif applies ``applied``). states: the encoding that the file states, "srgb" or "linear", "" for
-    none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of
-    ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise. gamma: the power
-    from samples to light that a PNG states, 0 without one and for about that of linear values or sRGB. gains: red,
-    green, blue of an HDR file over the radiance.
+    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8;
+    of HEIF 1, because libheif applies ``applied``; of HDR by the signs of its size. states: the encoding that the file
+    states, "srgb" or "linear", "" for none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the
+    colour profile, or two codes of ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile
+    says otherwise. gamma: the power from samples to light that a PNG states, 0 without one and for about that of linear
+    values or sRGB. gains: red, green, blue of an HDR file over the radiance.
     """
 
     kind: str
@@ -189,11 +190,12 @@ def _hdr(path: Path, data: bytes) -> ImageHeader:
     match = _HDR_SIZE.search(data[:8192])
     if match is None:
         raise truncated(path)
-    sizes = {match[1][1:]: int(match[2]), match[3][1:]: int(match[4])}
-    if set(sizes) != {b"X", b"Y"}:
-        raise truncated(path)
+    down, height, along, width = match.groups()
+    if (down + along) not in _HDR_ORIENTATIONS:
+        raise CaptureError(f"{path}: stores columns, not rows of pixels; save it with -Y and +X", "image_unknown")
+    turn = _HDR_ORIENTATIONS[down + along]
     gains = _hdr_gains(path, data[: match.start()])
-    return ImageHeader("HDR", sizes[b"X"], sizes[b"Y"], 32, states="linear", gains=gains)
+    return ImageHeader("HDR", int(width), int(height), 32, turn, "linear", gains=gains)
 
 
 def _hdr_gains(path: Path, head: bytes) -> tuple[float, ...]:

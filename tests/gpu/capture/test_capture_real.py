@@ -85,6 +85,17 @@ def test_the_exposure_and_colour_correction_of_an_hdr_file_are_divided_out(tmp_p
             decode(tmp_path / "a.hdr")
 
 
+@pytest.mark.parametrize(("down", "along"), [("-Y", "+X"), ("-Y", "-X"), ("+Y", "-X"), ("+Y", "+X")])
+def test_the_signs_of_an_hdr_header_say_where_its_first_pixel_lies(tmp_path, down, along):
+    # Radiance file formats: -Y is from the top down, +X from left to right.
+    pixels = RNG.integers(128, 256, (3, 4, 4)).astype(np.uint8)
+    pixels[..., 3] = 128
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{down} 3 {along} 4\n"
+    (tmp_path / "a.hdr").write_bytes(head.encode() + pixels.tobytes())
+    expected = pixels[:: 1 if down == "-Y" else -1, :: 1 if along == "+X" else -1, :3] / 256
+    np.testing.assert_array_equal(decode(tmp_path / "a.hdr").values[::-1, :, :3], expected)
+
+
 @pytest.mark.parametrize("kind", ["png", "tif", "jpg"])
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_pictures_are_turned_upright_by_their_tag(tmp_path, kind, orientation):

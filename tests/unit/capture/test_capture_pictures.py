@@ -124,6 +124,13 @@ def test_headers_give_kind_size_and_depth(tmp_path):
     assert (header.kind, header.width, header.height, header.bits) == ("TIFF", 9, 8, 16)
 
 
+@pytest.mark.parametrize("size", [b"+X 7 -Y 5", b"-X 7 +Y 5"])
+def test_an_hdr_file_of_columns_is_refused_as_such(tmp_path, size):
+    (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + size + b"\n" + bytes(140))
+    with pytest.raises(CaptureError, match=r"a\.hdr: stores columns, not rows .*; save it"):
+        read_header(tmp_path / "a.hdr")
+
+
 def test_a_truncated_png_is_refused_at_any_length(tmp_path):
     write_png(tmp_path / "a.png", np.arange(60).reshape(4, 5, 3))
     whole = (tmp_path / "a.png").read_bytes()
