@@ -166,6 +166,34 @@ def test_every_compression_is_read_and_a_cut_file_refused_silently(tmp_path, cap
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("compression", ["HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD"])
+def test_compressions_newer_than_this_reader_are_left_to_openexr(tmp_path, compression):
+    kind = getattr(OpenEXR, f"{compression}_COMPRESSION", None)
+    if kind is None:
+        pytest.skip("not in this version of OpenEXR")
+    path, values = tmp_path / "a.exr", RNG.random((70, 33)).astype(np.float16)
+    OpenEXR.File({"compression": kind, "type": OpenEXR.scanlineimage},
+                 {"R": values, "G": values, "B": values}).write(str(path))  # fmt: skip
+    np.testing.assert_allclose(samples(path).rgba[..., 0], values[::-1], atol=0.02)
+    whole = path.read_bytes()
+    for share in (0.05, 0.3, 0.7, 0.999):
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(CaptureError, match=r"a\.exr: .*; (copy or )?export it again"):
+            samples(path)
+
+
+def test_a_compression_that_openexr_does_not_know_is_refused(tmp_path):
+    path, values = tmp_path / "a.exr", np.ones((50, 70), np.float32)
+    OpenEXR.File({"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}, {"Y": values}).write(
+        str(path)
+    )
+    head = b"compression\0compression\0" + struct.pack("<I", 1)
+    before, after = path.read_bytes().split(head)
+    path.write_bytes(before + head + b"\x63" + after[1:])
+    with pytest.raises(CaptureError, match=r"a\.exr: cannot be decoded as OpenEXR \(.*; export it again"):
+        samples(path)
+
+
 def test_a_truncated_multi_part_file_is_refused_at_any_length(tmp_path):
     path = tmp_path / "a.exr"
     write_exr(path, {"a": {"R": GREY}, "b": {"R": GREY}})
