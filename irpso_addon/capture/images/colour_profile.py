@@ -92,11 +92,13 @@ def profile_of_icc(icc: bytes) -> ColourProfile:
         raise ProfileError("its colour profile is damaged") from error
 
 
-def profile_of_h273(primaries: int, transfer: int) -> ColourProfile:
-    """Return the profile of two codes of ITU-T H.273 (nclx of HEIF, cICP of PNG); sRGB for unspecified ones.
+def profile_of_h273(primaries: int, transfer: int, full_range: int = 1) -> ColourProfile:
+    """Return the profile of codes of ITU-T H.273 (nclx of HEIF, cICP of PNG); sRGB for unspecified ones.
 
-    Raises ProfileError for HDR (PQ, HLG) and rare codes.
+    Raises ProfileError for HDR (PQ, HLG), rare codes and values that do not have the full range.
     """
+    if not full_range:
+        raise ProfileError("its values have the narrow range of video (cICP)")
     primaries = 1 if primaries == _UNSPECIFIED else primaries
     curve = _curve_of_h273(transfer)
     if primaries not in _PRIMARIES:

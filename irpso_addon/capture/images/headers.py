@@ -35,10 +35,10 @@ class ImageHeader:
 
     bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8;
     of HEIF 1, because libheif applies ``applied``; of HDR by the signs of its size. states: the encoding that the file
-    states, "srgb" or "linear", "" for none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the
-    colour profile, or two codes of ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile
-    says otherwise. gamma: the power from samples to light that a PNG states, 0 without one and for about that of linear
-    values or sRGB. gains: red, green, blue of an HDR file over the radiance.
+    states, "srgb" or "linear", "" for none; a colour profile counts as "srgb": nearly all are similar. icc: the colour
+    profile. cicp: the arguments of ``profile_of_h273``. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no
+    profile says otherwise. gamma: the power from samples to light that a PNG states, 0 without one and for about that
+    of linear values or sRGB. gains: red, green, blue of an HDR file over the radiance.
     """
 
     kind: str
@@ -48,7 +48,7 @@ class ImageHeader:
     orientation: int = 1
     states: str = ""
     icc: bytes = b""
-    cicp: tuple[int, int] | None = None
+    cicp: tuple[int, ...] | None = None
     exposure: Exposure | None = None
     applied: int = 1
     adobe_rgb: bool = False
@@ -124,7 +124,8 @@ def _png(path: Path, data: bytes) -> ImageHeader:
     tags = tiff_tags(chunks.get(b"eXIf", b""))
     states = states or _stated_by(tags)
     # cICP overrides iCCP (Portable Network Graphics, third edition, 4.3).
-    cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
+    numbers = chunks.get(b"cICP", b"")
+    cicp = (numbers[0], numbers[1], numbers[3]) if len(numbers) == 4 else None
     icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
     bits, turn = 16 if bits == 16 else 8, orientation_of(tags)
     return ImageHeader("PNG", width, height, bits, turn, states, icc, cicp, exposure_in(tags), gamma=gamma)

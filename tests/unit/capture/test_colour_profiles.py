@@ -179,6 +179,7 @@ def test_a_mask_ignores_its_profile(tmp_path):
         (chunk(b"cICP", bytes((9, 18, 0, 1))), "an HDR picture"),
         (png_icc(icc(P3, extra={b"cicp": b"cicp" + bytes(4) + bytes((9, 18, 0, 1))})), "an HDR picture"),
         (chunk(b"cICP", bytes((3, 13, 0, 1))), "primaries .* not known"),
+        (chunk(b"cICP", bytes((1, 8, 0, 0))), "narrow range of video"),
         (png_icc(icc(None)), "no matrix with curves"),
         (png_icc(icc(P3)[:200]), "damaged"),
         (png_icc(b"nonsense"), "damaged"),
