@@ -59,6 +59,7 @@ def test_intensities_may_be_one_number_a_line_and_are_1_without_the_file(tmp_pat
         ("focal_length_px = [20, 21]", True, (20, 21)),
         ("orthographic = true\nworld_width = 4", False, (2, 2)),
         ("world_width = 4", False, (2, 2)),
+        ("world_width = 4\nworld_height = 2", False, (2, 3)),
         ("", False, (4, 4)),
     ],
 )
