@@ -2,7 +2,8 @@
 
 Measured on bpy 5.0.1: ``pixels`` of 8-bit images are code values in every colour space; those of 16-bit images are
 converted from the image's colour space, sRGB by default, and unchanged with "Non-Color". "STRAIGHT" alpha multiplies
-16-bit colours by alpha; "CHANNEL_PACKED" does not. Blender does not apply the EXIF orientation.
+16-bit colours by alpha; "CHANNEL_PACKED" does not. Blender applies neither the EXIF orientation nor the exposure of HDR
+files.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def loaded(path: Path) -> Any:
 def decode(path: Path | str) -> Picture:
     """Return a PNG, JPEG, TIFF or HDR file's own values, (H, W, 4), upright: a ``linearise.Decoder``.
 
-    No colour curve is inverted. rawpy reads raw files and pillow-heif HEIC files; Blender includes neither.
+    No colour curve is inverted. Values of HDR files are divided by their gains. rawpy reads raw files and pillow-heif
+    HEIC files; Blender includes neither.
     Raises InputError where the file is missing, damaged or of another format.
     """
     path = Path(path)
@@ -57,4 +59,7 @@ def decode(path: Path | str) -> Picture:
         image.pixels.foreach_get(values)
     finally:
         bpy.data.images.remove(image)
-    return Picture(upright(values.reshape(height, width, -1), header.orientation), header.bits)
+    values = values.reshape(height, width, -1)
+    if header.kind == "HDR":
+        values[..., :3] /= np.array(header.gains, np.float32)
+    return Picture(upright(values, header.orientation), header.bits)

@@ -130,10 +130,10 @@ def _camera(camera: Camera) -> Iterator[str]:
     if camera.perspective:
         yield f"focal_length_px = {_numbers(camera.scale)}"
     else:
-        if camera.scale[0] != camera.scale[1]:
-            raise CaptureError("an orthographic camera with oblong pixels cannot be written; make its pixels square")
         yield "orthographic = true"
         yield f"world_width = {_numbers(camera.width / camera.scale[0])}"
+        if camera.scale[0] != camera.scale[1]:
+            yield f"world_height = {_numbers(camera.height / camera.scale[1])}"
     yield f"principal_point = {_numbers(camera.centre)}"
     if camera.distortion:
         yield f"distortion = {_numbers(camera.distortion)}"

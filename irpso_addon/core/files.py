@@ -16,6 +16,7 @@ from typing import Any
 from .errors import InputError
 from .paths import SHADERS
 
+JSON_ERRORS = "backslashreplace"  # for names that are no UTF-8: their escapes are JSON's own, and read back exactly
 _NAME_BYTES = 150
 _unfinished: set[Path] = set()  # folders that are being filled
 
@@ -93,7 +94,8 @@ def synced(path: Path) -> None:
 def write_json(path: Path, table: dict[str, Any]) -> None:
     """Write plain data as JSON, atomically. Raises InputError if it cannot be written."""
     with replacing_file(path, durable=True) as partial:
-        partial.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        text = json.dumps(table, indent=2, ensure_ascii=False) + "\n"
+        partial.write_text(text, encoding="utf-8", errors=JSON_ERRORS)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..capture.images.exr import write_exr
 from ..core.errors import InputError
-from ..core.files import check_writable, synced
+from ..core.files import JSON_ERRORS, check_writable, synced
 from ..core.png import encode_png
 from ..core.steps import available_cores
 from ..core.udim import tile_part, tile_stem
@@ -200,7 +200,7 @@ def _write_report(
         described[extra.name] = {"channels": [extra.name], "color_space": "Non-Color", "png": extra.text}
     data = {**plain(report), "maps": described, "files": [*names, REPORT]}
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
+    (folder / REPORT).write_text(text + "\n", encoding="utf-8", errors=JSON_ERRORS)
 
 
 def _former_files(folder: Path) -> set[str]:

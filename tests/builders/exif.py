@@ -70,6 +70,27 @@ def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, se
     return b"II*\0" + struct.pack("<I", 8) + body + mosaic.astype("<u2").tobytes()
 
 
+def tiff(codes, tags=(), colour_space=None):
+    """Return an uncompressed TIFF file of codes (H, W, C), top row first. tags: more of (number, kind, values).
+
+    colour_space: ColorSpace of its EXIF directory.
+    """
+    height, width, channels = codes.shape
+    data = codes.astype(codes.dtype.newbyteorder("<")).tobytes()
+    kept = {
+        256: (LONG, [width]), 257: (LONG, [height]), 258: (SHORT, [8 * codes.itemsize] * channels), 259: (SHORT, [1]),
+        262: (SHORT, [2 if channels >= 3 else 1]), 277: (SHORT, [channels]), 278: (LONG, [height]),
+        279: (LONG, [len(data)]), **{number: (kind, values) for number, kind, values in tags},
+    }  # fmt: skip
+    places = {273: (LONG, [0])} if colour_space is None else {273: (LONG, [0]), 34665: (LONG, [0])}
+    inner = b"" if colour_space is None else directory([(40961, SHORT, [colour_space])], 0)
+    listed = [(number, *rest) for number, rest in (kept | places).items()]
+    end = 8 + len(directory(listed, 8))
+    places = {273: (LONG, [end + len(inner)]), 34665: (LONG, [end])}
+    listed = [(number, *places.get(number, rest)) for number, *rest in listed]
+    return b"II*\0" + struct.pack("<I", 8) + directory(listed, 8) + inner + data
+
+
 def bayer(rgb):
     """Return the RGGB mosaic (H, W) of (H, W, 3)."""
     mosaic = rgb[..., 1].copy()

@@ -16,7 +16,8 @@ from ..errors import CaptureError
 from ..images.image import ImageRef
 from ..images.linearise import COLOUR_SPACES
 
-CAMERA_KEYS = {"fov_degrees", "focal_length_px", "orthographic", "world_width", "principal_point", "distortion"}
+_ANGLES, _WIDTHS = {"fov_degrees", "focal_length_px"}, {"world_width", "world_height"}
+CAMERA_KEYS = {"orthographic", "principal_point", "distortion"} | _ANGLES | _WIDTHS
 _SQUARE_WORLD = 2.0  # the width of Blender's default plane
 
 
@@ -101,18 +102,19 @@ def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = 
 
     Raises CaptureError if keys are wrong or contradict each other.
     """
-    perspective = not {"fov_degrees", "focal_length_px"}.isdisjoint(table)
+    perspective = not _ANGLES.isdisjoint(table)
     orthographic = table.get("orthographic", "world_width" in table or not perspective)
     if not isinstance(orthographic, bool):
         raise CaptureError(f"{where}: orthographic must be true or false", "value")
-    wrong = {"fov_degrees", "focal_length_px"} if orthographic else {"world_width"}
-    if wrong & set(table) or {"fov_degrees", "focal_length_px"} <= set(table):
+    wrong = _ANGLES if orthographic else _WIDTHS
+    if wrong & set(table) or set(table) >= _ANGLES or ("world_height" in table and "world_width" not in table):
         raise CaptureError(
             f"{where}: give one of fov_degrees, focal_length_px, or orthographic = true with world_width", "camera"
         )
     if not orthographic and not perspective:
         raise CaptureError(f"{where}: a perspective camera needs fov_degrees or focal_length_px", "camera")
     world_width = number(table, "world_width", where) if "world_width" in table else _SQUARE_WORLD
+    world_height = number(table, "world_height", where) if "world_height" in table else None
     fov = number(table, "fov_degrees", where) if "fov_degrees" in table else None
     if fov is not None and fov >= 180:
         raise CaptureError(f"{where}: fov_degrees must be below 180", "value")
@@ -126,7 +128,7 @@ def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = 
             camera = Camera.orthographic(width, height, world_width, matrix)
         else:
             camera = Camera.from_fov(width, height, fov or 90.0, matrix)
-        scale = focal or camera.scale
+        scale = focal or (camera.scale[0], height / world_height if world_height else camera.scale[1])
         return Camera(width, height, scale, (x, y), camera.matrix, camera.perspective, distortion)
 
     return make

@@ -1,4 +1,4 @@
-"""Colour profiles of image files, from code values to linear Rec. 709: ICC profiles, and the codes of ITU-T H.273.
+"""Colour profiles of image files, from code values to linear Rec. 709: ICC profiles, codes of ITU-T H.273, gamma.
 
 LittleCMS (Pillow's ImageCms) opens a profile, but transforms pixels of 8 bits only, which are too few for dark linear
 values. So this module applies a profile's curves and matrix in the precision of the values.
@@ -92,11 +92,13 @@ def profile_of_icc(icc: bytes) -> ColourProfile:
         raise ProfileError("its colour profile is damaged") from error
 
 
-def profile_of_h273(primaries: int, transfer: int) -> ColourProfile:
-    """Return the profile of two codes of ITU-T H.273 (nclx of HEIF, cICP of PNG); sRGB for unspecified ones.
+def profile_of_h273(primaries: int, transfer: int, full_range: int = 1) -> ColourProfile:
+    """Return the profile of codes of ITU-T H.273 (nclx of HEIF, cICP of PNG); sRGB for unspecified ones.
 
-    Raises ProfileError for HDR (PQ, HLG) and rare codes.
+    Raises ProfileError for HDR (PQ, HLG), rare codes and values that do not have the full range.
     """
+    if not full_range:
+        raise ProfileError("its values have the narrow range of video (cICP)")
     primaries = 1 if primaries == _UNSPECIFIED else primaries
     curve = _curve_of_h273(transfer)
     if primaries not in _PRIMARIES:
@@ -110,6 +112,11 @@ def adobe_rgb() -> ColourProfile:
     """Return the profile Adobe RGB (1998), whose exponent is 2 + 51/256."""
     curve = _parametric(0, [2.19921875])
     return ColourProfile("Adobe RGB", (curve, curve, curve), np.asarray(to_rec_709(ADOBE_RGB)))
+
+
+def profile_of_gamma(power: float) -> ColourProfile:
+    """Return the profile of values whose power is linear, in Rec. 709 primaries (PNG, third edition, 13.13)."""
+    return ColourProfile(f"gamma {power:.2f}", (_parametric(0, [power]),) * 3, np.eye(3))
 
 
 def linear_from_rec709(values: np.ndarray) -> np.ndarray:

@@ -121,7 +121,10 @@ def samples_of_exr(
     709, or None if the file holds Rec. 709. srgb: its values have the curve of sRGB.
     """
     colour = np.stack([image.channels[name] for name in rgb], axis=-1)
-    clipped = colour >= _HALF_MAX if colour.dtype == np.float16 else np.zeros(colour.shape, bool)
+    clipped = np.zeros(colour.shape, bool)
+    if colour.dtype == np.float16:
+        clipped = colour >= _HALF_MAX
+        colour[clipped] = _HALF_MAX
     if srgb:
         colour = linear_from_srgb(colour.astype(np.float32))
     if matrix is not None:
@@ -159,5 +162,6 @@ def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], h
 def _stored(array: np.ndarray, half: bool) -> np.ndarray:
     array = np.asarray(array)
     kind = np.uint32 if array.dtype.kind == "u" else np.float16 if half else np.float32
-    with np.errstate(over="ignore"):  # values too large for half become infinite and read as clipped
-        return np.ascontiguousarray(array[::-1], kind)
+    if kind is np.float16:
+        array = np.clip(array, -_HALF_MAX, _HALF_MAX)  # the largest reads as clipped
+    return np.ascontiguousarray(array[::-1], kind)

@@ -103,8 +103,8 @@ def _check_chunks(data: bytes | mmap, at: int, headers: list[dict[str, bytes]], 
     for header in headers:
         if "chunkCount" in header:
             counts.append(struct.unpack("<I", header["chunkCount"])[0])
-        elif flags & _TILED:
-            return  # OpenEXR itself reports a cut tiled file
+        elif flags & _TILED or header["compression"][0] not in _LINES:
+            return  # OpenEXR itself reports a cut tiled file, and knows newer compressions
         else:
             _, low, _, high = struct.unpack("<4i", header["dataWindow"])
             counts.append(-(-(high - low + 1) // _LINES[header["compression"][0]]))

@@ -8,6 +8,7 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,22 +18,27 @@ from .exif import JPEG_START, Exposure, exposure_in, is_adobe_rgb, open_jpeg, or
 from .heif import heif_header, is_heif
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
+_HDR_ORIENTATIONS = {b"-Y+X": 1, b"-Y-X": 2, b"+Y-X": 3, b"+Y+X": 4}  # by where the first pixel lies
+_HDR_GAIN = re.compile(rb"\n(EXPOSURE|COLORCORR)=([^\n]*)")
 _NO_SEGMENT = b"\xd9\xda"  # end of a JPEG file, and start of a scan
-_LINEAR_GAMMA = struct.pack(">I", 100_000)  # of a gAMA chunk: 100 000 over the exponent
+_GAMMAS, _SAME_GAMMA = {"linear": 1.0, "srgb": 1 / 2.2}, 0.01  # of gAMA chunks; their relative tolerance
 _PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
 _MAX_ICC = 1 << 22  # bytes
 _WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT, _ICC_PROFILE, _COLOUR_SPACE = 256, 257, 258, 339, 34675, 40961  # TIFF tags
-_FLOATS, _SRGB = 3, 1  # of the sample format, of the colour space
+_PHOTOMETRIC = 262
+_FLOATS, _SRGB, _WHITE_IS_ZERO = 3, 1, 0  # of the sample format, of the colour space, of the photometric tag
 
 
 @dataclass(frozen=True)
 class ImageHeader:
     """Header of one image. kind: "EXR", "PNG", "JPEG", "TIFF", "HDR" or "HEIF". width, height: pixels, upright.
 
-    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8
-    (of HEIF 1: libheif applies ``applied``). states: the encoding that the file states, "srgb" or "linear", "" for
-    none; a colour profile counts as "srgb": nearly all are similar. icc, cicp: the colour profile, or two codes of
-    ITU-T H.273. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no profile says otherwise.
+    bits: 8, 16, or 32 for floats; of HEIF also 10 and 12. orientation: EXIF orientation of the stored pixels, 1 to 8;
+    of HEIF 1, because libheif applies ``applied``; of HDR by the signs of its size. states: the encoding that the file
+    states, "srgb" or "linear", "" for none; a colour profile counts as "srgb": nearly all are similar. icc: the colour
+    profile. cicp: the arguments of ``profile_of_h273``. exposure: by EXIF, None without. adobe_rgb: by EXIF, where no
+    profile says otherwise. gamma: the power from samples to light that a PNG states, 0 without one and for about that
+    of linear values or sRGB. gains: red, green, blue of an HDR file over the radiance.
     """
 
     kind: str
@@ -42,10 +48,12 @@ class ImageHeader:
     orientation: int = 1
     states: str = ""
     icc: bytes = b""
-    cicp: tuple[int, int] | None = None
+    cicp: tuple[int, ...] | None = None
     exposure: Exposure | None = None
     applied: int = 1
     adobe_rgb: bool = False
+    gamma: float = 0.0
+    gains: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     @property
     def tag(self) -> int:
@@ -100,22 +108,36 @@ def truncated(path: Path) -> CaptureError:
     return CaptureError(f"{path}: is cut short or damaged; copy or export it again", "image_truncated")
 
 
+def _stated_by(tags: dict[int, Any]) -> str:
+    """Return the encoding that EXIF states, "srgb" or ""; weaker than profiles and chunks."""
+    return "srgb" if tags.get(_COLOUR_SPACE) == _SRGB else ""
+
+
 def _png(path: Path, data: bytes) -> ImageHeader:
     chunks = png_chunks(data)
     if not chunks.keys() >= {b"IHDR", b"IEND"} or len(chunks[b"IHDR"]) < 9:
         raise truncated(path)
     width, height, bits = struct.unpack_from(">IIB", chunks[b"IHDR"])
-    states = ""
+    states, gamma = _png_gamma(chunks.get(b"gAMA", b""))
     if chunks.keys() & _PROFILES:  # they override gAMA
-        states = "srgb"
-    elif b"gAMA" in chunks:
-        states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
+        states, gamma = "srgb", 0.0
     tags = tiff_tags(chunks.get(b"eXIf", b""))
+    states = states or _stated_by(tags)
     # cICP overrides iCCP (Portable Network Graphics, third edition, 4.3).
-    cicp = (chunks[b"cICP"][0], chunks[b"cICP"][1]) if len(chunks.get(b"cICP", b"")) == 4 else None
+    numbers = chunks.get(b"cICP", b"")
+    cicp = (numbers[0], numbers[1], numbers[3]) if len(numbers) == 4 else None
     icc = b"" if cicp else _png_icc(chunks.get(b"iCCP", b""))
     bits, turn = 16 if bits == 16 else 8, orientation_of(tags)
-    return ImageHeader("PNG", width, height, bits, turn, states, icc, cicp, exposure_in(tags))
+    return ImageHeader("PNG", width, height, bits, turn, states, icc, cicp, exposure_in(tags), gamma=gamma)
+
+
+def _png_gamma(chunk: bytes) -> tuple[str, float]:
+    """Return ``states`` and ``gamma`` of a gAMA chunk: 100 000 over the power; 0 is to be ignored (PNG, 11.2.2)."""
+    value = int.from_bytes(chunk, "big") / 100_000
+    near = [encoding for encoding, usual in _GAMMAS.items() if abs(value / usual - 1) <= _SAME_GAMMA]
+    if near or not value:
+        return near[0] if near else "", 0.0
+    return "srgb", 1 / value
 
 
 def _png_icc(chunk: bytes) -> bytes:
@@ -132,7 +154,7 @@ def _jpeg(path: Path, data: bytes) -> ImageHeader:
     tags = tiff_tags(image.info.get("exif", b""))
     icc = image.info.get("icc_profile") or b""
     adobe = not icc and is_adobe_rgb(tags)
-    states = "srgb" if icc or adobe or tags.get(_COLOUR_SPACE) == _SRGB else ""
+    states = "srgb" if icc or adobe else _stated_by(tags)
     return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), states, icc, None, exposure_in(tags),
                        adobe_rgb=adobe)  # fmt: skip
 
@@ -157,7 +179,9 @@ def _tiff(path: Path, data: bytes) -> ImageHeader:
     depth, is_float = np.max(bits), np.max(sample_format) == _FLOATS
     if not is_float and depth > 16:
         raise CaptureError(f"{path}: holds {depth}-bit whole numbers; save it with 8 or 16 bits", "image_unknown")
-    states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else ""
+    if depth > 8 and tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:  # measured on bpy 5.0.1: only 8 bits are inverted
+        raise CaptureError(f"{path}: stores white as 0 (WhiteIsZero); save it with black as 0", "image_unknown")
+    states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else _stated_by(tags)
     bits, icc = 32 if is_float else 16 if depth > 8 else 8, tags.get(_ICC_PROFILE, b"")
     icc = icc if isinstance(icc, bytes) else b""
     return ImageHeader("TIFF", width, height, bits, orientation_of(tags), states, icc, None, exposure_in(tags))
@@ -167,7 +191,23 @@ def _hdr(path: Path, data: bytes) -> ImageHeader:
     match = _HDR_SIZE.search(data[:8192])
     if match is None:
         raise truncated(path)
-    sizes = {match[1][1:]: int(match[2]), match[3][1:]: int(match[4])}
-    if set(sizes) != {b"X", b"Y"}:
-        raise truncated(path)
-    return ImageHeader("HDR", sizes[b"X"], sizes[b"Y"], 32, states="linear")
+    down, height, along, width = match.groups()
+    if (down + along) not in _HDR_ORIENTATIONS:
+        raise CaptureError(f"{path}: stores columns, not rows of pixels; save it with -Y and +X", "image_unknown")
+    turn = _HDR_ORIENTATIONS[down + along]
+    gains = _hdr_gains(path, data[: match.start()])
+    return ImageHeader("HDR", int(width), int(height), 32, turn, "linear", gains=gains)
+
+
+def _hdr_gains(path: Path, head: bytes) -> tuple[float, ...]:
+    """Return ``gains``: the product of all lines EXPOSURE and COLORCORR (Radiance file formats, picture files)."""
+    gains = np.ones(3)
+    for key, text in _HDR_GAIN.findall(head):
+        try:
+            gains *= [float(number) for number in text.split()]
+        except ValueError:
+            gains[:] = np.nan
+        if not (np.isfinite(gains) & (gains > 0)).all():
+            what = f"states {key.decode()}={text.decode(errors='replace').strip()}, which is no gain above 0"
+            raise CaptureError(f"{path}: {what}; correct its header, or export it again", "image_unknown")
+    return tuple(gains.tolist())

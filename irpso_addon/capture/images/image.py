@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ..errors import CaptureError
-from .colour_profile import ColourProfile, ProfileError, adobe_rgb, profile_of_h273, profile_of_icc
+from .colour_profile import ColourProfile, ProfileError, adobe_rgb, profile_of_gamma, profile_of_h273, profile_of_icc
 from .exif import Exposure, exposure_of
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
@@ -97,6 +97,8 @@ class ImageStore:
                 profile = profile_of_h273(*header.cicp)
             elif header.adobe_rgb:
                 profile = adobe_rgb()
+            elif header.gamma:
+                profile = profile_of_gamma(header.gamma)
             else:
                 return None
         except ProfileError as error:

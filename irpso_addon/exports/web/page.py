@@ -22,6 +22,7 @@ import numpy as np
 
 from ...core.encode import srgb_from_linear
 from ...core.errors import InputError
+from ...core.files import JSON_ERRORS
 from ...core.paths import PAGE
 from ...gpu.library import read_source
 from ...reflectance.model import Parameter, ReflectanceModel
@@ -81,7 +82,7 @@ def write_page(
             bytes_of["photographs"] += writer.write(f"p{k}", pyramid, _photograph_planes, _jpeg)
         described = _description(result, maps, photographs, entries)
         text = json.dumps(plain(described), indent=1, ensure_ascii=False, allow_nan=False)
-        (place / _RESULT).write_text(f"{_BEGINNING}{text};\n", encoding="utf-8")
+        (place / _RESULT).write_text(f"{_BEGINNING}{text};\n", encoding="utf-8", errors=JSON_ERRORS)
     for former in (Path(folder) / _TILES).iterdir() if former_page else ():
         if _TILE_NAME.match(former.name) and former.name not in writer.names:
             former.unlink()

@@ -71,6 +71,31 @@ def test_hdr_arrives_linear(tmp_path):
     np.testing.assert_array_equal(found.values[..., :3], np.broadcast_to([2, 1, 0.5], (2, 4, 3)))
 
 
+def test_the_exposure_and_colour_correction_of_an_hdr_file_are_divided_out(tmp_path):
+    # Radiance file formats: the original radiance is the value over the product of all these lines.
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=2.0\nCOLORCORR= 1 0.5 2\nVIEW= -vf EXPOSURE=8\nEXPOSURE=4\n"
+    (tmp_path / "a.hdr").write_bytes(head + b"\n-Y 2 +X 4\n" + bytes([128, 64, 32, 130]) * 8)
+    found = decode(tmp_path / "a.hdr").values
+    expected = np.array([2, 1, 0.5]) / (2 * 4) / (1, 0.5, 2)
+    np.testing.assert_allclose(found[..., :3], np.broadcast_to(expected, (2, 4, 3)), rtol=1e-6)
+    assert (found[..., 3] == 1).all()
+    for wrong in (b"EXPOSURE=0", b"EXPOSURE=bright", b"COLORCORR=1 2", b"EXPOSURE=nan"):
+        (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\n" + wrong + b"\n\n-Y 2 +X 4\n" + bytes(32))
+        with pytest.raises(InputError, match=f"{wrong[:8].decode()}.*; correct"):
+            decode(tmp_path / "a.hdr")
+
+
+@pytest.mark.parametrize(("down", "along"), [("-Y", "+X"), ("-Y", "-X"), ("+Y", "-X"), ("+Y", "+X")])
+def test_the_signs_of_an_hdr_header_say_where_its_first_pixel_lies(tmp_path, down, along):
+    # Radiance file formats: -Y is from the top down, +X from left to right.
+    pixels = RNG.integers(128, 256, (3, 4, 4)).astype(np.uint8)
+    pixels[..., 3] = 128
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{down} 3 {along} 4\n"
+    (tmp_path / "a.hdr").write_bytes(head.encode() + pixels.tobytes())
+    expected = pixels[:: 1 if down == "-Y" else -1, :: 1 if along == "+X" else -1, :3] / 256
+    np.testing.assert_array_equal(decode(tmp_path / "a.hdr").values[::-1, :, :3], expected)
+
+
 @pytest.mark.parametrize("kind", ["png", "tif", "jpg"])
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_pictures_are_turned_upright_by_their_tag(tmp_path, kind, orientation):

@@ -5,15 +5,17 @@ import struct
 import numpy as np
 import pytest
 
-from irpso_addon.capture import read_capture
+from irpso_addon.capture import Picture, read_capture
 from irpso_addon.capture.errors import CaptureError
 from irpso_addon.capture.images.headers import read_header
+from irpso_addon.capture.images.image import ImageRef, ImageStore
 from irpso_addon.capture.inspect.falloff import encoding_test
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.core.encode import linear_from_srgb
 from tests.builders.captures import chunk, decode_png, sphere, write_png
 from tests.builders.command_line import dome_lights
 from tests.builders.exif import jpeg as jpeg_of
+from tests.builders.exif import tiff
 from tests.oracles import reflectance as oracles
 
 VIEW = np.array([0.0, 0.0, 1.0])
@@ -209,11 +211,15 @@ def test_a_video_may_follow_a_jpeg_and_a_thumbnail_is_not_its_end(tmp_path):
         read_header(tmp_path / "cut.jpg")
 
 
-def exif_of(space):
+def block_of(space):
     """An EXIF block whose directory has ColorSpace."""
     inner = struct.pack("<HHHII", 1, 40961, 3, 1, space) + bytes(4)
     outer = struct.pack("<HHHII", 1, 34665, 4, 1, 26) + bytes(4)
-    body = b"Exif\0\0" + b"II*\0" + struct.pack("<I", 8) + outer + inner
+    return b"II*\0" + struct.pack("<I", 8) + outer + inner
+
+
+def exif_of(space):
+    body = b"Exif\0\0" + block_of(space)
     return b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
 
 
@@ -230,3 +236,49 @@ def exif_of(space):
 def test_a_jpeg_states_its_encoding_by_exif_or_a_profile(tmp_path, data, states):
     (tmp_path / "a.jpg").write_bytes(data)
     assert read_header(tmp_path / "a.jpg").states == states
+
+
+def png_of(dtype, *chunks):
+    def write(path):
+        bits = 8 * np.dtype(dtype).itemsize
+        write_png(path, np.full((2, 3, 3), 2 ** (bits - 1)), bits, b"".join(chunk(*one) for one in chunks))
+
+    return write
+
+
+def tiff_of(dtype, space=None, tags=()):
+    bits = 8 * np.dtype(dtype).itemsize
+    codes = np.full((2, 3, 3), 2 ** (bits - 1), dtype)
+    return lambda path: path.write_bytes(tiff(codes, tags, space))
+
+
+SRGB_EXIF, UNCALIBRATED_EXIF = (b"eXIf", block_of(1)), (b"eXIf", block_of(65535))
+
+
+@pytest.mark.parametrize(
+    ("write", "expected"),
+    [
+        (tiff_of("u2", 1), ("srgb", "file")),
+        (tiff_of("u1", 1), ("srgb", "file")),
+        (png_of("u2", SRGB_EXIF), ("srgb", "file")),
+        (png_of("u1", SRGB_EXIF), ("srgb", "file")),
+        (png_of("u2", (b"gAMA", struct.pack(">I", 100000)), SRGB_EXIF), ("linear", "file")),
+        (tiff_of("f4", 1, [(339, 3, [3, 3, 3])]), ("linear", "format")),
+        (tiff_of("u2", 65535), ("linear", "depth")),
+        (tiff_of("u1", 65535), ("srgb", "guess")),
+        (png_of("u2", UNCALIBRATED_EXIF), ("linear", "depth")),
+        (tiff_of("u2"), ("linear", "depth")),
+    ],
+    ids=[
+        "TIFF 16", "TIFF 8", "PNG 16", "PNG 8", "a chunk overrides EXIF", "floats", "TIFF 16 uncalibrated",
+        "TIFF 8 uncalibrated", "PNG 16 uncalibrated", "TIFF 16 without EXIF",
+    ],
+)  # fmt: skip
+def test_png_and_tiff_state_their_encoding_by_exif_too(tmp_path, write, expected):
+    path = tmp_path / "image"
+    write(path)
+    image, bits = ImageRef(path), read_header(path).bits
+    store = ImageStore(lambda path: Picture(np.full((2, 3, 3), np.float32(0.5)), bits))
+    assert store.encoding(image) == expected
+    # IEC 61966-2-1: code 0.5 is 0.21404114 of linear light.
+    np.testing.assert_allclose(store.samples(image).rgba[..., :3], 0.21404 if expected[0] == "srgb" else 0.5, rtol=0.01)

@@ -98,12 +98,35 @@ def test_what_is_not_a_number_becomes_0_with_weight_0(tmp_path):
 
 def test_the_largest_half_and_infinity_carry_no_weight_but_the_same_float_does(tmp_path):
     bright = GREY.copy()
-    bright[0, 0], bright[2, 2] = 65504, 1e6
-    write_exr(tmp_path / "half.exr", {"": {"Y": bright}}, half=True)
-    found = samples(tmp_path / "half.exr").rgba
-    assert found[0, 0, 3] == 0 and not found[2, 2].any() and found[..., 3].sum() == GREY.size - 2
+    bright[0, 0], bright[2, 2] = 65504, np.inf
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Y": bright[::-1].astype(np.float16)}).write(str(tmp_path / "half.exr"))
+    found = samples(tmp_path / "half.exr")
+    assert found.rgba[..., 3].sum() == GREY.size - 2 and found.clipped.sum() == 2 and not found.not_finite.any()
+    for place in ((0, 0), (2, 2)):  # both are lower bounds, of all three channels
+        assert found.rgba[place].tolist() == [65504, 65504, 65504, 0] and found.bounds[place].tolist()[3] == -7.5
     write_exr(tmp_path / "float.exr", {"": {"Y": bright}})
     assert samples(tmp_path / "float.exr").rgba[0, 0].tolist() == [65504, 65504, 65504, 1]
+
+
+def test_values_beyond_half_are_written_as_its_largest(tmp_path):
+    bright = GREY.copy()
+    bright[1, 1], bright[2, 2], bright[3, 3] = 70000, -1e6, np.nan
+    write_exr(tmp_path / "a.exr", {"": {"Y": bright}}, half=True)
+    found = read_exr(tmp_path / "a.exr")[""]["Y"]
+    assert found[1, 1] == 65504 and found[2, 2] == -65504 and np.isnan(found[3, 3])
+    clipped = samples(tmp_path / "a.exr").clipped
+    assert clipped[1, 1] and clipped.sum() == 1
+
+
+def test_an_infinite_half_channel_leaves_the_others_as_they_are(tmp_path):
+    red = np.full_like(GREY, np.inf)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = {name: values.astype(np.float16) for name, values in zip("RGB", (red, GREY, GREY), strict=True)}
+    OpenEXR.File(header, channels).write(str(tmp_path / "a.exr"))
+    found = samples(tmp_path / "a.exr").bounds
+    assert (found[..., 0] == 65504).all() and (found[..., 3] == -1.5).all()
+    np.testing.assert_array_equal(found[..., 1], GREY[::-1].astype(np.float16))
 
 
 def test_the_data_window_is_placed_in_the_display_window(tmp_path):
@@ -141,6 +164,34 @@ def test_every_compression_is_read_and_a_cut_file_refused_silently(tmp_path, cap
         with pytest.raises(CaptureError, match="cut short or damaged"):
             samples(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("compression", ["HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD"])
+def test_compressions_newer_than_this_reader_are_left_to_openexr(tmp_path, compression):
+    kind = getattr(OpenEXR, f"{compression}_COMPRESSION", None)
+    if kind is None:
+        pytest.skip("not in this version of OpenEXR")
+    path, values = tmp_path / "a.exr", RNG.random((70, 33)).astype(np.float16)
+    OpenEXR.File({"compression": kind, "type": OpenEXR.scanlineimage},
+                 {"R": values, "G": values, "B": values}).write(str(path))  # fmt: skip
+    np.testing.assert_allclose(samples(path).rgba[..., 0], values[::-1], atol=0.02)
+    whole = path.read_bytes()
+    for share in (0.05, 0.3, 0.7, 0.999):
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(CaptureError, match=r"a\.exr: .*; (copy or )?export it again"):
+            samples(path)
+
+
+def test_a_compression_that_openexr_does_not_know_is_refused(tmp_path):
+    path, values = tmp_path / "a.exr", np.ones((50, 70), np.float32)
+    OpenEXR.File({"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}, {"Y": values}).write(
+        str(path)
+    )
+    head = b"compression\0compression\0" + struct.pack("<I", 1)
+    before, after = path.read_bytes().split(head)
+    path.write_bytes(before + head + b"\x63" + after[1:])
+    with pytest.raises(CaptureError, match=r"a\.exr: cannot be decoded as OpenEXR \(.*; export it again"):
+        samples(path)
 
 
 def test_a_truncated_multi_part_file_is_refused_at_any_length(tmp_path):

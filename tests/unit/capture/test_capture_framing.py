@@ -105,6 +105,19 @@ def test_scale_that_divides_nothing_keeps_the_mean_and_the_camera():
     np.testing.assert_allclose(found[inner][..., 1], np.broadcast_to(at_y[:, None], (height, width))[inner], atol=1e-4)
 
 
+def test_an_orthographic_picture_of_any_scale_is_written_and_comes_back(tmp_path):
+    # 24×20 pixels become 17×14, whose pixels are not square: both sides are rounded.
+    whole = capture_of(noise()[:20, :24], Camera(24, 20, (12.0, 12.0), (11.0, 10.5), WORLD, False))
+    part = framed(whole, Framing(scale=0.7))
+    write_capture(part, tmp_path / "part")
+    found, camera = read_capture(tmp_path / "part"), part.cameras[0]
+    assert (camera.width, camera.height) == (17, 14) and camera.scale == pytest.approx((17 / 2, 14 / 20 * 12))
+    back = found.cameras[0]
+    assert (back.width, back.height, back.perspective, back.centre) == (17, 14, False, camera.centre)
+    np.testing.assert_allclose(back.scale, camera.scale, rtol=1e-14)
+    np.testing.assert_array_equal(found.observations[0].read(), part.observations[0].read())
+
+
 @pytest.mark.parametrize("block", [1, 1000])
 def test_parts_are_resampled_in_blocks_of_any_size_to_the_same_bits(block, monkeypatch):
     capture, part = capture_of(noise()), Framing(crop=(7, 5, 61, 43), scale=0.37)

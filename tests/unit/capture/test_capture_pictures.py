@@ -11,7 +11,7 @@ from irpso_addon.capture.images.headers import read_header
 from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture
 from irpso_addon.core.encode import linear_from_srgb
 from tests.builders.captures import chunk, write_png
-from tests.builders.exif import exif, jpeg
+from tests.builders.exif import exif, jpeg, tiff
 
 
 def picture(codes, bits):
@@ -124,6 +124,13 @@ def test_headers_give_kind_size_and_depth(tmp_path):
     assert (header.kind, header.width, header.height, header.bits) == ("TIFF", 9, 8, 16)
 
 
+@pytest.mark.parametrize("size", [b"+X 7 -Y 5", b"-X 7 +Y 5"])
+def test_an_hdr_file_of_columns_is_refused_as_such(tmp_path, size):
+    (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + size + b"\n" + bytes(140))
+    with pytest.raises(CaptureError, match=r"a\.hdr: stores columns, not rows .*; save it"):
+        read_header(tmp_path / "a.hdr")
+
+
 def test_a_truncated_png_is_refused_at_any_length(tmp_path):
     write_png(tmp_path / "a.png", np.arange(60).reshape(4, 5, 3))
     whole = (tmp_path / "a.png").read_bytes()
@@ -169,3 +176,17 @@ def test_pictures_with_alpha_give_the_samples_of_those_without_where_they_are_op
         np.testing.assert_array_equal(getattr(whole, name)[7:], getattr(opaque, name)[7:])
         np.testing.assert_array_equal(getattr(whole, name)[:2], getattr(opaque, name)[:2])
     assert (whole.rgba[2:7, :, 3] == 0).all() and (whole.bounds[4:7, :, 3] <= 0).all()
+
+
+@pytest.mark.parametrize("dtype", ["u2", "f4"])
+def test_a_deep_tiff_with_zero_as_white_is_refused_because_decoders_do_not_invert_it(dtype, tmp_path):
+    codes = np.full((4, 6, 1), 10000).astype(dtype)
+    sample_format = (339, 3, [3 if dtype == "f4" else 1])
+    (tmp_path / "white.tif").write_bytes(tiff(codes, [(262, 3, [0]), sample_format]))
+    with pytest.raises(CaptureError, match="white.tif: stores white as 0 .*; save it with black as 0") as refused:
+        read_header(tmp_path / "white.tif")
+    assert refused.value.code == "image_unknown"
+    (tmp_path / "black.tif").write_bytes(tiff(codes, [sample_format]))
+    assert read_header(tmp_path / "black.tif").width == 6
+    (tmp_path / "eight.tif").write_bytes(tiff(codes.astype("u1"), [(262, 3, [0])]))
+    assert read_header(tmp_path / "eight.tif").bits == 8

@@ -59,6 +59,7 @@ def test_intensities_may_be_one_number_a_line_and_are_1_without_the_file(tmp_pat
         ("focal_length_px = [20, 21]", True, (20, 21)),
         ("orthographic = true\nworld_width = 4", False, (2, 2)),
         ("world_width = 4", False, (2, 2)),
+        ("world_width = 4\nworld_height = 2", False, (2, 3)),
         ("", False, (4, 4)),
     ],
 )
@@ -177,6 +178,21 @@ def test_writing_refuses_a_used_folder_and_leaves_no_partial_files(tmp_path):
         with pytest.raises(CaptureError, match="third image"):
             write_capture(Capture("b", broken, capture.cameras, capture.masks), tmp_path / "new", single_file=single)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["out", "precious"]
+
+
+@pytest.mark.parametrize("of", ["capture", "observation"])
+def test_a_name_that_is_no_utf_8_is_refused_by_name(tmp_path, of):
+    # A Latin-1 file name on Linux, as Python decodes it (PEP 383); TOML is UTF-8.
+    capture, _ = two_cameras()
+    name = b"caf\xe9".decode("utf-8", "surrogateescape")
+    first = replace(capture.observations[0], name=name)
+    named = replace(capture, name=name) if of == "capture" else replace(
+        capture, observations=(first, *capture.observations[1:])
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"'caf\\udce9': this name is not valid UTF-8.*; rename it") as refused:
+        write_capture(named, tmp_path / "out")
+    str(refused.value).encode()
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_empty_folder_may_be_written_into(tmp_path):

@@ -1,6 +1,7 @@
 """Colour profiles of PNG, JPEG, TIFF and HEIC files, against LittleCMS (Pillow's ImageCms) and published numbers."""
 
 import io
+import struct
 from functools import partial
 
 import numpy as np
@@ -100,6 +101,39 @@ def test_jpeg_and_tiff_headers_have_the_profile_too(tmp_path):
     assert ImageStore(decode_png).encoding(ImageRef(tmp_path / "b.tif")) == ("linear", "file")
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("gamma", [99999, 100400, 55556, 50000, 45455, 45000, 0])
+def test_a_png_gives_the_power_that_its_gamma_states(gamma, bits, tmp_path):
+    # Portable Network Graphics, third edition, 13.13: light is the sample to the power 100 000 / gAMA.
+    values = (CODES[::-1] / 255).astype(np.float32)
+    path = tmp_path / "a.png"
+    write_png(path, CODES * (257 if bits == 16 else 1), bits, chunk(b"gAMA", struct.pack(">I", gamma)))
+    found = read(path).rgba[..., :3]
+    encoding, known_by = ImageStore(decode_png).encoding(ImageRef(path))
+    if gamma == 0:  # meaningless (11.2.2): as without
+        write_png(tmp_path / "b.png", CODES * (257 if bits == 16 else 1), bits)
+        np.testing.assert_array_equal(found, read(tmp_path / "b.png").rgba[..., :3])
+        assert known_by == ("guess" if bits == 8 else "depth")
+        return
+    assert (encoding, known_by) == ("linear" if gamma > 99000 else "srgb", "file")
+    if gamma > 99000:
+        np.testing.assert_array_equal(found, values)
+    elif gamma < 46000:  # programs write 1 / 2.2 for sRGB
+        np.testing.assert_array_equal(found, linear_from_srgb(values))
+    else:
+        np.testing.assert_allclose(found, values.astype(float) ** (1e5 / gamma), rtol=1e-5, atol=1e-9)
+
+
+def test_the_chunk_srgb_and_a_profile_override_gamma(tmp_path):
+    gamma = chunk(b"gAMA", struct.pack(">I", 55556))
+    write_png(tmp_path / "a.png", CODES, extra=gamma + chunk(b"sRGB", b"\0"))
+    expected = linear_from_srgb((CODES[::-1] / 255).astype(np.float32))
+    np.testing.assert_array_equal(read(tmp_path / "a.png").rgba[..., :3], expected)
+    write_png(tmp_path / "b.png", CODES, extra=gamma + png_icc(icc(P3, table([]))))
+    assert read_header(tmp_path / "b.png").gamma == 0
+    assert ImageStore(decode_png).encoding(ImageRef(tmp_path / "b.png")) == ("linear", "file")
+
+
 def test_a_grey_profile_has_a_curve_alone(tmp_path):
     grey = CODES[..., :1]
     write_png(tmp_path / "a.png", grey, extra=png_icc(icc(None, GAMMA_18, b"GRAY")))
@@ -145,6 +179,7 @@ def test_a_mask_ignores_its_profile(tmp_path):
         (chunk(b"cICP", bytes((9, 18, 0, 1))), "an HDR picture"),
         (png_icc(icc(P3, extra={b"cicp": b"cicp" + bytes(4) + bytes((9, 18, 0, 1))})), "an HDR picture"),
         (chunk(b"cICP", bytes((3, 13, 0, 1))), "primaries .* not known"),
+        (chunk(b"cICP", bytes((1, 8, 0, 0))), "narrow range of video"),
         (png_icc(icc(None)), "no matrix with curves"),
         (png_icc(icc(P3)[:200]), "damaged"),
         (png_icc(b"nonsense"), "damaged"),

@@ -11,6 +11,7 @@ import OpenEXR
 import pytest
 
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.files import write_json
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 from irpso_addon.results import write
 from irpso_addon.results.maps import Maps
@@ -141,6 +142,15 @@ def test_the_report_says_what_each_channel_is(maps, tmp_path):
     assert report["maps"]["lobes"]["channels"] == ["r1", "r2", "w"]
     assert report["maps"]["strength"]["png"] == "fraction of the range (strength 0 to 8)"
     assert sorted(report["files"]) == sorted(os.listdir(tmp_path))
+
+
+def test_a_report_holds_names_that_are_no_utf_8(maps, tmp_path):
+    name = b"caf\xe9".decode("utf-8", "surrogateescape")  # a Latin-1 folder on Linux, as Python decodes it (PEP 383)
+    write_maps(maps, tmp_path, {"capture": name, "subject": "Gefäß"})
+    text = (tmp_path / "report.json").read_text(encoding="utf-8")
+    assert json.loads(text)["capture"] == name and "Gefäß" in text
+    write_json(tmp_path / "other.json", {name: name})
+    assert json.loads((tmp_path / "other.json").read_text(encoding="utf-8")) == {name: name}
 
 
 def test_a_second_result_replaces_the_first_and_keeps_other_files(maps, tmp_path):
