@@ -25,6 +25,7 @@ from ..pipeline.drive import CHECKPOINT
 from ..pipeline.ranks import leave_with_error
 from ..results.report import plain
 from ..results.write import REPORT
+from ..solver.state.checkpoint import check_replaceable
 from . import recover
 from .options.values import silent
 
@@ -38,6 +39,7 @@ _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadow
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
 _OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
 _SUMMARY = "batch.json"  # of all jobs, in the output folder
+_DAMAGED = "checkpoint.damaged.npz"  # a damaged checkpoint's new name, in its job's folder
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
@@ -228,7 +230,10 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
             words[1] = str(_under_rig(job.rig, Path(words[1]), capture, options))
         try:
             report = recover.run(options.parse(words))
-        except CheckpointError as error:  # of other options, photographs or another version
+        except CheckpointError as error:  # damaged, or of other options, photographs or another version
+            if not resume:
+                raise
+            _move_damaged(folder / CHECKPOINT)
             _say(options, f"{job.name}: starts again ({error})")
             report = recover.run(options.parse([word for word in words if word != "--resume"]))
         interrupted = report.get(recover.INTERRUPTED, False)
@@ -247,6 +252,14 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     if interrupted:
         raise KeyboardInterrupt(_AGAIN)
     return state
+
+
+def _move_damaged(path: Path) -> None:
+    """Rename a job's checkpoint that no recovery replaces."""
+    try:
+        check_replaceable(path)
+    except CheckpointError:
+        path.replace(path.with_name(_DAMAGED))
 
 
 def _photographs(listed: Sequence[str]) -> list[str]:

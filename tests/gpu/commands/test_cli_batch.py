@@ -132,6 +132,7 @@ def test_a_useless_checkpoint_does_not_block_its_job(listed):
     code, message, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
     assert code == 0 and "first: continues" in message and "starts again" in message and "damaged" in message
     assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
+    assert (out / "first" / "checkpoint.damaged.npz").read_bytes() == b"cut off in its middle"
 
 
 def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
