@@ -95,9 +95,35 @@ def run(options: Namespace) -> dict:
         if not chosen:
             names = ", ".join(job.name for job in jobs)
             raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
+        _check_replaces_nothing(chosen, output)
         return _outcome([_run_job(chosen[0], output, options)], None, options)
+    _check_replaces_nothing(jobs, output, _SUMMARY)
     states = [_run_job(job, output, options) for job in jobs]
     return _outcome(states, output / _SUMMARY, options)
+
+
+def _check_replaces_nothing(jobs: Sequence[Row], output: Path, *summaries: str) -> None:
+    """Raise InputError if a state file or summary would replace a file that no batch wrote."""
+    files = {job.state_file(output): ("name", {"words", "state"}) for job in jobs}
+    files |= {output / summary: ("done", {"failed", "jobs"}) for summary in summaries}
+    for file, (first, others) in files.items():
+        if not _is_own(file, first, others):
+            raise InputError(f"{file}: would be replaced, but no batch wrote it; choose another -o, or move it")
+
+
+def _is_own(file: Path, first: str, others: set[str]) -> bool:
+    """Return whether a file is missing, one of ours with these other keys, or one with this first key that is cut."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return True
+    except (OSError, UnicodeDecodeError):
+        return False
+    try:
+        table = json.loads(text)
+    except ValueError:
+        return text.startswith(f'{{\n  "{first}": '[: len(text)])
+    return isinstance(table, dict) and others <= set(table)
 
 
 def read_list(path: Path, parse: Parse) -> list[Row]:
