@@ -183,6 +183,6 @@ def _number_or_text(text: str) -> bool | int | float | str:
             number = kind(text)
         except ValueError:
             continue
-        if math.isfinite(number):
+        if -math.inf < number < math.inf:
             return number
     return text

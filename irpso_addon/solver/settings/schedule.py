@@ -43,6 +43,7 @@ class Schedule:
         " from the maps so far and takes as long again",
         1,
         minimum=1,
+        maximum=100,
         soft_max=10,
     )
     threshold: float = setting(
