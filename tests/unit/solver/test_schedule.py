@@ -66,6 +66,8 @@ BAD_SETTINGS = {
     "threshold": [-1, float("nan"), "x"],
     "search": [[], "normal", [3], [["normal"]], 5],
     "particels": [16],
+    "name": ["x", 5],
+    "title": ["x", [1]],
 }
 
 
@@ -104,6 +106,8 @@ def test_a_bad_setting_is_refused_in_one_line_that_names_it(name, value):
         ("cycles = 1", 'cycles = 1\ntitle2 = "x"', "title2"),
         ("cycles = 1", "cycles = ", "TOML"),
         ("cycles = 1", f"cycles = {'9' * 400}", "cycles"),
+        ("cycles = 1", "cycles = 1\nname = 7", "name must be a text"),
+        ('title = "', 'title = [1] # "', "title must be a text"),
         ("cycles = 1", f"cycles = {'9' * 5000}", "TOML"),
     ],
 )
