@@ -189,7 +189,7 @@ def _preset_table(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
     base = table.pop("extends", None)
     if base is None:
         return table, path
-    if base not in shipped_presets() or base == path.stem:
+    if base not in shipped_presets() or (PRESETS / f"{base}.toml").resolve() == path.resolve():
         raise InputError(f"{path}: extends {base!r}; name another preset: {', '.join(shipped_presets())}")
     below, _ = _preset_table(base)
     groups = {
