@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import Any, NoReturn
 
 from ..core.errors import InputError
@@ -13,6 +14,7 @@ from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance
 
 _MODEL = f"shipped model, or your own .toml (default {DEFAULT_MODEL})"
 _ENTRY = "kind of GPU pass (default auto: the one that irpso doctor reports)"
+_MISSING_VALUE = re.compile(r"(--[\w-]+): expected one argument")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -23,7 +25,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError instead of printing the usage and ending the process, which may be Blender."""
-        raise InputError(f"{message}; see {self.prog} --help")
+        missing = _MISSING_VALUE.search(message)
+        remedy = f"; write {missing[1]}=VALUE if the value begins with -" if missing else ""
+        raise InputError(f"{message}{remedy}; see {self.prog} --help")
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -213,7 +213,8 @@ def _words(key: str, value: Any, path: Path | None) -> list[str]:
         if key in _REPEATED:
             return [word for one in value for word in _words(key, one, path)]
         value = ",".join(map(str, value))
-    return [_option(key), _beside(path, key, str(value))]
+    word = _beside(path, key, str(value))
+    return [f"{_option(key)}={word}"] if word.startswith("-") else [_option(key), word]
 
 
 def _option(key: str) -> str:

@@ -206,6 +206,7 @@ def words_of(folder, *lines, head=""):
 
 def test_a_list_of_values_is_one_option_unless_it_may_be_repeated(tmp_path):
     assert words_of(tmp_path, "hold_out = [3, 11]") == ["--hold-out", "3,11"]
+    assert words_of(tmp_path, "crop = [-2, 0, 10, 10]") == ["--crop=-2,0,10,10"]
     assert words_of(tmp_path, 'tag = ["a", "b"]') == ["--tag", "a", "--tag", "b"]
 
 
