@@ -29,8 +29,9 @@ from ..pipeline.preview import PART, can_be_smaller, smaller
 from ..pipeline.ranks import leave_with_error, run_on_ranks
 from ..pipeline.result import ResultMaps, make_material, pictures_of, report_of, result_maps, subject_of
 from ..pipeline.run import Run
+from ..reflectance.model import digest_of_own_model
 from ..results.report import plain
-from ..results.write import BLEND, REPORT, check_output_folder, remove_result, write_maps
+from ..results.write import BLEND, MODEL_DIGEST, REPORT, check_output_folder, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
@@ -232,6 +233,7 @@ def _solved(
     ``writing`` is closed, the first one only prints a line. changes: settings in the report that replace the options of
     these names.
     """
+    digest = digest_of_own_model(options.model)
     run_steps(run.open())
     with run.recovery as recovery:
         live = LivePicture(folder / LIVE, recovery)
@@ -243,7 +245,10 @@ def _solved(
     started = time.perf_counter()
     found = result_maps(run, maps, derived_maps_of(options))
     settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")} | changes
-    settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
+    # For exports from another folder.
+    settings["capture"] = str(Path(options.capture).resolve())
+    if digest is not None:
+        settings |= {"model": str(Path(options.model).resolve()), MODEL_DIGEST: digest}
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
     write_maps(found.in_blender_frames, folder, report, pictures, found.derived)
