@@ -49,7 +49,9 @@ def build_parser() -> argparse.ArgumentParser:
     photographs.add_markers(commands)
     photographs.add_handheld(commands)
     _add_demo(commands)
-    add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
+    add = commands.add_parser(
+        "doctor", help="check the GPU: its limits, and the kind of passes that will be used", epilog=EPILOG
+    )
     add.add_argument(
         "--benchmark", action="store_true", help="also recover a rendered card, and print the speed of each phase"
     )
@@ -137,7 +139,9 @@ def _add_run(add: argparse.ArgumentParser) -> None:
     add.add_argument("--live", action="store_true", help="keep updating OUT/live.png, a picture of the maps so far")
     add.add_argument("--memory", metavar="SIZE", help="largest memory to use, as 4G or device=4G,host=8G")
     add.add_argument(
-        "--dry-run", action="store_true", help="print the plan of tiles and memory; read no image, write nothing"
+        "--dry-run",
+        action="store_true",
+        help="print the plan of tiles and memory, and the search time; read no image, write nothing",
     )
 
 
@@ -156,7 +160,7 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
         "--preset", default="standard", metavar="P", help="shipped preset, or your own .toml (default standard)"
     )
     add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                     help="change one setting of the preset, as in --set particles=24 --set start=random")  # fmt: skip
+                     help="change one setting of the preset, as in --set particles=12 --set start=random")  # fmt: skip
     add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
     add.add_argument("--iterations", type=int, metavar="N", help="iterations of every stage (default: the preset's)")
     add.add_argument("--seed", type=seed, default=0, metavar="S", help="seed of the random numbers (default 0)")
