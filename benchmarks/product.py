@@ -46,8 +46,8 @@ def schedule_of(name: str) -> Schedule:
     if name != LM_ALONE:
         return load_schedule(name)
     schedule = load_schedule("standard")
-    return schedule.replaced(name=LM_ALONE, iterations=0, prefit=replace(schedule.prefit, iterations=0),
-                             refinement=replace(schedule.refinement, starts=True))  # fmt: skip
+    alone = schedule.replaced(iterations=0, prefit_iterations=0, refinement_starts=True)
+    return replace(alone, name=LM_ALONE)
 
 
 def jointly(schedule: Schedule, iterations: int | None = None) -> Schedule:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import Any, NoReturn
 
 from ..core.errors import InputError
@@ -13,6 +14,7 @@ from .shared import COLOUR_SPACE, EPILOG, SKIP_DAMAGED, add_common, add_distance
 
 _MODEL = f"shipped model, or your own .toml (default {DEFAULT_MODEL})"
 _ENTRY = "kind of GPU pass (default auto: the one that irpso doctor reports)"
+_MISSING_VALUE = re.compile(r"(--[\w-]+): expected one argument")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -23,7 +25,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError instead of printing the usage and ending the process, which may be Blender."""
-        raise InputError(f"{message}; see {self.prog} --help")
+        missing = _MISSING_VALUE.search(message)
+        remedy = f"; write {missing[1]}=VALUE if the value begins with -" if missing else ""
+        raise InputError(f"{message}{remedy}; see {self.prog} --help")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -45,7 +49,9 @@ def build_parser() -> argparse.ArgumentParser:
     photographs.add_markers(commands)
     photographs.add_handheld(commands)
     _add_demo(commands)
-    add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
+    add = commands.add_parser(
+        "doctor", help="check the GPU: its limits, and the kind of passes that will be used", epilog=EPILOG
+    )
     add.add_argument(
         "--benchmark", action="store_true", help="also recover a rendered card, and print the speed of each phase"
     )
@@ -133,7 +139,9 @@ def _add_run(add: argparse.ArgumentParser) -> None:
     add.add_argument("--live", action="store_true", help="keep updating OUT/live.png, a picture of the maps so far")
     add.add_argument("--memory", metavar="SIZE", help="largest memory to use, as 4G or device=4G,host=8G")
     add.add_argument(
-        "--dry-run", action="store_true", help="print the plan of tiles and memory; read no image, write nothing"
+        "--dry-run",
+        action="store_true",
+        help="print the plan of tiles and memory, and the search time; read no image, write nothing",
     )
 
 
@@ -152,7 +160,7 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
         "--preset", default="standard", metavar="P", help="shipped preset, or your own .toml (default standard)"
     )
     add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                     help="change one setting of the preset, as in --set particles=24 --set start=random")  # fmt: skip
+                     help="change one setting of the preset, as in --set particles=12 --set start=random")  # fmt: skip
     add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
     add.add_argument("--iterations", type=int, metavar="N", help="iterations of every stage (default: the preset's)")
     add.add_argument("--seed", type=seed, default=0, metavar="S", help="seed of the random numbers (default 0)")

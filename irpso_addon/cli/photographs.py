@@ -140,7 +140,7 @@ def add_frames(commands: argparse._SubParsersAction) -> None:
 
 def add_markers(commands: argparse._SubParsersAction) -> None:
     """Add the command ``markers``."""
-    add = commands.add_parser("markers", help="write a marker board to print and to lay around a card")
+    add = commands.add_parser("markers", help="write a marker board to print and to lay around a card", epilog=EPILOG)
     add.add_argument("-o", "--output", required=True, metavar="BOARD", help="the file: .pdf or .png")
     add.add_argument("--paper", choices=("A4", "letter"), default="A4", help="size of the paper (default A4)")
     add.add_argument("--count", type=int, choices=(4, 8), default=8, help="number of markers (default 8)")

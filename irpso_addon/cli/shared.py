@@ -8,13 +8,16 @@ SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and list
 COLOUR_SPACE = (
     "encoding of the image files (default auto: as files state or pixels show; else sRGB for 8 bits, linear for others)"
 )
-EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
+EPILOG = (
+    "Exit codes: 0 done; 2 bad input (nothing written), a finding of inspect, or a failed job of batch (the others are"
+    " written); 3 no usable GPU; 130 interrupted."
+)
 
 
 def add_common(add: argparse.ArgumentParser) -> None:
     """Add the options of all commands."""
     add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
-    add.add_argument("--quiet", action="store_true", help="print no progress")
+    add.add_argument("--quiet", action="store_true", help="print only warnings and errors, no progress and no summary")
 
 
 def add_distance(add: argparse.ArgumentParser) -> None:

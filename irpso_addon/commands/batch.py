@@ -25,6 +25,7 @@ from ..pipeline.drive import CHECKPOINT
 from ..pipeline.ranks import leave_with_error
 from ..results.report import plain
 from ..results.write import REPORT
+from ..solver.state.checkpoint import check_replaceable
 from . import recover
 from .options.values import silent
 
@@ -38,6 +39,7 @@ _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadow
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
 _OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
 _SUMMARY = "batch.json"  # of all jobs, in the output folder
+_DAMAGED = "checkpoint.damaged.npz"  # a damaged checkpoint's new name, in its job's folder
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
@@ -93,9 +95,35 @@ def run(options: Namespace) -> dict:
         if not chosen:
             names = ", ".join(job.name for job in jobs)
             raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
+        _check_replaces_nothing(chosen, output)
         return _outcome([_run_job(chosen[0], output, options)], None, options)
+    _check_replaces_nothing(jobs, output, _SUMMARY)
     states = [_run_job(job, output, options) for job in jobs]
     return _outcome(states, output / _SUMMARY, options)
+
+
+def _check_replaces_nothing(jobs: Sequence[Row], output: Path, *summaries: str) -> None:
+    """Raise InputError if a state file or summary would replace a file that no batch wrote."""
+    files = {job.state_file(output): ("name", {"words", "state"}) for job in jobs}
+    files |= {output / summary: ("done", {"failed", "jobs"}) for summary in summaries}
+    for file, (first, others) in files.items():
+        if not _is_own(file, first, others):
+            raise InputError(f"{file}: would be replaced, but no batch wrote it; choose another -o, or move it")
+
+
+def _is_own(file: Path, first: str, others: set[str]) -> bool:
+    """Return whether a file is missing, one of ours with these other keys, or one with this first key that is cut."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return True
+    except (OSError, UnicodeDecodeError):
+        return False
+    try:
+        table = json.loads(text)
+    except ValueError:
+        return text.startswith(f'{{\n  "{first}": '[: len(text)])
+    return isinstance(table, dict) and others <= set(table)
 
 
 def read_list(path: Path, parse: Parse) -> list[Row]:
@@ -185,7 +213,8 @@ def _words(key: str, value: Any, path: Path | None) -> list[str]:
         if key in _REPEATED:
             return [word for one in value for word in _words(key, one, path)]
         value = ",".join(map(str, value))
-    return [_option(key), _beside(path, key, str(value))]
+    word = _beside(path, key, str(value))
+    return [f"{_option(key)}={word}"] if word.startswith("-") else [_option(key), word]
 
 
 def _option(key: str) -> str:
@@ -228,7 +257,10 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
             words[1] = str(_under_rig(job.rig, Path(words[1]), capture, options))
         try:
             report = recover.run(options.parse(words))
-        except CheckpointError as error:  # of other options, photographs or another version
+        except CheckpointError as error:  # damaged, or of other options, photographs or another version
+            if not resume:
+                raise
+            _move_damaged(folder / CHECKPOINT)
             _say(options, f"{job.name}: starts again ({error})")
             report = recover.run(options.parse([word for word in words if word != "--resume"]))
         interrupted = report.get(recover.INTERRUPTED, False)
@@ -247,6 +279,14 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     if interrupted:
         raise KeyboardInterrupt(_AGAIN)
     return state
+
+
+def _move_damaged(path: Path) -> None:
+    """Rename a job's checkpoint that no recovery replaces."""
+    try:
+        check_replaceable(path)
+    except CheckpointError:
+        path.replace(path.with_name(_DAMAGED))
 
 
 def _photographs(listed: Sequence[str]) -> list[str]:

@@ -7,7 +7,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -24,12 +24,14 @@ from ..gpu import context, probe
 from ..pipeline.drive import CHECKPOINT, Saving, drive, was_previewed
 from ..pipeline.job import Job
 from ..pipeline.live import LIVE, LivePicture
+from ..pipeline.lock import locked_folder
 from ..pipeline.preview import PART, can_be_smaller, smaller
 from ..pipeline.ranks import leave_with_error, run_on_ranks
 from ..pipeline.result import ResultMaps, make_material, pictures_of, report_of, result_maps, subject_of
 from ..pipeline.run import Run
+from ..reflectance.model import digest_of_own_model
 from ..results.report import plain
-from ..results.write import BLEND, REPORT, remove_result, write_maps
+from ..results.write import BLEND, MODEL_DIGEST, REPORT, check_output_folder, remove_result, write_maps
 from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
@@ -51,13 +53,20 @@ def run(options: Namespace) -> dict:
         if options.preview:
             error = InputError("--preview: a run over ranks writes no preview; leave it out")
             return leave_with_error(ranks, options, error)
-        return _planned(options, run_on_ranks(
-            ranks, options, lambda: _job_of_ranks(options, ranks.leads), StepBars(silent(options)),
-            lambda run: _recovered(options, run, _was_previewed(options)),
-        ))  # fmt: skip
-    if options.slots == EACH:
-        return _each_slot(options)
-    return _recover(options, job_of(options))
+        with ExitStack() as held:
+            return _planned(options, run_on_ranks(
+                ranks, options, lambda: _job_of_ranks(options, ranks.leads, held), StepBars(silent(options)),
+                lambda run: _recovered(options, run, _was_previewed(options)),
+            ))  # fmt: skip
+    with _locked(options):
+        if options.slots == EACH:
+            return _each_slot(options)
+        return _recover(options, job_of(options))
+
+
+def _locked(options: Namespace) -> AbstractContextManager[None]:
+    """Return the lock of the output folder, for a run that writes into it. Raises InputError for an unusable folder."""
+    return nullcontext() if options.dry_run else locked_folder(check_output_folder(options.output))
 
 
 def _recover(options: Namespace, job: Job) -> dict:
@@ -137,9 +146,12 @@ def _planned(options: Namespace, result: dict) -> dict:
     return {"plan": plan.as_dict(), **({"seconds": seconds} if seconds else {})}
 
 
-def _job_of_ranks(options: Namespace, leads: bool) -> Job:
+def _job_of_ranks(options: Namespace, leads: bool, held: ExitStack) -> Job:
+    """Return the job. held: gets the lock of the output folder, on the leading rank."""
     if options.slots == EACH:
         raise InputError(f"--slots {EACH}: ranks recover one slot at a time; name the slot")
+    if leads:
+        held.enter_context(_locked(options))
     quiet = options.quiet
     options.quiet = quiet or not leads  # restored: all ranks compare their options
     try:
@@ -162,7 +174,8 @@ def _each_slot(options: Namespace) -> dict:
         slot = {"slots": ",".join(map(str, slots)), "output": str(folder / label), "asset_name": name}
         slot_options = Namespace(**{**vars(options), **slot})
         try:
-            reports[label] = _recover(slot_options, job_of(slot_options, opened=True))
+            with _locked(slot_options):
+                reports[label] = _recover(slot_options, job_of(slot_options, opened=True))
             if reports[label].get(INTERRUPTED):
                 raise KeyboardInterrupt(f"{folder / label} holds its result, the slots after it have none")
         except InputError as error:
@@ -220,6 +233,7 @@ def _solved(
     ``writing`` is closed, the first one only prints a line. changes: settings in the report that replace the options of
     these names.
     """
+    digest = digest_of_own_model(options.model)
     run_steps(run.open())
     with run.recovery as recovery:
         live = LivePicture(folder / LIVE, recovery)
@@ -231,7 +245,10 @@ def _solved(
     started = time.perf_counter()
     found = result_maps(run, maps, derived_maps_of(options))
     settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")} | changes
-    settings["capture"] = str(Path(options.capture).resolve())  # for exports from another folder
+    # For exports from another folder.
+    settings["capture"] = str(Path(options.capture).resolve())
+    if digest is not None:
+        settings |= {"model": str(Path(options.model).resolve()), MODEL_DIGEST: digest}
     report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
     write_maps(found.in_blender_frames, folder, report, pictures, found.derived)

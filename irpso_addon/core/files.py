@@ -160,12 +160,12 @@ def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tup
             names = ", ".join(shipped_names(folder))
             raise InputError(f"{what} '{name_or_path}' is not shipped; choose one of {names}, or give a .toml by path")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")), path
+        return tomllib.loads(path.read_text(encoding="utf-8-sig")), path
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); give the path of a {what}'s .toml file"
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # also of UTF-8, and of a number with thousands of digits
         raise InputError(f"{path}: is not valid TOML: {error}") from error
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 from collections.abc import Callable, Generator
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, get_args
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -31,7 +32,18 @@ def blocking(name: str, steps: Callable[P, Generator[Any, None, T]]) -> Callable
         return run_steps(steps(*args, **kwargs))
 
     run.__name__ = run.__qualname__ = name
+    signature = inspect.signature(steps)
+    result = _result_annotation(signature.return_annotation)
+    run.__annotations__ = {**steps.__annotations__, "return": result}
+    run.__signature__ = signature.replace(return_annotation=result)  # type: ignore[attr-defined]
     return run
+
+
+def _result_annotation(steps: Any) -> Any:
+    """Return the type of a generator's result, for help(); an annotation may be a text."""
+    if isinstance(steps, str):
+        return steps.split(", ", 2)[-1].removesuffix("]")
+    return (get_args(steps) or (steps,))[-1]
 
 
 def map_steps(steps: Generator[Step, None, T], function: Callable[[Step], Other]) -> Generator[Other, None, T]:

@@ -20,10 +20,10 @@ from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.surface.mesh import MeshData
 from ..geometry.surface.slots import slot_names, slots_of_text
-from ..reflectance.model import load_model
+from ..reflectance.model import digest_of_own_model, load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
-from ..results.write import BLEND, REPORT
+from ..results.write import BLEND, MODEL_DIGEST, REPORT
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,15 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     """Return the result that ``recover`` or the panel's export wrote into a folder.
 
     model: as for ``recover``; None for the report's. Raises InputError if the folder holds no finished result, or the
-    model's file is missing.
+    model's file is missing or has changed.
     """
     folder = Path(folder)
     report = _report(folder)
     settings = report.get("settings")
-    stored = settings.get("model") if isinstance(settings, dict) else None
+    settings = settings if isinstance(settings, dict) else {}
+    stored = settings.get("model")
+    if not model:
+        _check_unchanged(stored, settings.get(MODEL_DIGEST))
     try:
         table = load_model(model or stored or report.get("model", ""))
     except InputError as error:
@@ -83,11 +86,20 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     tiles = tuple(numbers) or ONE_SQUARE
     values = read_maps(folder, table, tiles)
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
-    settings = settings if isinstance(settings, dict) else {}
     card = not (settings.get("blend") or settings.get("object"))
     # The file's margins are already filled, at seams with the texels from across the seam.
     maps = Maps(table, values, covered, tiles=tiles, margin=~covered, wrapped=not card or "tile" in report)
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
+
+
+def _check_unchanged(model: Any, digest: Any) -> None:
+    """Raise InputError if a user's model is not the file that recovered. digest: of that; None where unknown."""
+    found = digest_of_own_model(model) if isinstance(model, str) else None
+    if digest is not None and found is not None and found != digest:
+        raise InputError(
+            f"{model}: has changed since this recovery; give the former file by --model, or this one, if the maps'"
+            " meaning is the same"
+        )
 
 
 def open_sky_of(result: Result, index: int) -> np.ndarray | float:

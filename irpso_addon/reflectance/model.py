@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Collection
@@ -159,6 +160,14 @@ def load_model(name_or_path: str | Path) -> ReflectanceModel:
     """
     table, path = load_shipped_table("model", name_or_path, MODELS)
     return _model_from_table(table, path)
+
+
+def digest_of_own_model(name_or_path: str | Path) -> str | None:
+    """Return the SHA-256 of a user's .toml file, in hexadecimal digits; None for a shipped model, or without a file."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml" or not path.is_file():
+        return None
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:

@@ -229,6 +229,12 @@ OPTIONS = {
     "a setting without a value": (recover("--set", "particles"), r"--set particles: write NAME=VALUE"),
     "a setting of the wrong type": (recover("--set", "particles=many"), r"particles must be a whole number"),
     "a setting out of range": (recover("--set", "start_fraction=1.5"), r"start_fraction must be at most 1"),
+    "a crop that begins with a minus": (
+        recover("--crop", "-2,0,4,4"), r"--crop: expected one argument; write --crop=VALUE if the value begins with -"),
+    "a crop outside the picture": (recover("--crop=-2,0,4,4"), r"crop.*-2"),
+    "a setting of 400 digits": (recover("--set", f"particles={'9' * 400}"), r"particles must be at most 2147483647"),
+    "a setting without end": (recover("--iterations", "5000000000", "--dry-run"), r"iterations must be at most"),
+    "memory of 400 digits": (recover("--memory", f"{'9' * 400}G"), r"--memory 9+: write an amount"),
     "a setting that is not finite": (recover("--set", "c1=nan"), r"c1 must be a number"),
     "an even neighbourhood": (recover("--set", "neighbourhood=4"), r"neighbourhood must be odd"),
     "a search for nothing known": (recover("--search", "colour"), r"no parameter or stage 'colour'"),

@@ -29,7 +29,7 @@ def load_toml(path: Path) -> dict[str, Any]:
         raise CaptureError(
             f"{path}: cannot be read ({error.strerror}); write it or check its name", "missing"
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # also of UTF-8, and of a number with thousands of digits
         raise CaptureError(f"{path}: is not valid TOML: {error}; correct it there", "not_toml") from error
 
 

@@ -36,7 +36,7 @@ from ...solver.lights import refine
 from ...solver.planning.make_plan import scratch_folder
 from ...solver.planning.memory import parse_memory
 from ...solver.settings.schedule import Schedule
-from ...solver.state.checkpoint import glance
+from ...solver.state.checkpoint import check_replaceable, glance
 from ...solver.views.held_out import held_out_last
 from .hold_out import held_out_list
 from .values import (
@@ -140,11 +140,13 @@ def _check_mesh_options(options: Namespace) -> None:
 def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:
     """Give a resumed run its former kind of pass, because the two kinds differ in the last bits.
 
-    Raises InputError if the checkpoint is unusable or cannot be written, or --live would replace a picture of others.
+    Raises InputError if the checkpoint is unusable or cannot be written, or a file of others would be replaced by it or
+    by --live.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder in the place of the checkpoint; choose another -o, or move it")
     if not options.resume:
+        check_replaceable(path)
         live = path.parent / LIVE
         own = path.exists() or options.dry_run or is_live_picture(live)  # of an interrupted run, or not written
         if options.live and live.exists() and not own:

@@ -13,7 +13,9 @@ from ...blender.mesh import extract_mesh
 from ...blender.scenes.scene import mesh_object, open_blend
 from ...core.errors import InputError
 from ...geometry.surface.slots import slot_names
+from ...pipeline.drive import CHECKPOINT
 from ...results.write import check_output_folder, check_replaces_no_maps
+from ...solver.state.checkpoint import check_replaceable
 
 EACH = "each"
 _UNFIT = re.compile(r"[^\w\- ]+")  # not in a folder's name
@@ -22,7 +24,7 @@ _UNFIT = re.compile(r"[^\w\- ]+")  # not in a folder's name
 def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, tuple[int, ...]]]:
     """Open the file with the mesh; return the output folder, and subfolder name → the slots of one material.
 
-    Raises InputError if a slot has no usable UV map, or there are no slots.
+    Raises InputError if a slot has no usable UV map, there are no slots, or a file of others would be replaced.
     """
     folder = check_output_folder(options.output)
     check_replaces_no_maps(folder)
@@ -33,8 +35,9 @@ def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, t
     open_blend(blend)
     subject = mesh_object(options.object)
     chosen = _slots_with_faces(subject)
-    for slots in chosen.values():
+    for label, slots in chosen.items():
         extract_mesh(subject, slots)
+        check_replaceable(folder / label / CHECKPOINT)
     return folder, chosen
 
 

@@ -109,7 +109,7 @@ def schedule_from_options(options: Namespace) -> Schedule:
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:
-            raise InputError(f"--set {text}: write NAME=VALUE, as in --set particles=24")
+            raise InputError(f"--set {text}: write NAME=VALUE, as in --set particles=12")
         changes[name.strip()] = _number_or_text(value.strip())
     if options.search:
         changes["search"] = [name.strip() for name in options.search.split(",")]
@@ -183,6 +183,6 @@ def _number_or_text(text: str) -> bool | int | float | str:
             number = kind(text)
         except ValueError:
             continue
-        if math.isfinite(number):
+        if -math.inf < number < math.inf:
             return number
     return text

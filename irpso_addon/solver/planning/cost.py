@@ -324,7 +324,10 @@ def _evaluations(resolved: _SinglePhase, model: ReflectanceModel, schedule: Sche
     if isinstance(resolved, _Tests | ResolvedSeparation):
         return 0
     if isinstance(resolved, ResolvedSwarm):
-        return int(sum(_swarm_work(resolved, schedule, 1)))
+        particles = particle_count(schedule, resolved.dimensions(schedule.swarm.normal))
+        if schedule.swarm.update == "all":
+            return particles * (2 if resolved.solved else 1) * (1 + resolved.iterations)
+        return particles + resolved.iterations
     if isinstance(resolved, ResolvedSpatialPrior | ResolvedSurface):
         return sum(_renders_by_iteration(resolved, model, schedule))
     step, propagation = renders(model, resolved)

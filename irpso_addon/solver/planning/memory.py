@@ -15,6 +15,7 @@ from ...gpu.context import is_software
 ASSUMED_DEVICE = 4 << 30  # bytes, where the driver reports none or less, as for a GPU inside a processor
 _USABLE = 0.8  # usable part of the free memory: other programs need some, and a process needs more than its arrays
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_NO_MACHINE = 1 << 60  # bytes that none has
 _AMOUNT = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([KMGT]?)(?:I?B)?", re.IGNORECASE)
 _MEMINFO = Path("/proc/meminfo")
 
@@ -39,10 +40,12 @@ def parse_memory(text: str) -> dict[str, int]:
         name, equals, amount = (piece.strip() for piece in part.rpartition("="))
         names = ("device", "host") if not equals else (name.lower(),)
         match = _AMOUNT.fullmatch(amount)
-        size = int(float(match[1]) * _UNITS[match[2].upper()]) if match else 0
-        if size <= 0 or not set(names) <= {"device", "host"} or set(names) & set(wanted):
-            raise InputError(f"--memory {text}: write an amount, as in 4G, or device=4G,host=8G (units K, M, G, T)")
-        wanted |= dict.fromkeys(names, size)
+        size = float(match[1]) * _UNITS[match[2].upper()] if match else 0.0
+        if not 1 <= size < _NO_MACHINE or not set(names) <= {"device", "host"} or set(names) & set(wanted):
+            raise InputError(
+                f"--memory {text[:80]}: write an amount, as in 4G, or device=4G,host=8G (units K, M, G, T)"
+            )
+        wanted |= dict.fromkeys(names, int(size))
     return wanted
 
 

@@ -14,6 +14,7 @@ NormalSearch = Literal["hemisphere", "cartesian"]
 Update = Literal["one", "all"]
 LinearKind = Literal["search", "solve"]
 _FACTOR = "FACTOR"
+_ITERATIONS, _STEPS, _ROUNDS = 1_000_000, 10_000, 100  # limits: a plan lists the cost of every iteration
 
 _UPDATE = {
     "one": ("One Particle", "An iteration moves one random particle of every swarm, as in the paper"),
@@ -66,7 +67,10 @@ class Swarm:
         soft_max=64,
     )
     particles_per_dimension: float = setting(
-        "Per Dimension", "Particles for each searched number, where this gives more than Particles", soft_max=8
+        "Per Dimension",
+        "Particles for each searched number, where this gives more than Particles",
+        maximum=_ITERATIONS,
+        soft_max=8,
     )
     inertia: float = setting(
         "Inertia",
@@ -90,8 +94,8 @@ class Swarm:
         subtype=_FACTOR,
     )
     neighbourhood: int = setting(
-        "Window", "H of Eq. 4: side of the window of neighbors, in texels; odd", minimum=1, odd=True, soft_max=9,
-        subtype="PIXEL",
+        "Window", "H of Eq. 4: side of the window of neighbors, in texels; odd", minimum=1, odd=True, maximum=255,
+        soft_max=9, subtype="PIXEL",
     )  # fmt: skip
     neighbour_interval: int = setting(
         "Neighbor Interval", "Interval, in iterations, at which a particle tries the best result of a neighboring"
@@ -163,10 +167,14 @@ class Prefit:
     """Normals before the stages, on grey samples, by a model of few assumptions (shaders/prefit/base_lobe.toml)."""
 
     iterations: int = setting(
-        "Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 0, soft_max=100
+        "Iterations",
+        "Iterations of the swarms that find normals first; 0 for no prefit",
+        0,
+        maximum=_ITERATIONS,
+        soft_max=100,
     )
     refinement_iterations: int = setting(
-        "Refinement", "Levenberg–Marquardt steps of the prefit, after its swarms", 5, soft_max=30
+        "Refinement", "Levenberg–Marquardt steps of the prefit, after its swarms", 5, maximum=_STEPS, soft_max=30
     )
     shadow: float = setting("Shadow", "Samples under this part of a texel's scale count as shadow", 0.3, soft_max=1)
     indirect_shadow: float = setting(
@@ -209,15 +217,18 @@ class Refinement:
         "Iterations",
         "Levenberg–Marquardt steps from the best result of the search; 0 for no refinement",
         0,
+        maximum=_STEPS,
         soft_max=100,
     )
     starts: bool = setting(
         "Model's Starts", "Also refine from the starts in the model's file, and keep the best result", True
     )
-    start_iterations: int = setting("Start Steps", "Steps from each of the model's starts", 5, minimum=1, soft_max=30)
+    start_iterations: int = setting(
+        "Start Steps", "Steps from each of the model's starts", 5, minimum=1, maximum=_STEPS, soft_max=30
+    )
     race_iterations: int = setting(
         "Race Steps", "Further steps from a start that is then close behind the best result so far; 0 is off", 0,
-        soft_max=30,
+        maximum=_STEPS, soft_max=30,
     )  # fmt: skip
     race_ratio: float = setting(
         "Race Ratio", "A start is close behind if its fitness is below this many times the best one. More finds more"
@@ -227,8 +238,10 @@ class Refinement:
         "Race Limit", "Most photographs of a capture with which starts race; with more of them Start Steps suffice",
         32, minimum=1, soft_max=200,
     )  # fmt: skip
-    rounds: int = setting("Rounds", "How many times every texel tries the materials of its neighbors", 1, soft_max=8)
-    round_iterations: int = setting("Round Steps", "Steps after each round", 8, minimum=1, soft_max=30)
+    rounds: int = setting(
+        "Rounds", "How many times every texel tries the materials of its neighbors", 1, maximum=_ROUNDS, soft_max=8
+    )
+    round_iterations: int = setting("Round Steps", "Steps after each round", 8, minimum=1, maximum=_STEPS, soft_max=30)
     candidate_ratio: float = setting(
         "Candidate Ratio", "A texel refines a neighbor's material if the fitness is below this many times that of"
         " its own material. More tries more materials and takes longer", 1.0, soft_max=10,
@@ -275,10 +288,12 @@ class Materials:
 
     rounds: int = setting(
         "Rounds", "How many times every texel tries the shared materials: those that many texels of the surface have;"
-        " 0 is off", 0, soft_max=8,
+        " 0 is off", 0, maximum=_ROUNDS, soft_max=8,
     )  # fmt: skip
-    iterations: int = setting("Round Steps", "Levenberg–Marquardt steps after each round", 6, minimum=1, soft_max=30)
-    count: int = setting("Materials", "Largest number of shared materials", 16, minimum=1, soft_max=64)
+    iterations: int = setting(
+        "Round Steps", "Levenberg–Marquardt steps after each round", 6, minimum=1, maximum=_STEPS, soft_max=30
+    )
+    count: int = setting("Materials", "Largest number of shared materials", 16, minimum=1, maximum=1024, soft_max=64)
     weight: float = setting(
         "Weight", "How many agreeing neighbors a shared material counts for, if the whole surface has it. More gives it"
         " to more texels", 1000.0,
@@ -297,13 +312,16 @@ class SpatialPrior:
         "Rounds",
         "How many times similar neighbors are averaged and texels are fitted again; 0 for no prior",
         0,
+        maximum=_ROUNDS,
         soft_max=8,
     )
     scales: int = setting(
         "Scales", "Distance of the farthest neighbors in a round: 2 to the power of this, in texels", 4, minimum=1,
         maximum=6,
     )  # fmt: skip
-    iterations: int = setting("Iterations", "Levenberg–Marquardt steps after each round", 6, minimum=1, soft_max=30)
+    iterations: int = setting(
+        "Iterations", "Levenberg–Marquardt steps after each round", 6, minimum=1, maximum=_STEPS, soft_max=30
+    )
     bandwidth: float = setting(
         "Bandwidth",
         "Neighbors count as similar up to this difference, as a part of a parameter's range. More averages over"
@@ -354,7 +372,7 @@ class Surface:
 
     rounds: int = setting(
         "Rounds", "Number of rounds, of seven sweeps each. A sweep turns normals so that the slopes of neighboring"
-        " texels agree better, within what each texel's own samples allow; 0 is off", 0, soft_max=8,
+        " texels agree better, within what each texel's own samples allow; 0 is off", 0, maximum=_ROUNDS, soft_max=8,
     )  # fmt: skip
     weight: float = setting(
         "Weight", "Cost, as −log of a likelihood, if the slopes around four texels sum to one standard deviation"
@@ -381,12 +399,12 @@ class Interreflection:
 
     rounds: int = setting(
         "Rounds", "How many times the light that the subject throws on itself is computed and subtracted, and the"
-        " maps are recovered again. More takes longer; 0 is off", 0, soft_max=4,
+        " maps are recovered again. More takes longer; 0 is off", 0, maximum=_ROUNDS, soft_max=4,
     )  # fmt: skip
     matte_rounds: int = setting(
         "Matte Rounds", "On a mesh with predicted shadows: rounds before the first recovery that take the surfaces for"
         " matte and find their base colors alone. They are short. Where surfaces are not matte, a full round follows."
-        " 0 is off", 0, soft_max=4,
+        " 0 is off", 0, maximum=_ROUNDS, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
         "Resolution", "Largest number of surface elements along the longer side of the maps; light is exchanged"
@@ -416,4 +434,6 @@ class Stage:
     """Parameters searched together: names of parameters, or of stages in the model's table; "all" for every one."""
 
     search: tuple[str, ...]
-    iterations: int = setting("Iterations", "Iterations of every stage; 0 leaves them to the refinement", soft_max=5000)
+    iterations: int = setting(
+        "Iterations", "Iterations of every stage; 0 leaves them to the refinement", maximum=_ITERATIONS, soft_max=5000
+    )

@@ -19,7 +19,8 @@ from .setting import Setting, setting, settings_of
 MAX_DIMENSIONS = int(defined("common/limits.glsl", "MAX_")["DIMENSIONS"])
 ALL = "all"
 REST = "rest"  # all parameters that no stage of the schedule names
-_TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")
+_TEXTS = ("name", "title")  # that only a preset's file sets
+_TOP_KEYS = (*_TEXTS, "cycles", "threshold", "levels", "level_iterations")
 _ITERATIONS = "iterations"  # of every stage
 _GROUPS = ("swarm", "fitness")  # their settings have no prefix; those of other groups have the group's name as prefix
 
@@ -43,6 +44,7 @@ class Schedule:
         " from the maps so far and takes as long again",
         1,
         minimum=1,
+        maximum=100,
         soft_max=10,
     )
     threshold: float = setting(
@@ -113,7 +115,7 @@ class Schedule:
             if part in changes and not isinstance(changes[part], kind):
                 first = dataclasses.fields(kind)[0].name
                 raise InputError(f"preset {self.name}: {part} has settings of its own, as in {part}_{first}=0")
-        if unknown := set(changes) - {*_TOP_KEYS, *_OPTIONAL}:
+        if unknown := set(changes) - {*_TOP_KEYS, *_OPTIONAL} | set(changes) & {*_TEXTS}:
             name = sorted(unknown)[0]
             raise InputError(f"preset {self.name}: there is no setting '{name}'{hint(name, current_name(name))}")
         result = dataclasses.replace(result, **changes)
@@ -187,7 +189,7 @@ def _preset_table(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
     base = table.pop("extends", None)
     if base is None:
         return table, path
-    if base not in shipped_presets() or base == path.stem:
+    if base not in shipped_presets() or (PRESETS / f"{base}.toml").resolve() == path.resolve():
         raise InputError(f"{path}: extends {base!r}; name another preset: {', '.join(shipped_presets())}")
     below, _ = _preset_table(base)
     groups = {
@@ -219,6 +221,9 @@ def _refuse_unknown(table: dict[str, Any], allowed: Iterable[str], where: str, p
 
 def _check(schedule: Schedule, where: str = "") -> None:
     where = where or f"preset {schedule.name}"
+    for key in _TEXTS:
+        if not isinstance(value := getattr(schedule, key), str):
+            raise InputError(f"{where}: {key} must be a text, not {value!r}")
     if not schedule.stages:
         raise InputError(f"{where}: it has no [[stage]]; add one with search and iterations")
     for stage in schedule.stages:

@@ -11,15 +11,17 @@ from typing import Any, Literal, get_origin, get_type_hints
 from ...core.errors import InputError
 from .renamed import current_value, hint
 
+_SHADERS_MAXIMUM = {int: 2**31 - 1, float: 3.4e38}  # of 32 bits
+
 
 @dataclass(frozen=True)
 class Setting:
     """Limits, label and help of a setting.
 
     label, help: as shown in the window and in docs/presets.md. kind: int, float, bool, or str for one of ``choices``;
-    read from the field's type. minimum: excluded where ``exclusive_minimum``. maximum: or None. odd:
-    even numbers are refused. soft_max: upper end of the slider. subtype: Blender's name of the unit. precision:
-    decimals. choices: value → (label, help). default: None where every preset sets the value.
+    read from the field's type. minimum: excluded where ``exclusive_minimum``. maximum: None for the largest number that
+    shaders hold. odd: even numbers are refused. soft_max: upper end of the slider. subtype: Blender's name of the unit.
+    precision: decimals. choices: value → (label, help). default: None where every preset sets the value.
     """
 
     label: str
@@ -47,15 +49,22 @@ class Setting:
                 raise InputError(f"{where}: {name} must be true or false, not {value!r}")
             return
         kinds, words = (int, "a whole number") if self.kind is int else (int | float, "a number")
-        number = isinstance(value, kinds) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or value < self.minimum:
+        number = isinstance(value, kinds) and not isinstance(value, bool)
+        if not number or not self.minimum <= value < math.inf:
             raise InputError(f"{where}: {name} must be {words} from {self.minimum}, not {value!r}")
         if self.exclusive_minimum and value == self.minimum:
             raise InputError(f"{where}: {name} must be above {self.minimum}, not {value!r}")
-        if self.maximum is not None and value > self.maximum:
-            raise InputError(f"{where}: {name} must be at most {self.maximum}, not {value!r}")
+        maximum = _SHADERS_MAXIMUM[self.kind] if self.maximum is None else self.maximum
+        if value > maximum:
+            raise InputError(f"{where}: {name} must be at most {maximum}, not {_shortened(value)}")
         if self.odd and value % 2 == 0:
             raise InputError(f"{where}: {name} must be odd (1, 3, 5, …), not {value!r}")
+
+
+def _shortened(value: float) -> str:
+    """Return a number as text; of a very long one its beginning."""
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:20]}…"
 
 
 def setting(label: str, help: str, default: Any = MISSING, **more: Any) -> Any:

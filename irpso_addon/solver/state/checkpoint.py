@@ -140,6 +140,16 @@ def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
         return dict(about["identity"])
 
 
+def check_replaceable(path: Path) -> None:
+    """Raise CheckpointError if there is a file at ``path`` that is not a whole checkpoint, of any version."""
+    if not path.exists():
+        return
+    with _reading(path, "move or delete it, or choose another folder"), np.load(path) as file:
+        about = json.loads(bytes(file["about"]))
+        if not {"version", "identity"} <= set(about):
+            raise ValueError("another program wrote it")
+
+
 def read_extra_array(path: Path, name: str) -> np.ndarray:
     """Return one of a checkpoint's extra arrays, of any version. Raises CheckpointError if it is missing."""
     with _reading(path), np.load(path) as file:
@@ -151,8 +161,8 @@ _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, Attri
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Convert the errors of reading a file to CheckpointError."""
+def _reading(path: Path, remedy: str = "start without --resume, and move or delete it first") -> Iterator[None]:
+    """Convert the errors of reading a file to CheckpointError. remedy: for a file that is no whole checkpoint."""
     try:
         yield
     except OSError as error:
@@ -160,7 +170,7 @@ def _reading(path: Path) -> Iterator[None]:
             f"{path}: the checkpoint cannot be read ({error.strerror or error}); check its path and permissions"
         ) from error
     except _DAMAGED as error:
-        raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
+        raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; {remedy}") from error
 
 
 def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:

@@ -132,6 +132,19 @@ def test_a_useless_checkpoint_does_not_block_its_job(listed):
     code, message, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
     assert code == 0 and "first: continues" in message and "starts again" in message and "damaged" in message
     assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
+    assert (out / "first" / "checkpoint.damaged.npz").read_bytes() == b"cut off in its middle"
+
+
+@pytest.mark.parametrize("name", ["first.json", "second.json", "batch.json"])
+@pytest.mark.parametrize("text", ['{"mine": 1}', "[1, 2]", "// a note\n{}", '{"name": "first", "state": 3}'])
+def test_a_users_file_with_the_name_of_a_state_file_is_not_replaced(listed, monkeypatch, name, text):
+    monkeypatch.setattr(recover, "run", lambda options: pytest.fail("a job has begun"))
+    out = listed / "out"
+    out.mkdir()
+    (out / name).write_text(text, encoding="utf-8")
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", out)
+    assert code == 2 and err.count("\n") == 1 and f"{out / name}: would be replaced" in err
+    assert [path.name for path in out.iterdir()] == [name] and (out / name).read_text(encoding="utf-8") == text
 
 
 def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
@@ -193,6 +206,7 @@ def words_of(folder, *lines, head=""):
 
 def test_a_list_of_values_is_one_option_unless_it_may_be_repeated(tmp_path):
     assert words_of(tmp_path, "hold_out = [3, 11]") == ["--hold-out", "3,11"]
+    assert words_of(tmp_path, "crop = [-2, 0, 10, 10]") == ["--crop=-2,0,10,10"]
     assert words_of(tmp_path, 'tag = ["a", "b"]') == ["--tag", "a", "--tag", "b"]
 
 

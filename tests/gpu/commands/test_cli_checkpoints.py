@@ -21,6 +21,7 @@ from irpso_addon.core.files import replacing_file
 from irpso_addon.pipeline import drive
 from irpso_addon.solver.engine.engine import Capabilities
 from irpso_addon.solver.engine.progress import Progress
+from irpso_addon.solver.state import checkpoint
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
 
@@ -170,6 +171,32 @@ def test_a_useless_checkpoint_is_refused_before_anything_slow(capture, tmp_path,
     (tmp_path / "checkpoint.npz").mkdir()
     code, _, err = run_cli("recover", capture, *OPTIONS, "-o", tmp_path)
     assert code == 2 and "is a folder" in err
+
+
+@pytest.mark.parametrize("name", ["words.txt", "weights.npz", "array.npy"])
+def test_a_users_own_checkpoint_file_is_neither_deleted_nor_replaced(capture, tmp_path, name):
+    own = tmp_path / name
+    if name == "words.txt":
+        own.write_text("my own training checkpoint")
+    elif name == "array.npy":
+        np.save(own, np.arange(3))
+    else:
+        np.savez(own, weights=np.arange(3))
+    own = own.rename(tmp_path / "checkpoint.npz")
+    before = own.read_bytes()
+    for more in ([], ["--dry-run"], ["--checkpoint-every", "0", "--live"]):
+        code, _, err = run_cli("recover", capture, *OPTIONS[:4], "--iterations", 2, "-o", tmp_path, *more)
+        assert code == 2 and err.count("\n") == 1 and "move or delete it" in err
+        assert own.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["checkpoint.npz"]
+
+
+def test_an_own_checkpoint_of_any_version_is_replaced_without_resume(capture, tmp_path, monkeypatch):
+    with monkeypatch.context() as former:
+        former.setattr(checkpoint, "_VERSION", 2)
+        checkpoint.write(tmp_path / "checkpoint.npz", {"seed": 1}, checkpoint.Checkpoint(0, 1, 1, {}))
+    code, _, err = run_cli("recover", capture, *OPTIONS[:4], "--iterations", 2, "--quiet", "-o", tmp_path)
+    assert code == 0, err
+    assert not (tmp_path / "checkpoint.npz").exists() and (tmp_path / "maps.exr").is_file()
 
 
 def test_a_checkpoint_without_disk_space_is_reported_once_and_keeps_the_old_one(tmp_path, capsys):

@@ -15,6 +15,7 @@ from PIL import Image
 
 from irpso_addon.blender import images as blender_images
 from irpso_addon.cluster.transport import Ranks
+from irpso_addon.solver.state import checkpoint
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import angle, read_map, run_cli
 from tests.builders.recovered import FILES, OTHERS, SHAPE, recovered_models
@@ -145,7 +146,7 @@ def test_a_live_picture_replaces_none_of_the_users(recovered, tmp_path):
     code, _, err = run_cli(*words)
     assert code == 2 and "live.png: would be replaced by --live" in err
     assert run_cli(*words, "--dry-run")[0] == 0 and mine.read_bytes() == b"mine"
-    (tmp_path / "checkpoint.npz").write_bytes(b"of an interrupted run")
+    checkpoint.write(tmp_path / "checkpoint.npz", {}, checkpoint.Checkpoint(0, 1, 1, {}))  # of an interrupted run
     assert run_cli(*words, "--iterations", 1, "--quiet")[0] == 0 and not mine.exists()
 
 

@@ -1,12 +1,14 @@
 """Exports read back by hand: OpenLIME by its shader's formulas, PTM by its format's description."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.core.paths import MODELS
 from irpso_addon.exports import formats, openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.relief.height import Height
@@ -333,6 +335,29 @@ def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folde
     own = cli_maker.MODELS / "two_colours.toml"
     if own.exists():
         assert "is not known" in refused(folder, "--format", "openlime", "--model", own)
+
+
+def test_a_model_of_the_users_is_found_from_any_folder_and_refused_once_it_has_changed(tmp_path, monkeypatch):
+    lights = cli_maker.dome_lights(8, widest=60)
+    images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps((7, 9), {}, seed=3), lights)
+    here, there = tmp_path / "here", tmp_path / "there"
+    cli_maker.write_card(here / "leaf", images, lights)
+    there.mkdir()
+    for kind in ("toml", "glsl"):
+        shutil.copy(MODELS / f"lambert.{kind}", here / f"my.{kind}")
+    (there / "my.toml").write_text("another model")
+    monkeypatch.chdir(here)
+    words = ["recover", "leaf", "--model", "my.toml", "--preset", "swarm", "--iterations", 2, "-o", "out", "--quiet"]
+    assert run_cli(*words)[0] == 0
+    monkeypatch.chdir(there)
+    export = ["export", here / "out", "--format", "textures", "--quiet", "-o"]
+    code, _, err = run_cli(*export, there / "first")
+    assert (code, err) == (0, "")
+    with (here / "my.toml").open("a") as file:
+        file.write("\n# changed\n")
+    code, _, err = run_cli(*export, there / "second")
+    assert code == 2 and "my.toml: has changed since this recovery" in err and "--model" in err
+    assert run_cli(*export, there / "second", "--model", here / "my.toml")[0] == 0
 
 
 def test_an_unknown_normal_map_is_refused_before_anything_is_read(tmp_path):

@@ -287,7 +287,8 @@ def test_amounts_of_memory_are_read(text, wanted):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x", "0", "-4G", "4Q", "gpu=4G", "device=", "4G,4G", "device=1G,device=2G", "1G,", "0.1"]
+    "text",
+    ["", "x", "0", "-4G", "4Q", "gpu=4G", "device=", "4G,4G", "device=1G,device=2G", "1G,", "0.1", "9" * 400 + "G"],
 )
 def test_an_invalid_amount_of_memory_is_refused(text):
     with pytest.raises(InputError, match="^--memory .*: write an amount, as in 4G, or device=4G,host=8G"):

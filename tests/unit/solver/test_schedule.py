@@ -43,10 +43,10 @@ def test_constriction_multiplies_to_1496():
 
 
 BAD_SETTINGS = {
-    "particles": [0, -3, 2.5, "16", True, None],
-    "neighbourhood": [0, 2, -1, 3.0, "3"],
-    "iterations": [0, -1, 10.5, "100"],
-    "cycles": [0, 1.5, "2"],
+    "particles": [0, -3, 2.5, "16", True, None, 2**31, 10**400],
+    "neighbourhood": [0, 2, -1, 3.0, "3", 2**31 - 1],
+    "iterations": [0, -1, 10.5, "100", 5 * 10**9],
+    "cycles": [0, 1.5, "2", 10**6],
     "inertia": [-0.1, float("nan"), float("inf"), "fast", None, [0.6]],
     "c1": ["1.2", -1],
     "c3": [-0.05, "a"],
@@ -60,12 +60,14 @@ BAD_SETTINGS = {
     "start": ["", 1],
     "normal": ["spherical", 2],
     "loss": ["l3", 1],
-    "delta": [0, -1, "x", float("nan")],
+    "delta": [0, -1, "x", float("nan"), 1e300, 10**400],
     "scale_percentile": [0, 101, "x"],
     "shadow": [-0.1, "x"],
     "threshold": [-1, float("nan"), "x"],
     "search": [[], "normal", [3], [["normal"]], 5],
     "particels": [16],
+    "name": ["x", 5],
+    "title": ["x", [1]],
 }
 
 
@@ -103,6 +105,10 @@ def test_a_bad_setting_is_refused_in_one_line_that_names_it(name, value):
         ("cycles = 1", "cycles = 0", "cycles"),
         ("cycles = 1", 'cycles = 1\ntitle2 = "x"', "title2"),
         ("cycles = 1", "cycles = ", "TOML"),
+        ("cycles = 1", f"cycles = {'9' * 400}", "cycles"),
+        ("cycles = 1", "cycles = 1\nname = 7", "name must be a text"),
+        ('title = "', 'title = [1] # "', "title must be a text"),
+        ("cycles = 1", f"cycles = {'9' * 5000}", "TOML"),
     ],
 )
 def test_a_bad_preset_file_is_refused_in_one_line_with_its_path(tmp_path, old, new, word):
@@ -113,6 +119,12 @@ def test_a_bad_preset_file_is_refused_in_one_line_with_its_path(tmp_path, old, n
         load_schedule(path)
     assert str(caught.value).startswith(str(path)) and word in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_preset_with_a_byte_order_mark_is_read(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(SWARM, encoding="utf-8-sig")
+    assert load_schedule(path).swarm == load_schedule("swarm").swarm
 
 
 def test_tables_in_place_of_values_are_refused(tmp_path):

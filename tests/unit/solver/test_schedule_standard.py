@@ -91,7 +91,14 @@ def test_a_preset_that_extends_another_sets_what_differs(tmp_path):
     assert dataclasses.replace(mine, title=wanted.title, name=wanted.name) == wanted
 
 
-@pytest.mark.parametrize("base", ['"nothing"', "3", '"mine.toml"'])
+def test_a_users_preset_may_have_the_name_of_the_shipped_one_that_it_extends(tmp_path):
+    path = tmp_path / "standard.toml"
+    path.write_text('format = 3\nextends = "standard"\ncycles = 2\n')
+    standard = load_schedule("standard")
+    assert load_schedule(path) == dataclasses.replace(standard, cycles=2)
+
+
+@pytest.mark.parametrize("base", ['"nothing"', "3", '"mine.toml"', '["standard"]'])
 def test_a_preset_that_extends_no_preset_is_refused(tmp_path, base):
     path = tmp_path / "mine.toml"
     path.write_text(f"format = 3\nextends = {base}\n")
