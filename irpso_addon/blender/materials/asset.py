@@ -78,9 +78,9 @@ def _copy_named(material: Any, name: str) -> Iterator[Any]:
     """Yield a copy of a material with exactly this name; a material that has it already is renamed meanwhile."""
     import bpy
 
-    taken = bpy.data.materials.get(name)
+    taken = next((one for one in bpy.data.materials if one.library is None and one.name == name), None)
     if taken is not None:
-        taken.name = f"{name} "
+        taken.name = "IRPSO"  # Blender numbers it where this is taken, too
     copy = material.copy()
     copy.name = name
     try:

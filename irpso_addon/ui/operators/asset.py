@@ -72,8 +72,14 @@ class IRPSO_OT_save_asset(bpy.types.Operator):
             library = context.preferences.filepaths.asset_libraries.get(self.library)
             if library is None:
                 raise InputError(_NO_LIBRARY)
+            folder = Path(bpy.path.abspath(library.path))
+            if not library.path or not folder.is_absolute():
+                raise InputError(
+                    f"asset library '{library.name}' has no folder: choose one in Preferences › File Paths › Asset"
+                    " Libraries"
+                )
             tags = tuple(word.strip() for word in self.tags.split(",") if word.strip())
-            shelf = Shelf(Path(bpy.path.abspath(library.path)), self.catalog, self.author, self.license, tags)
+            shelf = Shelf(folder, self.catalog, self.author, self.license, tags)
             name = self.asset_name.strip() or recovered_slot(context.object)[TAG]
             path = write_to_shelf(shelf, context.object, name)
         except InputError as error:

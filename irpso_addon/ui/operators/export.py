@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ...blender.materials.surface_check import check_surface, uv_warnings
+from ...blender.materials.surface_check import uv_warnings
 from ...blender.occlusion import mesh_open_sky
 from ...core.errors import InputError, IrpsoError
 from ...exports.formats import export
@@ -23,6 +23,7 @@ from ...exports.tile import tiled
 from ...exports.web.photographs import PHOTOGRAPHS, Photographs, photographs_of, spread
 from ...geometry.domain import subset
 from ...geometry.surface.mesh import alone
+from ...pipeline.result import subject_of
 from ...results.derived_map import NORMAL_SPACES
 from ...results.derived_maps import DerivedMaps
 from ...results.report import mode_warnings
@@ -207,11 +208,9 @@ def _proposed_name(running: session.Session, kind: str) -> str:
 
 
 def _subject(running: session.Session) -> Any:
-    subject = running.subject()
+    subject = subject_of(running.job)
     if subject is None:
         raise InputError(f"'{running.job.name}' has no object to export yet: press Keep first")
-    if running.job.mesh is not None:
-        check_surface(subject, running.job.mesh, running.job.name)
     return subject
 
 

@@ -23,9 +23,14 @@ _items: list[tuple[str, str, str]] = []  # of the menu: kept here because Blende
 
 def _others(_operator, context) -> list[tuple[str, str, str]]:
     """Return the recovered materials other than the active one, as items of a menu."""
-    active = context.object.active_material if context.object is not None else None
-    _items[:] = [(one.name, one.name, "") for one in bpy.data.materials if TAG in one and one != active]
+    _items[:] = [(one.name_full, one.name_full, "") for one in _mixable(context)]
     return _items
+
+
+def _mixable(context) -> list[bpy.types.Material]:
+    """Return the recovered materials other than the active one. Linked ones may have its name, never its full name."""
+    active = context.object.active_material if context.object is not None else None
+    return [one for one in bpy.data.materials if TAG in one and one != active]
 
 
 class IRPSO_OT_mix_captures(bpy.types.Operator):
@@ -54,8 +59,8 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
         active = obj.active_material if obj is not None else None
         if not usable(cls, active is not None and TAG in active, "Make an object with a recovered material active"):
             return False
-        other = any(TAG in one for one in bpy.data.materials if one != active)
-        return usable(cls, other, "There is no other recovered material in this file: keep or append one")
+        others = bool(_mixable(context))
+        return usable(cls, others, "There is no other recovered material in this file: keep or append one")
 
     def invoke(self, context, event):
         """Open the dialog."""
@@ -76,7 +81,8 @@ class IRPSO_OT_mix_captures(bpy.types.Operator):
     def execute(self, context):
         """Make the material and put it into the active slot. On an error nothing is made."""
         obj = context.object
-        first, second = obj.active_material, bpy.data.materials.get(self.other)
+        first = obj.active_material
+        second = next((one for one in _mixable(context) if one.name_full == self.other), None)
         try:
             if second is None:
                 raise InputError("Other: no material is chosen; choose one")

@@ -162,6 +162,25 @@ def test_the_operator_puts_the_mix_on_the_object_and_makes_a_mask_to_paint(regis
     assert not bpy.ops.irpso.mix_captures.poll()  # the mix itself is not a recovered material
 
 
+def test_a_linked_material_of_the_active_ones_name_can_be_mixed_in(registered, tmp_path):
+    (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
+    name, first.name = first.name, "aside"
+    second.name = name
+    bpy.data.libraries.write(str(tmp_path / "lib.blend"), {second}, fake_user=True)
+    bpy.data.materials.remove(second)
+    first.name = name
+    with bpy.data.libraries.load(str(tmp_path / "lib.blend"), link=True) as (_, wanted):
+        wanted.materials = [name]
+    (linked,) = wanted.materials
+    obj = card_object("subject", SIZE, SIZE)
+    apply_material(obj, first)
+    bpy.context.view_layer.objects.active = obj
+    assert linked.name == first.name == name
+    assert bpy.ops.irpso.mix_captures(other=linked.name_full, by="FACTOR", factor=1.0) == {"FINISHED"}
+    group = obj.active_material.node_tree.nodes["Second"].node_tree
+    assert {node.image.library for node in group.nodes if node.type == "TEX_IMAGE"} == {linked.library}
+
+
 def test_a_refused_mix_leaves_no_mask(registered):
     (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("cook_torrance_two_lobe", 2, "b")
     obj = card_object("subject", SIZE, SIZE)

@@ -29,3 +29,25 @@ def test_a_kept_material_goes_into_the_library_once(session_of_card, library, tm
         assert there.materials == ["Leaf"]
     assert "give another Name" in refusal(bpy.ops.irpso.save_asset, **words)
     assert "single slashes" in refusal(bpy.ops.irpso.save_asset, library=library.name, catalog="a//b")
+
+
+def test_a_linked_material_of_the_assets_name_is_no_hindrance(session_of_card, library, tmp_path):
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.objects])
+    bpy.ops.irpso.keep()
+    assert bpy.ops.irpso.save_asset(library=library.name, asset_name="Leaf") == {"FINISHED"}
+    with bpy.data.libraries.load(str(tmp_path / "shelf" / "Leaf.blend"), link=True) as (_, wanted):
+        wanted.materials = ["Leaf"]
+    (tmp_path / "shelf" / "Leaf.blend").rename(tmp_path / "moved.blend")
+    assert bpy.ops.irpso.save_asset(library=library.name, asset_name="Leaf") == {"FINISHED"}
+    assert wanted.materials[0].name == "Leaf" and wanted.materials[0].library is not None
+    with bpy.data.libraries.load(str(tmp_path / "shelf" / "Leaf.blend"), assets_only=True) as (there, _):
+        assert there.materials == ["Leaf"]
+
+
+def test_a_library_without_a_folder_is_refused(session_of_card, library, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.objects])
+    bpy.ops.irpso.keep()
+    library.path = ""
+    assert "has no folder" in refusal(bpy.ops.irpso.save_asset, library=library.name, asset_name="Leaf")
+    assert [path.name for path in tmp_path.iterdir()] == ["shelf"]
