@@ -150,8 +150,8 @@ def numbered_lights(scene) -> dict[int, Any]:
 def place_card(card, camera: Camera, distance: float) -> None:
     """Place a card object (``material.card_object``) at a distance, where it fills the camera's image exactly."""
     width, height = card_size(camera, distance)
-    # The card's sides are in units of its width.
-    size = Matrix.Diagonal((width, height * camera.width / camera.height, 1.0, 1.0))
+    # The card's sides are in units of its width, and so is its relief.
+    size = Matrix.Diagonal((width, height * camera.width / camera.height, width, 1.0))
     place = Matrix.Translation(card_middle(camera, distance).tolist())
     card.matrix_world = Matrix(camera.matrix.tolist()) @ place @ size
 

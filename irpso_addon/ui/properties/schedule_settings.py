@@ -18,6 +18,7 @@ from ...solver.settings.renamed import current_name
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ...solver.settings.setting import Setting
 from ..common.file_paths import absolute
+from ..common.numbers import typed
 
 FIRST = "standard"  # the preset of a new scene
 _ROUNDS_PRESETS = {True: "standard", False: "thorough"}  # of the switch Interreflection; whether there are matte rounds
@@ -115,7 +116,7 @@ def differences(settings: ScheduleSettings) -> dict[str, Any]:
         stored = getattr(settings, name)
         if SETTINGS[name].kind is float:
             if np.float32(stored) != np.float32(value):
-                changed[name] = float(str(np.float32(stored)))
+                changed[name] = typed(stored)
         elif stored != value:
             changed[name] = stored
     return changed

@@ -21,6 +21,7 @@ from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.steps import map_steps, run_steps
 from ..common.file_paths import absolute
+from ..common.numbers import typed
 
 
 def has_capture(settings) -> bool:
@@ -68,7 +69,7 @@ def with_card(settings, spec: CaptureSpec) -> CaptureSpec:
     # Blender stores 420.1 as 420.1000061: an unchanged field keeps the file's own digits.
     if settings.card_distance in (0.0, np.float32(spec.card_distance or 0.0)):
         return spec
-    return replace(spec, card_distance=settings.card_distance, framing=replace(spec.framing, card_width=None))
+    return replace(spec, card_distance=typed(settings.card_distance), framing=replace(spec.framing, card_width=None))
 
 
 def _framing_of(settings, stated: Framing) -> Framing:
@@ -77,12 +78,12 @@ def _framing_of(settings, stated: Framing) -> Framing:
     if settings.subject == "CARD" and settings.framing == "CROP":
         changes = {"crop": tuple(settings.crop), "corners": None}
     elif settings.subject == "CARD" and settings.framing == "CORNERS":
-        numbers = [float(value) for value in settings.corners]
+        numbers = [typed(value) for value in settings.corners]
         changes = {"crop": None, "corners": tuple(zip(numbers[::2], numbers[1::2], strict=True))}
     if settings.subject == "CARD" and settings.card_width > 0:
-        changes["card_width"] = settings.card_width
+        changes["card_width"] = typed(settings.card_width)
     if settings.picture_scale < 1:
-        changes["scale"] = settings.picture_scale
+        changes["scale"] = typed(settings.picture_scale)
     return replace(stated, **changes)
 
 
@@ -131,7 +132,7 @@ def knows_distance(settings) -> bool:
 def _scene_steps(scene) -> Generator[None, None, Capture]:
     # Blender's images state their own encoding.
     capture = yield from scene_steps(scene, skip_damaged=scene.irpso.skip_damaged)
-    return replace(capture, card_distance=scene.irpso.card_distance or None)
+    return replace(capture, card_distance=typed(scene.irpso.card_distance) or None)
 
 
 def capture_path(settings) -> Path:

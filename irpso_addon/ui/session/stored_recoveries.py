@@ -49,14 +49,15 @@ def folder() -> Path | None:
 def store(running: Any) -> bool:
     """Store a session whose maps are not kept; return whether nothing is lost.
 
-    Of one capture and file at most two are stored: the one that got farthest, and the last. Errors are only logged,
-    because Blender may be closing its file.
+    Of one capture, subject, model and file at most two are stored: the one that got farthest, and the last. Errors are
+    only logged, because Blender may be closing its file.
     """
     if running.recovery is None or running.kept or (directory := folder()) is None:
         return True
     job, file = running.job, bpy.data.filepath
     about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
-    digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
+    what = (job.origin, job.capture.source, job.name, job.model.name, file)
+    digest = hashlib.sha256("\n".join(map(str, what)).encode(errors="surrogateescape")).hexdigest()[:8]
     try:
         if context_guard.active() is None:
             raise GpuUnavailableError("no graphics context is current")

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
+from irpso_addon.capture.camera import Camera
+from irpso_addon.ui.operators import scene_setup
 from irpso_addon.ui.session import card_place
 
 pytestmark = pytest.mark.bpy_only
@@ -48,6 +50,15 @@ def test_a_card_is_free_until_the_user_moves_it():
     assert card_place.is_automatic(card) and card.location[0] == 1.75
     card.location[1] = 0.01
     assert not card_place.is_automatic(card)
+
+
+@pytest.mark.parametrize("width", [2.0, 300.0, 0.1])
+def test_a_card_of_the_captures_size_keeps_the_proportions_of_its_relief(width):
+    """Its displacement is in its own unit, of which it is one wide."""
+    card = bpy.data.objects.new("card", None)
+    scene_setup.place_card(card, Camera.orthographic(16, 12, width), 5.0)
+    scales = np.linalg.norm(np.array(card.matrix_world)[:3, :3], axis=0)
+    np.testing.assert_allclose(scales, width, rtol=1e-6)
 
 
 def test_an_object_near_the_cards_edge_moves_it():

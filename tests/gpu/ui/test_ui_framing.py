@@ -44,6 +44,16 @@ def test_marked_corners_go_clockwise_from_the_upper_left(settings, order):
     assert (settings.framing, tuple(settings.crop)) == ("CORNERS", (3, 2, 17, 11))
 
 
+def test_numbers_are_those_that_were_typed_as_on_the_command_line(settings):
+    """Blender keeps 0.7 as 0.699999988."""
+    settings.framing, settings.corners = "CORNERS", np.ravel(MARKS)
+    settings.picture_scale, settings.card_width = 0.04, 0.53
+    framing = scene_capture.spec_of(settings).framing
+    assert (framing.scale, framing.card_width, framing.corners) == (0.04, 0.53, MARKS)
+    settings.card_width, settings.card_distance = 0.0, 0.7
+    assert scene_capture.spec_of(settings).card_distance == 0.7
+
+
 @pytest.mark.parametrize("damaged", [0, 1, 3])
 def test_only_the_shown_photographs_are_read_even_where_damaged_ones_are_left_out(settings, monkeypatch, damaged):
     shots = scene_capture.spec_of(settings).observations

@@ -298,6 +298,23 @@ def test_another_recovery_replaces_one_that_is_less_far_and_none_that_cannot_be_
     session.end()
 
 
+def test_recoveries_of_other_captures_and_models_do_not_replace_each_other(plane, folder, tmp_path):
+    from irpso_addon.ui.session import session, stored_recoveries
+    from irpso_addon.ui.session.scene_job import make_job
+
+    (tmp_path / "other").mkdir()
+    other = cli_maker.write_card(tmp_path / "other" / "bark", np.full((12, 10, 10, 3), 0.3, np.float32), LIGHTS)
+    for path, model in ((plane.capture_path, plane.model), (other, plane.model), (other, "metallic_roughness")):
+        plane.capture_path, plane.model = str(path), model
+        running = session.begin(make_job(bpy.context))
+        while running.recovery is None:
+            running.tick(0.05)
+        running.recovery.step(3)
+        session.reset()
+    found = stored_recoveries.listed()
+    assert len(found) == 3 and {one.name for one in found} == {"Plane skin"}
+
+
 def test_a_stored_recovery_with_former_names_of_settings_is_restored(stored, plane):
     from irpso_addon.ui.properties import recipe
 
