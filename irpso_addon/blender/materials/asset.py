@@ -52,6 +52,11 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
     import bpy
 
     images = sorted(images_of(material.node_tree), key=lambda image: image.name)
+    if linked := next((block for block in (material, *images) if block.library is not None), None):
+        raise InputError(
+            f"material '{material.name}' is linked from {linked.library.filepath}, and so are its maps; make it local"
+            " first (Object › Relations › Make Local › All)"
+        )
     if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
         raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
     picture = icon(obj, _SIDE)

@@ -207,12 +207,19 @@ def find_card(subject: str):
 
 
 def subject_object(uid: int | None, subject: str):
-    """Return the mesh object of a session number, or the card of a subject for None; None where it is gone."""
+    """Return the mesh object of a session number, or the card of a subject for None; None where no scene has it."""
     import bpy
 
     if uid is None:
         return find_card(subject)
-    return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+    return next((obj for obj in bpy.data.objects if obj.session_uid == uid and in_a_scene(obj)), None)
+
+
+def in_a_scene(obj) -> bool:
+    """Return whether a scene has a local object: settings that name a deleted one keep it in the file."""
+    import bpy
+
+    return obj.library is not None or any(scene.objects.get(obj.name) == obj for scene in bpy.data.scenes)
 
 
 def card_object(subject: str, height: int, width: int, displaced: bool | None = False):

@@ -49,11 +49,14 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
     places = np.array([camera.position for camera in poses.cameras.values()])
     size = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()) or 1.0
     empty.empty_display_size = _SMALL * size
-    objects = {obj[FILE_IMAGE]: obj for obj in collection.objects if FILE_IMAGE in obj}
+    objects = {}
+    for obj in sorted(collection.objects, key=_renamed, reverse=True):  # of duplicates the original remains
+        if FILE_IMAGE in obj:
+            objects[obj[FILE_IMAGE]] = obj
     for image, camera in poses.cameras.items():
         obj = objects.get(image)
         if obj is None:
-            name = image.replace("\\", "/").rpartition("/")[2]
+            name = _file_name(image)
             obj = objects[image] = bpy.data.objects.new(name, bpy.data.cameras.new(name))
             obj[_SOURCE], obj[FILE_IMAGE] = source, image
             collection.objects.link(obj)
@@ -62,6 +65,15 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
         obj.parent = empty
         obj.data.display_size, obj.data.clip_end = _SMALL * size, max(obj.data.clip_end, _FAR * size)
     return [objects[image] for image in poses.cameras]
+
+
+def _file_name(image: str) -> str:
+    return image.replace("\\", "/").rpartition("/")[2]
+
+
+def _renamed(obj) -> tuple[bool, int, int]:
+    """Return a key by which a camera with the name that it was made with comes first, and its duplicates later."""
+    return obj.name != _file_name(str(obj.get(FILE_IMAGE, ""))), len(obj.name), obj.session_uid
 
 
 class ImportCameras(bpy.types.Operator):

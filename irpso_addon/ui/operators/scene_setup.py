@@ -38,7 +38,7 @@ from ..properties.scene_settings import UPDATE_CALLBACKS
 from ..session import session
 from ..session.card_place import is_automatic, show_card
 from ..session.scene_capture import spec_steps
-from ..session.scene_job import subject_object
+from ..session.scene_job import check_local, subject_object
 
 _ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12", by its number in the list
 _FILES = "irpso_capture_files"  # custom property beside CAPTURE: the capture's source, as its name may be another's
@@ -60,7 +60,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     spec: of the same capture. The user's objects do not change. A scene without a camera gets one and its resolution.
     ``scene_capture.capture_from_scene`` then returns the same capture, in float32 precision.
     """
-    existing = {obj[_ROLE]: obj for obj in _of_capture(_created(scene), capture)}
+    existing = _by_role(_of_capture(_created(scene), capture))
     made: list = []
     collection = _collection(scene, capture)
     images = FileImages()
@@ -143,7 +143,7 @@ def numbered_lights(scene) -> dict[int, Any]:
         return dict(enumerate(photographed_lights(scene)))
     lights = _created_lights(scene)
     wanted = scene.get(CAPTURE), scene.get(_FILES)
-    current = {obj[_ROLE]: obj for obj in lights if (obj[CAPTURE], obj.get(_FILES)) == wanted}  # copies have one role
+    current = _by_role([obj for obj in lights if (obj[CAPTURE], obj.get(_FILES)) == wanted])
     return {int(role.split()[1]): current[role] for role in sorted(current, key=natural)}
 
 
@@ -158,6 +158,16 @@ def place_card(card, camera: Camera, distance: float) -> None:
 
 def _created(scene) -> list:
     return [obj for obj in scene.objects if CAPTURE in obj and _ROLE in obj and obj.library is None]
+
+
+def _by_role(objects: Iterable) -> dict[str, Any]:
+    """Return role → object. A duplicate has the role of its original, and a longer or another name."""
+
+    def renamed(obj) -> tuple:
+        kind, index = obj[_ROLE].split()
+        return not obj.name.startswith(f"{kind.title()} {int(index):03d}"), len(obj.name), obj.session_uid
+
+    return {obj[_ROLE]: obj for obj in sorted(objects, key=renamed, reverse=True)}
 
 
 def _created_lights(scene) -> list:
@@ -245,6 +255,7 @@ class CreateScene(bpy.types.Operator):
         scene = context.scene
         settings = scene.irpso
         try:
+            check_local(scene)
             spec = run_steps(spec_steps(settings))
             with with_skip_remedy(settings.skip_damaged):
                 capture = build_capture(spec, decode)

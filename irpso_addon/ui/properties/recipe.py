@@ -31,6 +31,7 @@ def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str,
         "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
         "chart_photograph": bpy.path.abspath(settings.chart_photograph),
     }
+    recipe["schedule"]["preset"] = str(absolute(settings.schedule.preset, "Preset"))
     return recipe
 
 

@@ -85,11 +85,16 @@ _SHOWN = (
 
 def model_of(settings: "Settings") -> ReflectanceModel:
     """Return the chosen model. Raises InputError."""
+    return load_model(model_source(settings))
+
+
+def model_source(settings: "Settings") -> str:
+    """Return the name of the chosen shipped model, or the path of the user's. Raises InputError without one."""
     if settings.model != CUSTOM:
-        return load_model(settings.model)
+        return settings.model
     if not settings.model_path:
         raise InputError("Model: no file is chosen; give the .toml of your own model")
-    return load_model(absolute(settings.model_path, "Model File"))
+    return str(absolute(settings.model_path, "Model File"))
 
 
 def refresh_parameters(settings: "Settings", context: object = None) -> None:

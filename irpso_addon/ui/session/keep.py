@@ -15,10 +15,10 @@ from ...blender.materials.textures import image_files, unsaved
 from ...core.errors import IrpsoError
 from ...pipeline import result
 from ...pipeline.result import ResultMaps, result_maps
-from ...reflectance.model import shipped_models
 from ...results.derived_maps import DerivedMaps
 from ...results.map_tables import map_tables
 from ...results.preview import Curves, convergence, display_image
+from ...results.write import MODEL_DIGEST
 from ..common.failures import report_and_cancel
 from ..common.polls import usable
 from ..common.words import n_, rpt
@@ -40,15 +40,17 @@ def current_maps(running: session.Session, confidence: bool, extras: DerivedMaps
 
 def report_of(running: session.Session, recovered: ResultMaps) -> dict[str, Any]:
     """Return the report of the current maps, in the form that the command line writes."""
-    job, model = running.job, running.job.model
+    job = running.job
     settings = {
         "capture": str(job.capture.source or job.capture.name),
-        "model": model.name if model.name in shipped_models() else str(model.shader.with_suffix(".toml")),
+        "model": job.model_source,
         "object": None if job.mesh is None else job.name,
         "fixed": sorted(job.fixed),
         "hold_out": "auto" if job.held_out else None,
         "done": running.progress.done,
     }
+    if job.model_digest is not None:
+        settings[MODEL_DIGEST] = job.model_digest
     running.relight(recovered.in_solver_frames)
     return result.report_of(running.job_run, recovered, settings, running.seconds)
 

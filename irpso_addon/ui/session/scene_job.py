@@ -23,14 +23,14 @@ from ...core.udim import ONE_SQUARE
 from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names, slots_of_text
 from ...pipeline.job import Job, LightOptions
-from ...reflectance.model import Parameter, ReflectanceModel
+from ...reflectance.model import Parameter, ReflectanceModel, digest_of_own_model
 from ...solver.planning.make_plan import scratch_folder
 from ...solver.views.held_out import MIN_OBSERVATIONS, held_out_last, spared
 from ..common.polls import NO_CAPTURE
 from ..common.words import iface
 from ..properties import findings, preferences
 from ..properties.recipe import recipe_of
-from ..properties.scene_settings import model_of
+from ..properties.scene_settings import model_of, model_source
 from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
 from .scene_capture import capture_of, capture_path, has_capture, is_marked, knows_distance, wants_distance
@@ -44,13 +44,16 @@ class SceneJob(Job):
     """A job from a scene's settings; later changes of these do not affect it.
 
     origin: "mesh", or the source of a card's capture. scene_uid: Blender's session number of the scene. place: (4, 4)
-    matrix of a card without an object. recipe: the settings, from ``recipe_of``.
+    matrix of a card without an object. recipe: the settings, from ``recipe_of``. model_source: name of a shipped
+    model or path of a user's. model_digest: of the latter.
     """
 
     origin: str
     scene_uid: int
     place: np.ndarray
     recipe: dict[str, Any]
+    model_source: str
+    model_digest: str | None
 
 
 def missing(context) -> str:
@@ -77,6 +80,8 @@ def missing(context) -> str:
         return iface("Frame: nothing is marked; mark the card in the photograph, or set Frame to As Imported")
     if settings.subject == "MESH":
         obj = subject_object(context)
+        if obj is None and settings.object is not None and settings.object.type == "MESH":
+            return iface("'{name}' has been deleted: undo that", name=settings.object.name)
         if obj is None:
             return iface("No mesh: choose the object whose maps are to be recovered, or make it active")
         if not obj.data.uv_layers:
@@ -89,15 +94,25 @@ def missing(context) -> str:
 
 
 def subject_object(context):
-    """Return the mesh object of the settings, or the active one; None if neither is a mesh."""
-    obj = context.scene.irpso.object or context.view_layer.objects.active
-    return obj if obj is not None and obj.type == "MESH" else None
+    """Return the mesh object of the settings, or the active one; None if neither is a mesh, or it has been deleted."""
+    obj = context.scene.irpso.object or context.view_layer.objects.active  # the setting keeps a deleted object
+    return obj if obj is not None and obj.type == "MESH" and material.in_a_scene(obj) else None
+
+
+def check_local(scene) -> None:
+    """Raise InputError for a scene that is linked from a library, which can hold no new objects."""
+    if scene.library is not None:
+        raise InputError(
+            f"scene '{scene.name}' is linked from {scene.library.filepath}; make it local (Object › Relations › Make"
+            " Local › All), or work in another scene"
+        )
 
 
 def make_job(context) -> SceneJob:
     """Return the job of the scene's settings. Raises InputError naming the setting and the remedy."""
     if text := missing(context):
         raise InputError(text)
+    check_local(context.scene)
     settings, prefs = context.scene.irpso, preferences.current(context)
     model, schedule = model_of(settings), schedule_of(settings.schedule)
     capture = capture_of(context.scene)
@@ -125,6 +140,7 @@ def make_job(context) -> SceneJob:
         lights=LightOptions(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
         source=_domain_key(settings, capture, mesh, held_out), origin=origin, scene_uid=context.scene.session_uid,
         place=free_place(context, size[1] / size[0]), recipe=recipe_of(settings, obj, slots),
+        model_source=(source := model_source(settings)), model_digest=digest_of_own_model(source),
     )  # fmt: skip
 
 

@@ -51,3 +51,16 @@ def test_a_library_without_a_folder_is_refused(session_of_card, library, tmp_pat
     library.path = ""
     assert "has no folder" in refusal(bpy.ops.irpso.save_asset, library=library.name, asset_name="Leaf")
     assert [path.name for path in tmp_path.iterdir()] == ["shelf"]
+
+
+def test_a_material_whose_maps_are_linked_is_refused(session_of_card, library, tmp_path):
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.objects])
+    bpy.ops.irpso.keep()
+    obj = bpy.context.object
+    bpy.data.libraries.write(str(tmp_path / "lib.blend"), {obj.active_material}, fake_user=True)
+    with bpy.data.libraries.load(str(tmp_path / "lib.blend"), link=True) as (_, wanted):
+        wanted.materials = [obj.active_material.name]
+    obj.active_material = wanted.materials[0]
+    said = refusal(bpy.ops.irpso.save_asset, library=library.name, asset_name="Linked")
+    assert "lib.blend" in said and "make it local first" in said
+    assert not (tmp_path / "shelf" / "Linked.blend").exists()

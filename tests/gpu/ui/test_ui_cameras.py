@@ -160,6 +160,19 @@ def test_importing_again_updates_cameras_and_keeps_their_empty(scene, tmp_path):
     np.testing.assert_allclose(np.array(camera.matrix_world)[:3, :3], FLIP, atol=1e-6)
 
 
+def test_importing_again_leaves_a_duplicate_and_updates_the_original(scene, tmp_path):
+    colmap(tmp_path / "model")
+    bpy.ops.irpso.import_cameras(directory=str(tmp_path / "model"))
+    camera = bpy.data.objects["IMG_0001.JPG"]
+    copy = camera.copy()
+    copy.name, copy.parent, copy.location = "Beauty", None, (3, 3, 3)
+    camera.users_collection[0].objects.link(copy)
+    camera.location = (9, 9, 9)
+    bpy.ops.irpso.import_cameras(directory=str(tmp_path / "model"))
+    assert tuple(copy.location) == (3, 3, 3) and copy.parent is None
+    assert tuple(camera.location) != (9, 9, 9) and camera.parent is not None
+
+
 def test_a_capture_of_such_cameras_is_imported_and_its_scene_is_it_again(scene, tmp_path):
     colmap(tmp_path / "model", "OPENCV", row(COLMAP_LENSES["OPENCV"]))
     write_png(tmp_path / "lit.png", np.full((HEIGHT // 4, WIDTH // 4, 3), 100))

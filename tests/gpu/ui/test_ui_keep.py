@@ -10,6 +10,9 @@ import pytest
 
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import MODELS
+from irpso_addon.exports.result import read_result
+from irpso_addon.reflectance.model import digest_of_own_model, load_model
 from tests.gpu.ui.conftest import SHAPE
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -220,6 +223,22 @@ def test_a_mesh_that_was_deleted_is_missed(recovered, monkeypatch):
     monkeypatch.setattr(recovered.job_run, "job", replace(recovered.job, mesh=object(), object_uid=-1))
     assert "has been deleted" in refusal(bpy.ops.irpso.keep)
     assert not bpy.data.materials
+
+
+def test_maps_of_a_users_model_are_not_exported_by_a_changed_one(recovered, monkeypatch, tmp_path):
+    for suffix in (".toml", ".glsl"):
+        text = (MODELS / f"{recovered.job.model.name}{suffix}").read_text(encoding="utf-8")
+        (tmp_path / f"mine{suffix}").write_text(text, encoding="utf-8")
+    mine = tmp_path / "mine.toml"
+    job = replace(recovered.job, model=load_model(mine), model_source=str(mine), model_digest=digest_of_own_model(mine))
+    monkeypatch.setattr(recovered.job_run, "job", job)
+    bpy.ops.irpso.export(filepath=str(tmp_path / "out"))
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    assert report["settings"]["model"] == str(mine)  # though its name is that of the shipped one
+    read_result(tmp_path / "out")
+    mine.write_text(mine.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match="has changed since this recovery"):
+        read_result(tmp_path / "out")
 
 
 def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_path):

@@ -246,6 +246,26 @@ def test_setup_again_keeps_the_users_objects_and_removes_stale_ones(scene, tmp_p
     assert len([light for light in bpy.data.lights if light.name.startswith("Light")]) == 4
 
 
+@pytest.mark.parametrize("kind", ["LIGHT", "CAMERA"])
+def test_setup_again_leaves_the_users_duplicates_and_updates_the_originals(scene, tmp_path, kind):
+    normals, mask = sphere(24)
+    write_diligent(tmp_path / "ball", shade(normals), mask=mask)
+    created(scene, tmp_path / "ball")
+    original = next(obj for obj in scene.objects if obj.type == kind)
+    place = original.matrix_world.copy()
+    for name in ("Beauty", original.name):  # renamed, and with Blender's number
+        copy = original.copy()
+        copy.name = name
+        copy.location = (9, 9, 9)
+        scene.collection.objects.link(copy)
+    original.location = (5, 5, 5)
+    bpy.ops.irpso.create_scene()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(original.matrix_world, place, atol=1e-6)
+    copies = [obj for obj in scene.objects if obj.name in ("Beauty", f"{original.name}.001")]
+    assert [tuple(copy.location) for copy in copies] == [(9, 9, 9)] * 2
+
+
 @pytest.mark.parametrize("change", ["colour space", "paint"])
 def test_an_image_that_the_user_has_changed_is_loaded_again_as_the_capture_reads_it(scene, tmp_path, change):
     write_png(tmp_path / "a.png", RNG.integers(0, 255, (6, 8, 3)))

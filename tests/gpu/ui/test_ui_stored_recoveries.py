@@ -235,6 +235,18 @@ def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
     assert stored.path.exists()
 
 
+def test_a_deleted_mesh_is_missed_although_its_setting_keeps_it_in_the_file(plane):
+    from irpso_addon.ui.session.scene_job import make_job, subject_object
+
+    plane.object = bpy.context.object
+    assert subject_object(bpy.context) == plane.object
+    bpy.ops.object.delete()
+    bpy.ops.mesh.primitive_plane_add()
+    assert plane.object is not None and subject_object(bpy.context) is None
+    with pytest.raises(InputError, match="'Plane' has been deleted: undo that"):
+        make_job(bpy.context)
+
+
 def test_without_its_photographs_a_stored_recovery_changes_no_setting(stored, plane, tmp_path):
     (tmp_path / "leaf").rename(tmp_path / "moved")
     forget_settings(plane)
