@@ -66,7 +66,7 @@ def _triangles(obj: Any, instances: Sequence[np.ndarray], needed: bool) -> np.nd
         raise InputError(f"occluder '{obj.name}' is of type {obj.type}, which has no surface; leave it out")
     depsgraph = bpy.context.evaluated_depsgraph_get()
     evaluated = obj.evaluated_get(depsgraph)
-    if not evaluated.is_evaluated:
+    if not (evaluated.is_evaluated and _shown(obj)):
         raise InputError(
             f"occluder '{obj.name}' is not in the active view layer or is hidden; show it in the viewport, or leave it"
             " out"
@@ -85,6 +85,17 @@ def _triangles(obj: Any, instances: Sequence[np.ndarray], needed: bool) -> np.nd
     if not np.isfinite(world).all():
         raise InputError(f"occluder '{obj.name}' has vertices that are not numbers; repair it, or leave it out")
     return world.reshape(-1, 3, 3).astype(np.float32)
+
+
+def _shown(obj: Any) -> bool:
+    """Return whether the active view layer has an object that the viewport may show; H hides it from the eye alone.
+
+    An object that a setting of the scene names is evaluated in any case.
+    """
+    import bpy
+
+    there = obj.library is not None or bpy.context.view_layer.objects.get(obj.name) == obj
+    return there and not obj.hide_viewport and any(not one.hide_viewport for one in obj.users_collection)
 
 
 def _instances(wanted: set[int]) -> dict[int, list[np.ndarray]]:

@@ -13,7 +13,7 @@ from ...core.errors import InputError
 from . import two_lobe_nodes as two_lobe
 from .look import FACTOR, ROUGHNESS, STRENGTH
 from .material import TAG, new_material
-from .node_copies import Copies
+from .node_copies import Copies, source_of
 
 _NORMALS = ("Normal", "Coat Normal")
 _KINDS = {"RGBA": "NodeSocketColor", "VALUE": "NodeSocketFloat", "VECTOR": "NodeSocketVector"}
@@ -70,9 +70,17 @@ def mix_materials(first: Any, second: Any, mask: Any = None, factor: float = 0.5
 def _surface(material: Any) -> Any:
     """Return the node that a recovered material ends in. Raises InputError for other materials."""
     output = material.node_tree.get_output_node("ALL") if TAG in material else None
-    if output is None or not output.inputs["Surface"].is_linked:
+    source = None if output is None else source_of(output.inputs["Surface"])
+    while source is not None and source.node.type == "REROUTE":
+        source = source_of(source.node.inputs[0])
+    if source is None:
         raise InputError(f"material '{material.name}' is not a recovered one; choose one that Keep made")
-    return output.inputs["Surface"].links[0].from_node
+    if source.name != "BSDF" or any(socket.type == "SHADER" for socket in source.node.inputs):
+        raise InputError(
+            f"material '{material.name}': node '{source.node.name}' stands behind the recovered surface; mix first, and"
+            " put it behind the mix"
+        )
+    return source.node
 
 
 def _kind(surface: Any) -> tuple[str, ...]:
@@ -83,7 +91,7 @@ def _kind(surface: Any) -> tuple[str, ...]:
 
 def _differ(first: Any, second: Any) -> bool:
     """Return whether two sockets of one name are driven, or have different values."""
-    if first.is_linked or second.is_linked:
+    if source_of(first) is not None or source_of(second) is not None:
         return True
     return _value(first) != _value(second)
 
@@ -96,8 +104,8 @@ def _value(socket: Any) -> Any:
 def _fill_parameters(group: Any, surface: Any, names: list[str]) -> None:
     """Make a material's surface values the outputs of a node group, and its look and UV scale inputs."""
     copies = Copies(group)
-    linked = [name for name in names if surface.inputs[name].is_linked]
-    sources = {name: copies.of(surface.inputs[name].links[0].from_socket) for name in linked}
+    driving = {name: source_of(surface.inputs[name]) for name in names}
+    sources = {name: copies.of(source) for name, source in driving.items() if source is not None}
     for name in names:
         _socket(group, name, surface.inputs[name], "OUTPUT")
     group_input, group_output = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")

@@ -33,11 +33,19 @@ class Copies:
         for name in _own_properties(node):
             setattr(copy, name, getattr(node, name))
         for socket, target in zip(node.inputs, copy.inputs, strict=True):
-            if socket.is_linked and self._driven:
-                self._tree.links.new(self.of(socket.links[0].from_socket), target)
+            if self._driven and (source := source_of(socket)) is not None:
+                self._tree.links.new(self.of(source), target)
             elif hasattr(socket, "default_value"):
                 target.default_value = socket.default_value
+        for socket, target in zip(node.outputs, copy.outputs, strict=True):
+            if hasattr(socket, "default_value"):  # that of the nodes Value and RGB
+                target.default_value = socket.default_value
         return copy
+
+
+def source_of(socket: Any) -> Any:
+    """Return the output that drives an input socket; None without a link, or with a muted one."""
+    return next((link.from_socket for link in socket.links if not link.is_muted), None)
 
 
 def _own_properties(node: Any) -> list[str]:

@@ -162,6 +162,37 @@ def test_the_operator_puts_the_mix_on_the_object_and_makes_a_mask_to_paint(regis
     assert not bpy.ops.irpso.mix_captures.poll()  # the mix itself is not a recovered material
 
 
+def test_nodes_of_the_users_keep_their_numbers_and_muted_links_stay_out(tmp_path):
+    (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
+    tree = first.node_tree
+    surface = tree.get_output_node("ALL").inputs["Surface"].links[0].from_node
+    number, color = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Value", "RGB"))
+    number.outputs[0].default_value, color.outputs[0].default_value = 0.7, (0.8, 0.1, 0.05, 1)
+    tree.links.new(number.outputs[0], surface.inputs["Roughness"])
+    tree.links.new(color.outputs[0], surface.inputs["Base Color"])
+    surface.inputs["Metallic"].links[0].is_muted = True
+    surface.inputs["Metallic"].default_value = 0.2
+    close(shown(mix_materials(first, second, factor=0.0), tmp_path), shown(first, tmp_path))
+
+
+@pytest.mark.parametrize("kind", ["NodeReroute", "ShaderNodeAddShader", "ShaderNodeEmission"])
+def test_a_node_behind_the_surface_is_refused_and_a_reroute_is_none(kind, tmp_path):
+    (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
+    tree = first.node_tree
+    end = tree.get_output_node("ALL").inputs["Surface"]
+    node, bsdf = tree.nodes.new(kind), end.links[0].from_socket
+    if kind != "ShaderNodeEmission":
+        tree.links.new(bsdf, node.inputs[0])
+    tree.links.new(node.outputs[0], end)
+    before = [len(getattr(bpy.data, name)) for name in ("materials", "node_groups")]
+    if kind == "NodeReroute":
+        mix_materials(first, second)
+        return
+    with pytest.raises(InputError, match=f"'IRPSO a': node '{node.name}' stands behind the recovered surface; mix fi"):
+        mix_materials(first, second)
+    assert before == [len(getattr(bpy.data, name)) for name in ("materials", "node_groups")]
+
+
 def test_a_linked_material_of_the_active_ones_name_can_be_mixed_in(registered, tmp_path):
     (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
     name, first.name = first.name, "aside"

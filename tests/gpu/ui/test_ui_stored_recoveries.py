@@ -116,6 +116,28 @@ def test_a_collection_that_an_empty_shows_is_among_the_occluders(plane):
     assert not len(make_job(bpy.context).mesh.occluders)  # a lighting kit hides nothing
 
 
+@pytest.mark.parametrize("how", ["object", "collection", "excluded", "removed"])
+def test_a_hidden_occluder_is_refused_although_its_setting_keeps_it_evaluated(plane, how):
+    from irpso_addon.ui.session.scene_job import make_job
+
+    plane.object = bpy.context.object
+    around, top = bpy.data.collections.new("Around"), bpy.context.scene.collection
+    top.children.link(around)
+    bpy.ops.mesh.primitive_cube_add(location=(9, 0, 0))
+    cube = bpy.context.object
+    top.objects.unlink(cube)
+    around.objects.link(cube)
+    plane.occluders = around
+    assert len(make_job(bpy.context).mesh.occluders) == 12
+    cube.hide_viewport, around.hide_viewport = how == "object", how == "collection"
+    bpy.context.view_layer.layer_collection.children["Around"].exclude = how == "excluded"
+    if how == "removed":
+        top.children.unlink(around)
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="occluder 'Cube' is not in the active view layer or is hidden"):
+        make_job(bpy.context)
+
+
 def test_occluders_come_back_with_their_recovery(plane, folder):
     from irpso_addon.ui.session import session, stored_recoveries
     from irpso_addon.ui.session.scene_job import make_job
