@@ -85,7 +85,7 @@ def reusable(
     """Return the parts that continue. old, stages: of the schedules before and after. running: index of the stage."""
     index = finished_alike(old[:running], stages)
     phase_continues, swarms = False, None
-    if index < len(stages) and index == running:
+    if index == running < min(len(old), len(stages)):  # of a recovery that is done no phase is left
         phase_continues = _settings_of(before, old[running]) == _settings_of(after, stages[index])
         swarms = None if phase_continues else _same_swarms(phase, model, before, after, stages[index])
     return Reuse(index, phase_continues, swarms, not _samples_differ(before.fitness, after.fitness))

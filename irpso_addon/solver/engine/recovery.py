@@ -259,7 +259,7 @@ class Recovery(RecoveryEngine):
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):
-            found = goes_on.index < self._index or (self._phase is not None and self._phase.has_result)
+            found = goes_on.index < self._index or self._phase is None or self._phase.has_result
             new._phase = new._begin(goes_on.index, warm_started(schedule) if found else schedule)
             if goes_on.swarms is not None and isinstance(new._phase, SwarmPhase):
                 new._phase.inherit(goes_on.swarms)

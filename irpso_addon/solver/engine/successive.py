@@ -153,8 +153,9 @@ class Successive(RecoveryEngine):
         self._programs.close()
 
     def _end_transition(self) -> None:
-        """Finish a transition between two recoveries, if one has begun."""
-        if self._transition is not None:
+        """Finish a transition between two recoveries, if one has begun, or is due where a saved run was loaded."""
+        due = self._live.progress.done and self._at < len(self._schedules) - 1
+        if due or self._transition is not None:
             self._finish_transition(None)
 
     def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:

@@ -407,3 +407,15 @@ def test_another_seed_holds_from_the_current_stage_on(tmp_path):
         recovery.load(path)
         recovery.step()
         assert everything(recovery.maps()) == wanted
+
+
+def test_a_recovery_that_is_done_goes_on_with_a_further_stage():
+    domain, schedule = known("several stages")[0], SCHEDULES["several stages"]
+    with Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment") as recovery:
+        assert recovery.step().done
+        before, error = recovery.maps().values["normal"], recovery.mean_error()
+        other = recovery.reconfigure(schedule.replaced(refinement=Refinement(iterations=3)))
+    assert not other.progress.done and other.progress.title != ""
+    assert other.step().done and other.mean_error() < error
+    assert (other.maps().values["normal"] != before).any()
+    other.close()
