@@ -14,6 +14,7 @@ from ...core.files import replacing_file
 from .response import Response
 
 _FORMAT = 1
+_LAST_CODE = 0.99  # 1 but for rounding, or for a last code of 2^n − 1 over 2^n
 _CHANNELS = ("red", "green", "blue")
 _KEYS = {"format", "residual", "codes", *_CHANNELS, *(f"{name}_used" for name in _CHANNELS)}
 _REMEDY = "write one line for each code: code red green blue, or code linear, all 0 to 1 and rising"
@@ -73,6 +74,8 @@ def _checked(path: Path, codes: np.ndarray, linear: np.ndarray, used: np.ndarray
         raise InputError(
             f"{path}: its first code is {codes[0]:g}; add the line of code 0, else dark pixels are unknown"
         )
+    if codes[-1] < _LAST_CODE:
+        raise InputError(f"{path}: its last code is {codes[-1]:g}; add the line of code 1, for bright pixels")
     return Response(codes, linear / linear[-1], used, residual)
 
 

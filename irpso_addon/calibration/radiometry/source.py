@@ -96,7 +96,9 @@ def read_source(
         list(dict.fromkeys([*listed, *images])) if merged else listed, exposing, bursts, decoder
     )
     # A list may name one photograph of each bracket.
-    brackets = [bracket for bracket in brackets if not set(listed).isdisjoint(bracket.paths)]
+    places = {path: place for place, path in reversed(list(enumerate(listed)))}
+    brackets = [bracket for bracket in brackets if not places.keys().isdisjoint(bracket.paths)]
+    brackets.sort(key=lambda bracket: min(places[path] for path in bracket.paths if path in places))
     groups = [
         ExposureGroup(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts)
         for b in brackets

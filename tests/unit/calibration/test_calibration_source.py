@@ -145,6 +145,14 @@ def test_a_list_may_name_one_photograph_of_each_bracket(tmp_path):
     assert "1 brackets in its folders are not in its list" in source.warnings[0]
 
 
+def test_brackets_keep_the_order_of_a_list_without_lights(tmp_path):
+    for name in "abc":
+        photograph(tmp_path / f"{name}_ev0.png"), photograph(tmp_path / f"{name}_ev2.png")
+    (tmp_path / "filenames.txt").write_text("c_ev0.png\na_ev2.png\nb_ev0.png\n")
+    source = read_source(tmp_path, decode_png, Exposing("names", True))
+    assert [group.name for group in source.groups] == ["c", "a", "b"]
+
+
 def test_a_list_may_name_all_photographs_of_a_bracket_with_one_light(tmp_path):
     names = [photograph(tmp_path / f"{n}.png", t).name for n, t in enumerate([(1, 60), (1, 15)] * 5)]
     lists(tmp_path, names, np.repeat(LIGHTS, 2, axis=0))
