@@ -2,48 +2,52 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import InputError
 
-LOCK = ".irpso-lock"
 _TRIES = 10
 
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Hold the lock of an output folder, which is made if it is missing, and removed at the end if it is empty.
+    """Hold the lock of an output folder, which need not exist, among the processes of this machine.
 
-    The system's lock on a file in the folder ends with the process, also where that is killed. Folders that are
-    read-only, or on a network without locks, are not locked. Raises InputError if another process has the lock.
+    The system's lock on a temporary file ends with the process, also where that is killed. Without such locks nothing
+    is locked. Raises InputError if another process has the lock.
     """
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    handle = _taken(folder)
+    path = lock_file(folder)
+    handle = _taken(path, folder)
     try:
         yield
     finally:
         if handle is not None:
-            _release(folder / LOCK, handle)
-        with suppress(OSError):  # not empty
-            for path in made:
-                path.rmdir()
+            _release(path, handle)
 
 
-def _taken(folder: Path) -> int | None:
-    """Return the handle of the locked file, None where the folder cannot have one. Raises InputError."""
+def lock_file(folder: Path) -> Path:
+    """Return the file that is locked for an output folder."""
+    place = os.path.normcase(os.path.realpath(folder))
+    digest = hashlib.sha256(place.encode(errors="surrogateescape")).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / f"irpso-{digest}.lock"
+
+
+def _taken(path: Path, folder: Path) -> int | None:
+    """Return the handle of the locked file, None where there are no locks. Raises InputError."""
     for _ in range(_TRIES):
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        except OSError:  # of another user
             return None
         try:
             _lock(handle)
-            if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.stat(folder / LOCK)):
+            if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.stat(path)):
                 return handle
         except FileNotFoundError:
             pass
@@ -52,11 +56,11 @@ def _taken(folder: Path) -> int | None:
             raise InputError(
                 f"{folder}: another process writes its result there now; wait for its end, or choose another -o"
             ) from error
-        except OSError:  # a network folder
-            _release(folder / LOCK, handle)
+        except OSError:
+            _release(path, handle)
             return None
         os.close(handle)  # its owner removed the file between the two calls
-    return None  # a network folder that numbers its files anew
+    return None
 
 
 def _lock(handle: int) -> None:
