@@ -23,6 +23,7 @@ _GRID = 400  # start directions
 _GRID_VALUES = 600
 _BOUNCE_START = (0.0, 0.1, 0.15)  # a table below and behind the ball that reflects a fifth
 _ALBEDO_START = (0.6,)  # of balls, where the table's light is known
+_MIN_STRENGTH = 1e-3  # of the light's radiance, over the mean value; below, there is only ambient light
 _SCATTER = 0.15  # deviation of residuals over the light's radiance; above, the light does not reach the ball
 _MIN_BOUNCE = 0.01  # length of ``ground``; below, there is no table
 _DAMPING = 1e-4  # weight of an unchanged bounce against the data
@@ -106,7 +107,8 @@ def _initial_state(shading: Shading, centre: np.ndarray, near: bool, inverse: fl
         return "no shading"
     state = _State(shading, grey, parameters, np.ones(len(grey)))
     _refine(state, centre, np.zeros(3), near, _ITERATIONS)
-    return state if np.linalg.norm(state.parameters[:3]) > 0 else "no shading"
+    strength = np.linalg.norm(state.parameters[:3])
+    return state if strength > _MIN_STRENGTH * abs(float(grey.mean())) else "no shading"
 
 
 def _start(shading: Shading, grey: np.ndarray, centre: np.ndarray, inverse: float) -> np.ndarray | None:
