@@ -467,8 +467,8 @@ def test_the_list_camera_and_mask_of_a_plain_folder_go_along(photographs, tmp_pa
     assert run_cli("develop", photographs, "-o", merged, "--brackets", "exif", "--quiet")[::2] == (0, "")
     report = json.loads((merged / "report.json").read_text())
     assert [image["files"] for image in report["images"]] == [
-        [f"{k}.png" for k in row] for row in (("00", "01", "02"), ("06", "07", "08"))
-    ]
+        [f"{k}.png" for k in row] for row in (("06", "07", "08"), ("00", "01", "02"))
+    ]  # in the list's order, which is that of the lights
 
 
 def test_a_flat_field_of_another_kind_of_file_has_its_own_encoding(photographs, tmp_path):
