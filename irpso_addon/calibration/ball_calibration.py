@@ -179,7 +179,8 @@ def calibrate_steps(
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
     calibrated = Calibrated(spec, number, indices, names, result, tuple(warnings), original_request, radius, found)
-    return replace(calibrated, warnings=(*calibrated.warnings, *_distance_warnings(calibrated)))
+    general = *_distance_warnings(calibrated), *_intensity_warnings(calibrated)
+    return replace(calibrated, warnings=(*calibrated.warnings, *general))
 
 
 def _found_balls(
@@ -270,6 +271,17 @@ def _distance_warnings(calibrated: Calibrated) -> list[str]:
     return [
         f"{calibrated.spec.source}: {CARD_DISTANCE} = {stated:.6g} stays, but the table under the balls is {table:.6g}"
         " from the camera, in the unit of --radius; correct it, or take it out and calibrate again"
+    ]
+
+
+def _intensity_warnings(calibrated: Calibrated) -> list[str]:
+    """Return a warning if intensities are relative, and the capture has other cameras, whose intensities stay."""
+    spec = calibrated.spec
+    if calibrated.result.kind != "matte" or calibrated.request.albedo or len(spec.views) == 1:
+        return []
+    return [
+        f"intensities are relative to the first light of '{spec.views[calibrated.camera].name}', and those of the other"
+        " cameras stay; give --albedo for every camera's ball, so that they compare"
     ]
 
 

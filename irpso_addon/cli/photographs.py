@@ -155,7 +155,8 @@ def add_handheld(commands: argparse._SubParsersAction) -> None:
     add.add_argument("photographs", metavar="PHOTOS", help="folder of photographs, 30 or more, of one flat card")
     add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="new folder")
     add.add_argument("--fov", type=float, metavar="DEGREES",
-                     help="the camera's full angle over the image's width (default: EXIF, refined)")  # fmt: skip
+                     help="the camera's full angle over the image's width (default: that of camera.toml;"
+                     " or EXIF's, refined)")  # fmt: skip
     add.add_argument("--flash-offset", metavar="X,Y,Z",
                      help="place of the flash relative to the lens in millimetres: to the right, up, toward you, in a"
                      " picture without EXIF rotation (default: found from the brightness)")  # fmt: skip

@@ -16,9 +16,10 @@ from ..blender.images import decode
 from ..blender.scenes.card_mesh import CARD, save_card
 from ..calibration.handheld.handheld_calibration import Handheld, handheld_steps
 from ..calibration.handheld.write import report_of, report_text, table_text
-from ..calibration.photographs import read_photographs, relative_path
+from ..calibration.photographs import CAMERA, camera_keys, read_photographs, relative_path
 from ..capture.formats.diligent import FILENAMES
 from ..capture.formats.table import TABLE
+from ..capture.formats.toml_file import FOCAL_KEYS
 from ..capture.images.exif import field_of_view
 from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageStore
@@ -46,6 +47,7 @@ def run(options: Namespace) -> dict:
     store = ImageStore(decode)
     orientations = [store.tag(observation.image) or 1 for observation in spec.observations]
     handheld = bar.run(handheld_steps(capture, lens, offset, orientations), lambda part: (part, "photographs"))
+    handheld = replace(handheld, warnings=(*handheld.warnings, *_lens_warnings(spec.source)))
     table = table_text(spec, handheld, out)
     with new_folder(out) as partial:
         (partial / TABLE).write_text(table, encoding="utf-8")
@@ -90,10 +92,16 @@ def _distinct_names(folder: Path, spec: CaptureSpec) -> list[str]:
 
 
 def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[Capture, str]:
-    """Return the capture with one focal length, and "known", "likely" or "unknown" for it. Raises InputError."""
+    """Return the capture with one focal length, and "known", "likely" or "unknown" for it. Raises InputError.
+
+    fov: over the first photograph's width; None: of the folder's camera.toml, else of EXIF.
+    """
     sizes = [(camera.width, camera.height) for camera in capture.cameras]
     if fov is not None and not 0 < fov < 180:
         raise InputError(f"--fov {fov:g}: give the full angle over the image's width, above 0 and below 180")
+    first = capture.cameras[0]
+    if fov is None and spec.views[0].lens and first.perspective:
+        fov = math.degrees(2 * math.atan(first.width / 2 / first.scale[0]))
     angles: list[float | None] = [fov] * len(sizes)
     if fov is None:
         paths = [observation.image.path for observation in spec.observations]
@@ -114,6 +122,18 @@ def _with_lens(capture: Capture, spec: CaptureSpec, fov: float | None) -> tuple[
         for camera in capture.cameras
     )
     return replace(capture, cameras=cameras), "known" if fov is not None else "likely" if focals else "unknown"
+
+
+def _lens_warnings(folder: Path) -> list[str]:
+    """Return a warning for keys of the folder's camera.toml that are not used, or []."""
+    path = folder / CAMERA
+    unused = sorted(camera_keys(path).keys() - FOCAL_KEYS) if path.exists() else []
+    if not unused:
+        return []
+    return [
+        f"{path}: {' and '.join(unused)} are not used: handheld takes the principal point as the image's middle, and"
+        " measures the distortion"
+    ]
 
 
 def _offset(text: str | None) -> np.ndarray | None:

@@ -24,6 +24,7 @@ _UNCERTAIN, _USELESS = 2.0, 10.0  # degrees: worth a warning; worse than no ligh
 _MATTE_ERROR = 0.01  # radians: no ball is perfectly matte; measured in Cycles, 0.66° in the mean on a grey table
 _MIN_LIT = 0.15  # fraction of a matte ball; below, the light is behind it
 _MISFIT, _LEFT_OUT = 0.1, 0.4
+_FAINT = 0.05  # of the photographs' median light; a wall under a lamp that is hidden from the ball gives less
 _APART, _APART_DEGREES = 3.0, 2.0  # two balls disagree beyond both: standard errors, degrees
 
 
@@ -131,6 +132,7 @@ def _by_shading(
         fits, bounce = fit_lights(shadings, centre, False, request.inverse)
     median = _median_inverse(intersections)
     first = next((fit.radiance for fit in fits if isinstance(fit, Fit)), np.ones(3))
+    typical = float(np.median([fit.radiance.mean() for fit in fits if isinstance(fit, Fit)] or [0.0]))
     lights = []
     for fit in fits:
         if isinstance(fit, str):
@@ -140,7 +142,7 @@ def _by_shading(
         sights = tuple(_brightest(view.ball, fit, intersection) for view in views)
         white = np.asarray(request.albedo) if request.albedo else first
         intensity = triple(np.maximum(fit.radiance / np.maximum(white, 1e-12), 0))
-        warnings = _fit_warnings(fit)
+        warnings = _fit_warnings(fit, typical)
         lights.append(_placed(intersection, sights, views[0].ball, centre, request, near, median, intensity, warnings))
     return Calibration("matte", near, how, _scaled(lights, request), tuple(views), bounce)
 
@@ -181,8 +183,12 @@ def _scaled(lights: list[FoundLight], request: Request) -> tuple[FoundLight, ...
     )
 
 
-def _fit_warnings(fit: Fit) -> list[str]:
+def _fit_warnings(fit: Fit, typical: float) -> list[str]:
+    """typical: median radiance of the photographs' lights."""
     warnings = []
+    if fit.radiance.mean() < _FAINT * typical:
+        faint = fit.radiance.mean() / typical
+        warnings.append(f"the ball is lit {faint:.0%} as strongly as in other photographs: the lamp may be hidden")
     if fit.lit < _MIN_LIT:
         warnings.append(f"the light is behind the ball: it reaches {fit.lit:.0%} of the visible side")
     if fit.misfit > _MISFIT:

@@ -16,15 +16,19 @@ _MIN_VALUES = 40  # usable values
 _MIN_FOR_BOUNCE = 4  # photographs: in a single one a bounce looks like a rotated light
 
 _ITERATIONS, _JOINT_ITERATIONS, _JACKKNIFE_ITERATIONS = 25, 40, 6
+_DATA_ALONE = 15  # first iterations without a prior, whose weight is too great at the residuals of a poor bounce
 _CHANNEL_ITERATIONS = 8
 _MIN_SCALE = 0.002  # of the light's radiance: least scale of residuals
 _GRID = 400  # start directions
 _GRID_VALUES = 600
 _BOUNCE_START = (0.0, 0.1, 0.15)  # a table below and behind the ball that reflects a fifth
 _ALBEDO_START = (0.6,)  # of balls, where the table's light is known
+_MIN_STRENGTH = 1e-3  # of the light's radiance, over the mean value; below, there is only ambient light
 _SCATTER = 0.15  # deviation of residuals over the light's radiance; above, the light does not reach the ball
 _MIN_BOUNCE = 0.01  # length of ``ground``; below, there is no table
-_BOUNCE_PRIOR = 1e-4  # weight against the data: keeps an undetermined bounce near its start
+_DAMPING = 1e-4  # weight of an unchanged bounce against the data
+_BOUNCE_DEVIATION = 0.15  # of each component of ``ground`` before any photograph, about no table
+_INDEPENDENT = 300  # values of a photograph with independent errors; errors of the model are smooth over a ball
 _HIDDEN = "the shading is not a ball's: the lamp does not reach it"
 
 
@@ -65,26 +69,27 @@ def fit_lights(
 
     Robust fit (Tukey 1960) of ambient + ``shading.direct`` + ``shading.bounced``. Each photograph has its own light and
     ambient radiance; all share one bounce, which in a single photograph looks like a rotated light. Measured in Cycles
-    on a table that reflects 40 %: without the bounce directions err by 2.5° to 4.2° in the mean. near: fit distances;
+    on a table that reflects 40 %: without the bounce directions err by 2.5° to 4.2° in the mean. Photographs that do
+    not determine the bounce give none, and errors that include what one would do. near: fit distances;
     else ``inverse`` is 1 / distance of all lights, 0 for distant ones. The standard errors come from a jackknife over
     sectors of the balls, so they include errors of the model.
     """
     fits: list[_State | str] = [_initial_state(shading, centre, near, inverse) for shading in shadings]
     states = [state for state in fits if isinstance(state, _State)]
-    ground = np.zeros(3)
+    ground, turns = np.zeros(3), np.zeros(len(states))
     if len(states) >= _MIN_FOR_BOUNCE:
-        ground = _joint(states, centre, near)
+        ground, turns = _joint(states, centre, near)
         for state in states:
             _refine(state, centre, ground, near, _ITERATIONS)
-    radiances = iter(_radiances(states, centre, ground))
+    lights = zip(_radiances(states, centre, ground), turns, strict=True)
     results: list[Fit | str] = []
     for begun in fits:
         if isinstance(begun, str):
             results.append(begun)
             continue
-        radiance = next(radiances)
+        radiance, turn = next(lights)
         hidden = _scatter(begun, centre, ground) > _SCATTER
-        results.append(_HIDDEN if hidden else _fit(begun, centre, ground, radiance, near))
+        results.append(_HIDDEN if hidden else _fit(begun, centre, ground, radiance, near, turn))
     return results, ground
 
 
@@ -102,7 +107,8 @@ def _initial_state(shading: Shading, centre: np.ndarray, near: bool, inverse: fl
         return "no shading"
     state = _State(shading, grey, parameters, np.ones(len(grey)))
     _refine(state, centre, np.zeros(3), near, _ITERATIONS)
-    return state if np.linalg.norm(state.parameters[:3]) > 0 else "no shading"
+    strength = np.linalg.norm(state.parameters[:3])
+    return state if strength > _MIN_STRENGTH * abs(float(grey.mean())) else "no shading"
 
 
 def _start(shading: Shading, grey: np.ndarray, centre: np.ndarray, inverse: float) -> np.ndarray | None:
@@ -144,43 +150,56 @@ def _refine(
             break
 
 
-def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarray:
+def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounce by Gauss–Newton over all photographs, and refine the states.
 
-    The Schur complement eliminates each photograph's parameters and leaves three unknowns, or one.
+    The Schur complement eliminates each photograph's parameters and leaves three unknowns, or one. An unknown table has
+    a normal prior about zero: where a ball shows no terminator, a bounce is equal to a rotation of the lights. Also
+    returns (K,) the standard error of each direction by that of the bounce, radians; 0 where the table is known.
     """
     table_known = states[0].shading.table is not None
     ground = np.array(_ALBEDO_START if table_known else _BOUNCE_START)
-    count = len(ground)
-    for _ in range(_JOINT_ITERATIONS):
-        left, right, solutions = np.zeros((count, count)), np.zeros(count), []
+    count, certain = len(ground), np.zeros(len(states))
+    for iteration in range(_JOINT_ITERATIONS):
+        left, right, solutions, variance = np.zeros((count, count)), np.zeros(count), [], 0.0
         for state in states:
             free = _free(state, near)
             residual = state.grey - shade.radiance(state.shading, centre, state.parameters, ground)
             state.weights = _tukey(residual, state.parameters)
+            variance += _scale(residual, state.parameters) ** 2 * len(residual) / _INDEPENDENT / len(states)
             own = shade.jacobian(state.shading, centre, state.parameters, ground)[:, free]
             common = shade.ground_jacobian(state.shading, state.parameters, ground)
-            by_common = _solved(own, state.weights, common)
-            by_residual = _solved(own, state.weights, residual)
+            by_common, by_residual = (_solved(own, state.weights, b) for b in (common, residual))
             projected = common - own @ by_common
             left += (projected * state.weights[:, None]).T @ common
             right += (projected * state.weights[:, None]).T @ residual
             solutions.append((state, free, by_common, by_residual))
         if not np.trace(left) > 0:  # no light reaches the table
-            return np.zeros(count)
-        left += _BOUNCE_PRIOR * np.trace(left) * np.eye(count)
-        step = np.linalg.solve(left, right)
+            return np.zeros(count), certain
+        alone = table_known or iteration < _DATA_ALONE
+        prior = _DAMPING * np.trace(left) if alone else variance / _BOUNCE_DEVIATION**2
+        left += prior * np.eye(count)
+        step = np.linalg.solve(left, right if alone else right - prior * ground)
         step *= min(1.0, 0.1 / max(float(np.linalg.norm(step)), 1e-300))
         if table_known:
             step = np.clip(ground + step, 0.0, 1.0) - ground
         ground = ground + step
-        if not table_known and np.linalg.norm(ground) < _MIN_BOUNCE:
-            return np.zeros(count)
+        absent = not alone and np.linalg.norm(ground) < _MIN_BOUNCE
         for state, free, by_common, by_residual in solutions:
             state.parameters[free] += by_residual - by_common @ step
-        if np.linalg.norm(step) < 1e-4:
+        if absent or (np.linalg.norm(step) < 1e-4 and (table_known or not alone)):
             break
-    return ground
+    covariance = variance * np.linalg.inv(left)
+    turns = [_turn(state, by_common, covariance) for state, _, by_common, _ in solutions]
+    return np.zeros(count) if absent else ground, certain if table_known else np.array(turns)
+
+
+def _turn(state: _State, by_ground: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the standard error of a direction by that of the bounce, radians. by_ground: of the free parameters."""
+    strength = np.linalg.norm(state.parameters[:3])
+    direction = state.parameters[:3] / strength
+    across = (np.eye(3) - np.outer(direction, direction)) @ by_ground[:3] / strength
+    return float(np.sqrt(np.trace(across @ covariance @ across.T)))
 
 
 def _free(state: _State, near: bool) -> np.ndarray:
@@ -197,12 +216,18 @@ def _solved(jacobian: np.ndarray, weights: np.ndarray, right: np.ndarray) -> np.
 
 def _tukey(residual: np.ndarray, parameters: np.ndarray, keep: np.ndarray | None = None) -> np.ndarray:
     keep = np.ones(len(residual), bool) if keep is None else keep
-    strength = np.linalg.norm(parameters[:3])
-    scale = max(1.4826 * np.median(np.abs(residual[keep])), _MIN_SCALE * strength, 1e-12)
-    return keep * tukey(residual, scale)
+    return keep * tukey(residual, _scale(residual[keep], parameters))
 
 
-def _fit(state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.ndarray, near: bool) -> Fit:
+def _scale(residual: np.ndarray, parameters: np.ndarray) -> float:
+    deviation = 1.4826 * float(np.median(np.abs(residual)))
+    return max(deviation, _MIN_SCALE * float(np.linalg.norm(parameters[:3])), 1e-12)
+
+
+def _fit(
+    state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.ndarray, near: bool, turn: float = 0.0
+) -> Fit:
+    """Return a state's light. turn: standard error of its direction by that of the bounce, radians."""
     shading, values = state.shading, state.parameters
     strength = np.linalg.norm(values[:3])
     direction = values[:3] / strength
@@ -218,7 +243,7 @@ def _fit(state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.nda
         direction,
         float(values[3]),
         radiance,
-        float(factor * np.linalg.norm(turns)),
+        float(np.hypot(factor * np.linalg.norm(turns), turn)),
         float(factor * np.linalg.norm(inverse_changes)),
         float(np.sqrt(np.mean(residual**2)) / strength),
         float((shade.direct(shading, centre, values) > 0).mean()),

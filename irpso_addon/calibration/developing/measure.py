@@ -122,6 +122,7 @@ def measure_steps(store: ImageStore, source: Source, options: MeasureOptions) ->
     """Yield before each measurement; return the corrections. Raises InputError if one cannot be measured."""
     work = _Work(store, source, options)
     work.check_orientations()
+    work.check_sizes()
     groups = source.groups
     cameras = 1 + max(group.camera for group in groups)
     amounts = [a for group in groups for a in group.amounts or ()]
@@ -176,6 +177,17 @@ class _Work:
                 images += map(self._ref, self.options.left_out)
             faults += orientation_faults(images, self.store)
         raise_all(faults)
+
+    def check_sizes(self) -> None:
+        """Raise InputError where one dark frame or flat field cannot serve all cameras."""
+        first, *others = self.source.groups
+        other = next((group for group in others if group.size != first.size), None)
+        if other and (self.options.darks or self.options.flats):
+            sizes = (f"{g.images[0]} is {'×'.join(map(str, g.size or ()))}" for g in (first, other))
+            raise InputError(
+                f"{'--dark' if self.options.darks else '--flat'}: the photographs of all cameras must have one size;"
+                f" {' and '.join(sizes)}; develop those of each camera by themselves"
+            )
 
     def response(self) -> Generator[Progress, None, Response | None]:
         if self.options.response is not None:
@@ -344,11 +356,13 @@ class _Work:
         first, chart = self.source.groups[0], self.options.chart
         if chart is None:
             return first
+        shows = (g for g in self.source.groups if chart.resolve() in [image.path.resolve() for image in g.images])
+        own = next(shows, first)
         amount = self._amount(chart)
         if scaled and self.options.exposing is not None and amount is None:
             raise InputError(f"{chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
-        return ExposureGroup("chart", (self._ref(chart),), amounts, first.camera, first.size)
+        return ExposureGroup("chart", (self._ref(chart),), amounts, own.camera, own.size)
 
 
 def _common_spaces(source: Source, options: MeasureOptions) -> dict[bool, str]:

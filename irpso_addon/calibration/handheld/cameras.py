@@ -88,6 +88,7 @@ def _solved(
         raise InputError(
             f"points are off by {error / factor:.2f} pixels with the given focal length, and by"
             f" {best / factor:.2f} with one of {angle:.1f}° over the width; correct --fov, or leave it out"
+            " (likewise the angle in the folder's camera.toml)"
         )
     return fixed, _errors(fixed, views), rotation_errors(fixed, views)
 

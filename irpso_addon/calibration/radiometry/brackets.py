@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ...capture.images.exif import SAME_STOPS, exposure_of
+from ...capture.images.exif import SAME_STOPS, Exposure, exposure_of
 from ...capture.images.headers import read_bytes
 from ...core.errors import InputError
 from ...core.files import natural
@@ -21,6 +21,7 @@ _SECONDS = re.compile(rf"^(?:(?P<stem>.*)[ _-])?(?P<value>{_NUMBER})(?P<unit>m?s
 _EV_FIRST = re.compile(rf"^(?:(?P<stem>.*?)[ _-])?ev[ _]?(?P<stops>[+-]?{_NUMBER})$", re.I)
 _EV_LAST = re.compile(rf"^(?P<stem>.*?)[ _-]?(?P<stops>[+-]{_NUMBER}|(?<=[ _]){_NUMBER})[ _]?ev$", re.I)
 _INDEX = re.compile(r"^(?P<stem>.*?)[ _-]+e?(?P<index>\d+)$", re.I)
+_NAMES = "write exposures into the names (name_1-60s.jpg, name_ev-2.jpg) and choose names"
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,25 @@ class Bracket:
 
 def exif_amount(path: Path) -> float:
     """Return a photograph's exposure, seconds · ISO / 100 / N². Raises InputError if its EXIF has no exposure time."""
+    return _exposure(path).amount
+
+
+def _exposure(path: Path) -> Exposure:
     exposure = exposure_of(read_bytes(path))
     if exposure is None:
-        raise InputError(
-            f"{path}: has no exposure time in its EXIF; write exposures into the names (name_1-60s.jpg, name_ev-2.jpg)"
-            " and choose names"
-        )
-    return exposure.amount
+        raise InputError(f"{path}: has no exposure time in its EXIF; {_NAMES}")
+    return exposure
+
+
+def _exif_amounts(paths: Sequence[Path]) -> list[float]:
+    """Return exposures. Raises InputError if one is unknown, or some files of a folder lack f-number or ISO."""
+    exposures = [_exposure(path) for path in paths]
+    for what, key in (("f-number", "f_number"), ("ISO", "iso")):
+        having = {p.parent: p for p, e in zip(paths, exposures, strict=True) if getattr(e, key) is not None}
+        for path, exposure in zip(paths, exposures, strict=True):
+            if getattr(exposure, key) is None and path.parent in having:
+                raise InputError(f"{path}: has no {what} in its EXIF, and {having[path.parent].name} has one; {_NAMES}")
+    return [exposure.amount for exposure in exposures]
 
 
 def name_amount(stem: str, exposures: Sequence[float] = ()) -> tuple[str, float, str] | None:
@@ -70,7 +83,7 @@ def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) 
     Raises InputError if a file has no exposure, or names mix seconds and stops.
     """
     if by == "exif":
-        return [(path.stem, exif_amount(path)) for path in paths]
+        return [(path.stem, amount) for path, amount in zip(paths, _exif_amounts(paths), strict=True)]
     parsed = []
     for path in paths:
         if (parts := name_amount(path.stem, exposures)) is None:
@@ -112,9 +125,7 @@ def index_amount(path: Path, paths: Sequence[Path], exposures: Sequence[float]) 
     return float(exposures[place]) if 0 <= place < len(exposures) else None
 
 
-def brackets_of(
-    paths: Sequence[Path], by: str, exposures: Sequence[float] = (), amount: Callable[[Path], float] = exif_amount
-) -> tuple[list[Bracket], list[str]]:
+def brackets_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) -> tuple[list[Bracket], list[str]]:
     """Sort photographs by name and group them; return the brackets, and warnings.
 
     by "names": names in a bracket differ only in the exposure; their common part is its name. by "exif": a bracket ends
@@ -122,7 +133,7 @@ def brackets_of(
     """
     paths = sorted(paths, key=natural)
     if by == "exif":
-        groups = [(run[0][0].stem, run) for run in _runs([(path, amount(path)) for path in paths])]
+        groups = [(run[0][0].stem, run) for run in _runs(list(zip(paths, _exif_amounts(paths), strict=True)))]
     else:
         named: dict[tuple[Path, str], list[tuple[Path, float]]] = {}
         for path, (stem, value) in zip(paths, amounts_of(paths, by, exposures), strict=True):

@@ -14,7 +14,7 @@ from ...core.files import replacing_file
 from .response import Response
 
 _FORMAT = 1
-_LAST_CODE = 0.99  # 1 but for rounding, or for a last code of 2^n − 1 over 2^n
+_LAST_CODE = 0.99  # at least; 255 of 256 counts as 1
 _CHANNELS = ("red", "green", "blue")
 _KEYS = {"format", "residual", "codes", *_CHANNELS, *(f"{name}_used" for name in _CHANNELS)}
 _REMEDY = "write one line for each code: code red green blue, or code linear, all 0 to 1 and rising"
@@ -66,7 +66,7 @@ def read_response(path: Path | str) -> Response:
 
 def _checked(path: Path, codes: np.ndarray, linear: np.ndarray, used: np.ndarray, residual: float) -> Response:
     finite = np.isfinite(codes).all() and np.isfinite(linear).all()
-    if not finite or len(codes) < 2 or (np.diff(codes) <= 0).any() or codes[0] < 0 or not 0.5 < codes[-1] <= 1:
+    if not finite or len(codes) < 2 or (np.diff(codes) <= 0).any() or codes[0] < 0 or not 0 < codes[-1] <= 1:
         raise InputError(f"{path}: codes must rise from 0 to 1 (code value / largest code); correct them")
     if (np.diff(linear, axis=0) < 0).any() or linear.min() < 0 or (linear[-1] <= linear[0]).any():
         raise InputError(f"{path}: linear values must rise with the codes, from 0; correct them")
@@ -75,7 +75,9 @@ def _checked(path: Path, codes: np.ndarray, linear: np.ndarray, used: np.ndarray
             f"{path}: its first code is {codes[0]:g}; add the line of code 0, else dark pixels are unknown"
         )
     if codes[-1] < _LAST_CODE:
-        raise InputError(f"{path}: its last code is {codes[-1]:g}; add the line of code 1, for bright pixels")
+        raise InputError(
+            f"{path}: its last code is {codes[-1]:g}; add the line of code 1, else bright pixels are unknown"
+        )
     return Response(codes, linear / linear[-1], used, residual)
 
 

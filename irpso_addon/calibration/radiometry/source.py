@@ -95,10 +95,10 @@ def read_source(
     brackets, warnings = _grouped(
         list(dict.fromkeys([*listed, *images])) if merged else listed, exposing, bursts, decoder
     )
-    # A list may name one photograph of each bracket.
-    places = {path: place for place, path in reversed(list(enumerate(listed)))}
-    brackets = [bracket for bracket in brackets if not places.keys().isdisjoint(bracket.paths)]
-    brackets.sort(key=lambda bracket: min(places[path] for path in bracket.paths if path in places))
+    # A list may name one photograph of each bracket; its order is that of the lights.
+    place = {path: number for number, path in reversed(list(enumerate(listed)))}
+    brackets = [bracket for bracket in brackets if not place.keys().isdisjoint(bracket.paths)]
+    brackets.sort(key=lambda bracket: min(place[path] for path in bracket.paths if path in place))
     groups = [
         ExposureGroup(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts)
         for b in brackets

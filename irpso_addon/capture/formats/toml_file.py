@@ -16,8 +16,8 @@ from ..errors import CaptureError
 from ..images.image import ImageRef
 from ..images.linearise import COLOUR_SPACES
 
-_ANGLES, _WIDTHS = {"fov_degrees", "focal_length_px"}, {"world_width", "world_height"}
-CAMERA_KEYS = {"orthographic", "principal_point", "distortion"} | _ANGLES | _WIDTHS
+FOCAL_KEYS, _WIDTHS = {"fov_degrees", "focal_length_px"}, {"world_width", "world_height"}
+CAMERA_KEYS = {"orthographic", "principal_point", "distortion"} | FOCAL_KEYS | _WIDTHS
 _SQUARE_WORLD = 2.0  # the width of Blender's default plane
 
 
@@ -102,12 +102,12 @@ def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = 
 
     Raises CaptureError if keys are wrong or contradict each other.
     """
-    perspective = not _ANGLES.isdisjoint(table)
+    perspective = not FOCAL_KEYS.isdisjoint(table)
     orthographic = table.get("orthographic", "world_width" in table or not perspective)
     if not isinstance(orthographic, bool):
         raise CaptureError(f"{where}: orthographic must be true or false", "value")
-    wrong = _ANGLES if orthographic else _WIDTHS
-    if wrong & set(table) or set(table) >= _ANGLES or ("world_height" in table and "world_width" not in table):
+    wrong = FOCAL_KEYS if orthographic else _WIDTHS
+    if wrong & set(table) or set(table) >= FOCAL_KEYS or ("world_height" in table and "world_width" not in table):
         raise CaptureError(
             f"{where}: give one of fov_degrees, focal_length_px, or orthographic = true with world_width", "camera"
         )

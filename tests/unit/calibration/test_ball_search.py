@@ -265,3 +265,9 @@ def test_a_ball_whose_outline_hardly_shows_is_warned_of():
     clear, dim = (FoundBall("mirror", np.zeros((3, 2)), 30.0, support, 0.9) for support in (0.8, 0.2))
     (warning,) = ball_warnings([clear, dim])
     assert "20% of its outline" in warning and "balls.png" in warning
+
+
+@pytest.mark.parametrize("size", [(2, 1), (1, 3)])
+def test_photographs_a_pixel_wide_or_high_show_no_ball(size):
+    image = np.ones((size[1], size[0], 4), np.float32)
+    assert run_steps(search_steps([lambda: image] * 4, Camera.from_fov(*size, 35.0), KINDS)) == []

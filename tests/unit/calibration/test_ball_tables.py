@@ -80,6 +80,40 @@ def test_a_matte_ball_on_a_patterned_table_gives_its_lights_where_the_tables_lig
         assert off.mean() > 1.0
 
 
+def fits_over_a_table(lights, albedo, noise=0.012, strength=0.6):
+    """fit_lights of a ball by Lambert's law over an infinite lit plane of the albedo."""
+    ball, _ = outline_ball()
+    shape = (len(lights), CAMERA.height, CAMERA.width, 3)
+    normals = ball.surface(view_of(ball, np.zeros(shape)).pixels)[1]
+    direct = np.maximum(normals @ lights.T, 0).transpose(2, 0, 1)
+    plane = albedo * (lights @ UP)[:, None, None] * (1 - normals @ UP) / 2
+    values = strength * (direct + plane)[..., None] + 0.02
+    view = view_of(ball, values + noise * np.random.default_rng(2).normal(size=shape))
+    fits, ground = fit_lights([shading_of([view], number) for number in range(len(lights))], ball.centre, False)
+    return degrees([fit.direction for fit in fits], lights), np.degrees([fit.error for fit in fits]), ground
+
+
+@pytest.mark.parametrize(("count", "seed"), [(5, 2), (6, 0), (6, 2)])
+def test_a_table_is_not_invented_where_the_lights_do_not_determine_one(count, seed):
+    """Few terminators are visible, and without one a table's light is equal to a rotation of the lights."""
+    off, _, ground = fits_over_a_table(cap(count, 35, seed), 0.0)
+    assert off.max() < 1.0 and np.linalg.norm(ground) < 0.1
+
+
+@pytest.mark.parametrize("albedo", [0.2, 0.4, 0.7])
+def test_a_table_is_found_where_the_lights_determine_it(albedo):
+    off, error, ground = fits_over_a_table(cap(6, 60), albedo, noise=0.008)
+    assert off.max() < 0.6 and error.max() < 1.0
+    np.testing.assert_allclose(ground, albedo * UP, atol=0.05)
+
+
+def test_the_stated_error_includes_a_table_that_the_lights_do_not_determine():
+    lights = cap(6, 15)
+    off, error, _ = fits_over_a_table(lights, 0.3, noise=0.002)
+    assert off.mean() > 1.0  # no photograph shows it
+    assert (off < 2 * error).all() and error.max() < 10
+
+
 def test_a_photograph_whose_shading_is_no_balls_gives_no_light():
     ball, _ = outline_ball()
     images = [matte_image(CAMERA, [(CENTRE, RADIUS)], light) for light in LIGHTS]

@@ -247,6 +247,31 @@ def test_a_photograph_whose_lamp_is_hidden_from_the_ball_gives_no_light():
     assert degrees([found[n].light.vector for n in others], lights[others]).max() < 1.0
 
 
+@pytest.mark.parametrize("off", [0, 2])
+def test_an_evenly_lit_ball_gives_no_light_and_does_not_scale_the_others(off):
+    """Rounding of even values once gave a light of strength 1e-19."""
+    camera, ball = CAMERAS["perspective"], [((0.3, -0.2, -8.0), 0.8)]
+    lights = cap(4, 60)
+    albedos = [(0.0 if number == off else 0.5,) * 3 for number in range(4)]
+    images = [matte_image(camera, ball, light, albedo=a) for light, a in zip(lights, albedos, strict=True)]
+    photographs = [photographed(image, np.random.default_rng(0)) for image in images]
+    found = calibrated(photographs, [ball_of(camera, *ball[0])], "matte")
+    assert found.lights[off].light is None and found.lights[off].warnings == ("no shading",)
+    others = [light for number, light in enumerate(found.lights) if number != off]
+    np.testing.assert_allclose([light.light.intensity for light in others], 1.0, rtol=0.02)
+
+
+def test_a_matte_ball_far_darker_than_in_other_photographs_gets_a_warning():
+    """A hidden lamp leaves the light of a wall."""
+    camera, ball = CAMERAS["perspective"], [((0.3, -0.2, -8.0), 0.8)]
+    images = [matte_image(camera, ball, light) for light in cap(6, 60)]
+    images[2] = matte_image(camera, ball, unit([0.9, 0.2, 0.3]), albedo=(0.01, 0.01, 0.01))
+    photographs = [photographed(image, np.random.default_rng(0)) for image in images]
+    found = calibrated(photographs, [ball_of(camera, *ball[0])], "matte").lights
+    faint = [number for number, light in enumerate(found) if any("the lamp may be hidden" in w for w in light.warnings)]
+    assert faint == [2] and "2%" in " ".join(found[2].warnings)
+
+
 @pytest.mark.parametrize("kind", ["mirror", "matte"])
 def test_two_balls_locate_near_lights_and_recognise_distant_ones(kind):
     rng, make = np.random.default_rng(1), {"mirror": mirror_image, "matte": matte_image}[kind]

@@ -53,6 +53,22 @@ def test_the_table_gets_the_cards_distance_unless_it_states_one_or_a_width(balls
         assert replace(found, spec=replace(spec, **changes)).new_distance is None
 
 
+def test_intensities_of_one_of_several_cameras_are_warned_of_unless_an_albedo_is_given(balls):
+    """They are relative to the first light of this camera, and the others' rows stay."""
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
+    other = replace(spec.views[0], name="other")
+    shown = tuple(replace(observation, name=f"other {observation.name}", camera=1) for observation in spec.observations)
+    both = replace(spec, views=(*spec.views, other), observations=(*spec.observations, *shown))
+
+    def warned(spec, **options):
+        request = Request("matte", **options)
+        warnings = run_steps(calibrate_steps(spec, balls[1], request, radius=10.0, view="camera")).warnings
+        return [text for text in warnings if "relative to the first light of 'camera'" in text]
+
+    assert len(warned(both)) == 1 and "--albedo" in warned(both)[0]
+    assert warned(both, albedo=(0.5, 0.5, 0.5)) == warned(spec) == []
+
+
 def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
     seen = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     with pytest.raises(InputError, match="--lamp-distance: needs --radius"):

@@ -203,6 +203,7 @@ def test_a_curve_may_be_lines_of_numbers(tmp_path):
         ("a.csv", "", "is empty"),
         ("a.csv", "0 0\n0.3 0.1\n0.6 0.3\n", "its last code is 0.6; add the line of code 1"),
         ("a.csv", "0.2 0.04\n1 1\n", "its first code is 0.2; add the line of code 0"),
+        ("a.csv", "0 0\n0.3 0.1\n0.6 0.3\n", "its last code is 0.6; add the line of code 1"),
     ],
 )
 def test_broken_curve_files_are_refused_by_name(tmp_path, name, text, words):

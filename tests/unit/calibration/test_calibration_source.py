@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.calibration.photographs import read_photographs
-from irpso_addon.calibration.radiometry.brackets import brackets_of, name_amount
+from irpso_addon.calibration.radiometry.brackets import amounts_of, brackets_of, name_amount
 from irpso_addon.calibration.radiometry.source import Exposing, read_source
 from irpso_addon.capture.formats.diligent import mask_of
 from irpso_addon.capture.read import read_spec
@@ -98,6 +98,21 @@ def test_unknown_exposures_are_refused(tmp_path):
         brackets_of([tmp_path / "a_1s.png", tmp_path / "b_1s.png"], "names")
     with pytest.raises(InputError, match="has the exposure of"):
         brackets_of([tmp_path / "a_1s.png", tmp_path / "a_1000ms.png"], "names")
+
+
+@pytest.mark.parametrize(("tags", "what"), [(((8, 1), None), "ISO"), ((None, 400), "f-number")])
+def test_a_file_without_a_tag_that_others_of_its_folder_have_is_refused(tmp_path, tags, what):
+    """It would be scaled as ISO 100 or f/1 beside the others."""
+    full = [photograph(tmp_path / f"{k}.png", (1, 15 * 2**k), (8, 1), 400) for k in range(2)]
+    bare = photograph(tmp_path / "bare.png", (1, 240), *tags)
+    for function in (brackets_of, amounts_of):
+        with pytest.raises(
+            InputError, match=rf"bare\.png: has no {what} in its EXIF, and 1\.png has one; .*choose names"
+        ):
+            function([*full, bare], "exif")
+    (tmp_path / "manual lens").mkdir()
+    other = photograph(tmp_path / "manual lens" / "0.png", (1, 240), *tags)
+    assert len(amounts_of([*full, other], "exif")) == 3  # of another camera
 
 
 def test_a_folder_gives_all_photographs_except_left_out_ones(tmp_path):

@@ -250,6 +250,36 @@ def test_bad_input_is_one_line_and_leaves_nothing(photographs, tmp_path, monkeyp
     assert listing(tmp_path) == before
 
 
+@pytest.fixture
+def two_sizes(tmp_path):
+    """A capture of two cameras, of 12 × 10 and 10 × 12 pixels."""
+    folder, rng = tmp_path / "sizes", np.random.default_rng(0)
+    folder.mkdir()
+    rows = ""
+    for k, name in enumerate("aaabbb"):
+        write(folder / f"{k}.png", rng.uniform(0.2, 0.8, (10, 12, 3) if name == "a" else (12, 10, 3)), None)
+        rows += f'[[observation]]\nimage = "{k}.png"\ncamera = "{name}"\nlight_direction = [0.{k}, 0, 1]\n'
+    cameras = "".join(f'[[camera]]\nname = "{name}"\nfov_degrees = 40\n' for name in "ab")
+    (folder / "capture.toml").write_text(f"format = 1\n{cameras}{rows}")
+    write(folder / "even.png", np.full((10, 12, 3), 0.1), None)
+    return folder
+
+
+@pytest.mark.parametrize("option", ["--dark", "--flat"])
+def test_a_dark_frame_of_one_camera_is_refused_for_cameras_of_other_sizes(two_sizes, tmp_path, option):
+    run = "develop", two_sizes / "capture.toml", "-o", tmp_path / "out"
+    code, out, err = run_cli(*run, option, two_sizes / "even.png", "--quiet")
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert option in err and "0.png is 12×10" in err and "3.png is 10×12" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_chart_that_another_camera_took_has_that_cameras_size(two_sizes, tmp_path):
+    run = "develop", two_sizes / "capture.toml", "-o", tmp_path / "out"
+    code, _, err = run_cli(*run, "--white", "2,2,4,4=0.18", "--chart", two_sizes / "4.png", "--quiet")
+    assert (code, err) == (0, "")
+
+
 def _joined(options):
     """Return options with a value that starts with a minus written as one word, as a person must."""
     joined = []
@@ -438,7 +468,7 @@ def test_the_list_camera_and_mask_of_a_plain_folder_go_along(photographs, tmp_pa
     report = json.loads((merged / "report.json").read_text())
     assert [image["files"] for image in report["images"]] == [
         [f"{k}.png" for k in row] for row in (("06", "07", "08"), ("00", "01", "02"))
-    ]
+    ]  # in the list's order, which is that of the lights
 
 
 def test_a_flat_field_of_another_kind_of_file_has_its_own_encoding(photographs, tmp_path):

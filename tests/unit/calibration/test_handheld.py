@@ -16,10 +16,11 @@ from irpso_addon.calibration.handheld.tracks import Tracks, _Match, _merged
 from irpso_addon.capture.frame.board import board_of
 from irpso_addon.capture.frame.homography import homography, mapped
 from irpso_addon.capture.images.exif import upright
+from irpso_addon.capture.spec import build_capture
 from irpso_addon.commands import handheld
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
-from tests.builders.captures import write_png
+from tests.builders.captures import decode_png, write_png
 from tests.builders.flat_scene import from_upper_left, texture
 from tests.builders.handheld import BEAM, FOCAL, OFFSET, STRENGTH, hand, on_board, photographs, shining
 
@@ -398,3 +399,20 @@ def test_photographs_of_one_name_in_two_folders_get_cameras_of_two_names(tmp_pat
     (tmp_path / "filenames.txt").write_text("\n".join([*names, "b/../a/1.png"]))
     with pytest.raises(InputError, match=r"filenames.txt: lists .*1.png twice; remove one of the lines"):
         handheld._photographs(Namespace(photographs=tmp_path, colour_space="auto"))
+
+
+def test_the_angle_of_the_folders_camera_file_is_kept_and_its_other_keys_are_warned_of(tmp_path):
+    for name in ("1.png", "2.png"):
+        write_png(tmp_path / name, np.zeros((30, 40, 3), int))
+    (tmp_path / "camera.toml").write_text("fov_degrees = 60\nprincipal_point = [10, 10]\ndistortion = [-0.3]\n")
+    spec = handheld._photographs(Namespace(photographs=tmp_path, colour_space="auto"))
+    capture = build_capture(spec, decode_png)
+    for fov, angle in ((None, 60.0), (40.0, 40.0)):
+        seen_by, lens = handheld._with_lens(capture, spec, fov)
+        assert lens == "known"
+        np.testing.assert_allclose([c.scale for c in seen_by.cameras], 20 / np.tan(np.radians(angle / 2)))
+        np.testing.assert_allclose([c.centre for c in seen_by.cameras], [[20, 15]] * 2)
+    (warning,) = handheld._lens_warnings(tmp_path)
+    assert "camera.toml: distortion and principal_point are not used" in warning
+    (tmp_path / "camera.toml").write_text("focal_length_px = 50\n")
+    assert handheld._lens_warnings(tmp_path) == []

@@ -43,6 +43,8 @@ def search_steps(
             f"--ball auto: needs {MIN_PHOTOGRAPHS} photographs under different lights, there are {len(readers)}; give"
             " a mask or X,Y,R"
         )
+    if min(camera.width, camera.height) < 2:  # has no edges
+        return []
     indices = np.linspace(0, len(readers) - 1, min(len(readers), _MAX_PHOTOGRAPHS)).astype(int)
     chosen = [readers[i] for i in np.unique(indices)]
     whole = yield from map_steps(reduced_steps(chosen, camera), lambda part: 0.3 * part)
