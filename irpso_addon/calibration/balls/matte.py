@@ -16,7 +16,7 @@ _MIN_VALUES = 40  # usable values
 _MIN_FOR_BOUNCE = 4  # photographs: in a single one a bounce looks like a rotated light
 
 _ITERATIONS, _JOINT_ITERATIONS, _JACKKNIFE_ITERATIONS = 25, 40, 6
-_DATA_ALONE = 15  # first iterations without a prior, whose weight is too great at the residuals of a poor bounce
+_DATA_ALONE = 5  # first iterations without a prior, whose weight is too great at the residuals of a poor bounce
 _CHANNEL_ITERATIONS = 8
 _MIN_SCALE = 0.002  # of the light's radiance: least scale of residuals
 _GRID = 400  # start directions
