@@ -16,7 +16,7 @@ _MIN_VALUES = 40  # usable values
 _MIN_FOR_BOUNCE = 4  # photographs: in a single one a bounce looks like a rotated light
 
 _ITERATIONS, _JOINT_ITERATIONS, _JACKKNIFE_ITERATIONS = 25, 40, 6
-_DATA_ALONE = 15  # first iterations without a prior, whose weight is too great at the residuals of a poor bounce
+_DATA_ALONE = 5  # first iterations without a prior, whose weight is too great at the residuals of a poor bounce
 _CHANNEL_ITERATIONS = 8
 _MIN_SCALE = 0.002  # of the light's radiance: least scale of residuals
 _GRID = 400  # start directions
@@ -28,6 +28,7 @@ _SCATTER = 0.15  # deviation of residuals over the light's radiance; above, the 
 _MIN_BOUNCE = 0.01  # length of ``ground``; below, there is no table
 _DAMPING = 1e-4  # weight of an unchanged bounce against the data
 _BOUNCE_DEVIATION = 0.15  # of each component of ``ground`` before any photograph, about no table
+_MODEL = 0.005  # of the light's radiance: least deviation of photographs from the model of a bounce
 _INDEPENDENT = 300  # values of a photograph with independent errors; errors of the model are smooth over a ball
 _HIDDEN = "the shading is not a ball's: the lamp does not reach it"
 
@@ -166,7 +167,8 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> tuple[np
             free = _free(state, near)
             residual = state.grey - shade.radiance(state.shading, centre, state.parameters, ground)
             state.weights = _tukey(residual, state.parameters)
-            variance += _scale(residual, state.parameters) ** 2 * len(residual) / _INDEPENDENT / len(states)
+            deviation = max(_scale(residual, state.parameters), _MODEL * float(np.linalg.norm(state.parameters[:3])))
+            variance += deviation**2 * len(residual) / _INDEPENDENT / len(states)
             own = shade.jacobian(state.shading, centre, state.parameters, ground)[:, free]
             common = shade.ground_jacobian(state.shading, state.parameters, ground)
             by_common, by_residual = (_solved(own, state.weights, b) for b in (common, residual))
