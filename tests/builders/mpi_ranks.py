@@ -29,7 +29,7 @@ from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.interreflection.rounds import InterreflectionRounds
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.plan import divided
-from irpso_addon.solver.settings.groups import Refinement
+from irpso_addon.solver.settings.refinement_groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.cavity import cap_card, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights

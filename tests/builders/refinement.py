@@ -10,7 +10,7 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.refinement import RefinementPhase
-from irpso_addon.solver.settings.groups import Refinement
+from irpso_addon.solver.settings.refinement_groups import Refinement
 from irpso_addon.solver.settings.resolve import ResolvedRefinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing

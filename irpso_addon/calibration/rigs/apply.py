@@ -74,9 +74,7 @@ def apply_steps(
     if is_exr(source.groups[0].images[0].path) != of_rig:  # the rig's colour space is of its own kind of file
         space = "auto"
         source = read_source(photographs, decoder, exposing, space)
-    groups, warnings = source.groups, source.warnings
-    if source.framing != Framing():
-        warnings += (f"{photographs}: its crop, corners or scale are left out; give them again with the new capture",)
+    groups, warnings = source.groups, source.warnings + _framing_warning(source, photographs)
     store = ImageStore(decoder)
     lamps = matched(rig, [_name(group) for group in groups], way, str(photographs))
     taken = [photograph_at(_file(group), group.images[0].path) for group in groups]
@@ -108,6 +106,12 @@ def apply_steps(
     writing = write_developed_steps(store, developing, measured, out, report, Output(half=half, corrections=False))
     written = yield from map_steps(writing, lambda step: Progress(_CHECKED + (1 - _CHECKED) * step.done, step.what))
     return replace(applied, warnings=tuple(written["warnings"]))
+
+
+def _framing_warning(source: Source, photographs: Path) -> tuple[str, ...]:
+    if source.framing == Framing():
+        return ()
+    return (f"{photographs}: its crop, corners or scale are left out; give them again with the new capture",)
 
 
 def _measured(rig: Rig, exposure: str | None) -> Measured | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...results.maps import Maps
 from ..phases.mixture import features_of, memberships, mixture
-from ..settings.groups import Materials
+from ..settings.refinement_groups import Materials
 from ..state.texel_subset import chosen_texels, merged_subset
 
 _TEXELS = 40  # whose evidence is pooled: as many as the spatial prior reads (kernels/spatial_prior.taps_of)

@@ -10,7 +10,8 @@ from ...core.paths import SHADERS
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..settings.groups import Fitness, Refinement
+from ..settings.groups import Fitness
+from ..settings.refinement_groups import Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
 from .declarations import (
     FLOAT_2D,

@@ -8,7 +8,7 @@ from ...core.paths import SHADERS
 from ...gpu.kernel import Defines, Entry, Includes, Kernel, Output, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import Parameter, ReflectanceModel
-from ..settings.groups import Refinement, SpatialPrior
+from ..settings.refinement_groups import Refinement, SpatialPrior
 from ..settings.resolve import ResolvedSpatialPrior
 from ..settings.schedule import Schedule
 from .declarations import (

@@ -11,7 +11,7 @@ from ...gpu.kernel import Defines, Kernel, Output
 from ...gpu.passes import Pass
 from ..kernels import declarations
 from ..kernels.spatial_prior import taps_of
-from ..settings.groups import SpatialPrior
+from ..settings.refinement_groups import SpatialPrior
 from ..settings.resolve import ResolvedIndirect, ResolvedSheen
 from ..state.phase_textures import PhaseTextures, TextureTable
 from ..state.prefit_measurements import PrefitMeasurements

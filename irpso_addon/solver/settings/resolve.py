@@ -9,7 +9,8 @@ from functools import cache
 from ...core.errors import InputError
 from ...core.paths import SHADERS
 from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .groups import Materials, NormalSearch, Prefit, Refinement, SpatialPrior, Stage, Surface
+from .groups import NormalSearch, Prefit, Stage
+from .refinement_groups import Materials, Refinement, SpatialPrior, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
 PROPAGATE = -2  # instead of a start: the best materials of neighbours

@@ -12,7 +12,8 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import defined, load_shipped_table, shipped_names
 from ...core.paths import PRESETS
-from .groups import Fitness, Interreflection, Materials, Prefit, Refinement, SpatialPrior, Stage, Surface, Swarm
+from .groups import Fitness, Prefit, Stage, Swarm
+from .refinement_groups import Interreflection, Materials, Refinement, SpatialPrior, Surface
 from .renamed import FORMAT, current_key, current_name, current_tables, hint
 from .setting import Setting, setting, settings_of
 

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_origin, get_type_hints
 from ...core.errors import InputError
 from .renamed import current_value, hint
 
+MAX_ITERATIONS, MAX_STEPS, MAX_ROUNDS = 1_000_000, 10_000, 100  # a plan lists the cost of every iteration
 _SHADERS_MAXIMUM = {int: 2**31 - 1, float: 3.4e38}  # of 32 bits
 
 

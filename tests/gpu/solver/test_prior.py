@@ -13,7 +13,7 @@ from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.spatial_prior import SpatialPriorPhase
 from irpso_addon.solver.planning.cost import recovery_cost
-from irpso_addon.solver.settings.groups import SpatialPrior
+from irpso_addon.solver.settings.refinement_groups import SpatialPrior
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing

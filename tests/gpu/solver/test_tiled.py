@@ -16,7 +16,7 @@ from irpso_addon.solver.engine.tiles import TileRecovery
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
-from irpso_addon.solver.settings.groups import Refinement
+from irpso_addon.solver.settings.refinement_groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import SHORT, masked, subject
 

@@ -8,7 +8,8 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.phases.swarm import neighbour_constant, particle_count
-from irpso_addon.solver.settings.groups import Refinement, Stage
+from irpso_addon.solver.settings.groups import Stage
+from irpso_addon.solver.settings.refinement_groups import Refinement
 from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve, unsearched_names
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 
