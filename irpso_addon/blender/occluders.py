@@ -11,6 +11,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..geometry.surface.mesh import MeshData
 from .mesh import read_attribute
+from .objects import in_viewports
 
 WITH_SURFACE = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META"})  # types of objects that Blender makes meshes of
 
@@ -66,7 +67,7 @@ def _triangles(obj: Any, instances: Sequence[np.ndarray], needed: bool) -> np.nd
         raise InputError(f"occluder '{obj.name}' is of type {obj.type}, which has no surface; leave it out")
     depsgraph = bpy.context.evaluated_depsgraph_get()
     evaluated = obj.evaluated_get(depsgraph)
-    if not (evaluated.is_evaluated and _shown(obj)):
+    if not (evaluated.is_evaluated and in_viewports(obj)):
         raise InputError(
             f"occluder '{obj.name}' is not in the active view layer or is hidden; show it in the viewport, or leave it"
             " out"
@@ -85,17 +86,6 @@ def _triangles(obj: Any, instances: Sequence[np.ndarray], needed: bool) -> np.nd
     if not np.isfinite(world).all():
         raise InputError(f"occluder '{obj.name}' has vertices that are not numbers; repair it, or leave it out")
     return world.reshape(-1, 3, 3).astype(np.float32)
-
-
-def _shown(obj: Any) -> bool:
-    """Return whether the active view layer has an object that the viewport may show; H hides it from the eye alone.
-
-    An object that a setting of the scene names is evaluated in any case.
-    """
-    import bpy
-
-    there = obj.library is not None or bpy.context.view_layer.objects.get(obj.name) == obj
-    return there and not obj.hide_viewport and any(not one.hide_viewport for one in obj.users_collection)
 
 
 def _instances(wanted: set[int]) -> dict[int, list[np.ndarray]]:

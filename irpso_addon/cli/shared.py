@@ -17,7 +17,11 @@ EPILOG = (
 def add_common(add: argparse.ArgumentParser) -> None:
     """Add the options of all commands."""
     add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
-    add.add_argument("--quiet", action="store_true", help="print only warnings and errors, no progress and no summary")
+    add.add_argument(
+        "--quiet",
+        action="store_true",
+        help="print no progress and no summary, only warnings, errors and what inspect and doctor find",
+    )
 
 
 def add_distance(add: argparse.ArgumentParser) -> None:

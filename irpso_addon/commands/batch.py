@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import time
@@ -22,6 +23,7 @@ from ..core.files import write_json
 from ..core.steps import run_steps
 from ..core.udim import PATTERN
 from ..pipeline.drive import CHECKPOINT
+from ..pipeline.lock import locked_folder
 from ..pipeline.ranks import leave_with_error
 from ..results.report import plain
 from ..results.write import REPORT
@@ -39,7 +41,6 @@ _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadow
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
 _OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
 _SUMMARY = "batch.json"  # of all jobs, in the output folder
-_DAMAGED = "checkpoint.damaged.npz"  # a damaged checkpoint's new name, in its job's folder
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
 _REPORTED = (
@@ -97,9 +98,10 @@ def run(options: Namespace) -> dict:
             raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
         _check_replaces_nothing(chosen, output)
         return _outcome([_run_job(chosen[0], output, options)], None, options)
-    _check_replaces_nothing(jobs, output, _SUMMARY)
-    states = [_run_job(job, output, options) for job in jobs]
-    return _outcome(states, output / _SUMMARY, options)
+    with locked_folder(output):
+        _check_replaces_nothing(jobs, output, _SUMMARY)
+        states = [_run_job(job, output, options) for job in jobs]
+        return _outcome(states, output / _SUMMARY, options)
 
 
 def _check_replaces_nothing(jobs: Sequence[Row], output: Path, *summaries: str) -> None:
@@ -258,10 +260,8 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
         try:
             report = recover.run(options.parse(words))
         except CheckpointError as error:  # damaged, or of other options, photographs or another version
-            if not resume:
-                raise
-            _move_damaged(folder / CHECKPOINT)
-            _say(options, f"{job.name}: starts again ({error})")
+            moved = _move_damaged(folder / CHECKPOINT)
+            _say(options, f"{job.name}: starts again ({error}{moved})")
             report = recover.run(options.parse([word for word in words if word != "--resume"]))
         interrupted = report.get(recover.INTERRUPTED, False)
         state |= {"state": "done", "result": {key: report[key] for key in _REPORTED if key in report}}
@@ -281,12 +281,16 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     return state
 
 
-def _move_damaged(path: Path) -> None:
-    """Rename a job's checkpoint that no recovery replaces."""
+def _move_damaged(path: Path) -> str:
+    """Rename a job's checkpoint that no recovery replaces; return what to tell of it, or ""."""
     try:
         check_replaceable(path)
     except CheckpointError:
-        path.replace(path.with_name(_DAMAGED))
+        names = (f"{path.stem}.damaged{f'_{n}' * (n > 0)}{path.suffix}" for n in itertools.count())
+        moved = next(path.with_name(name) for name in names if not path.with_name(name).exists())
+        path.rename(moved)
+        return f"; it is {moved.name} now"
+    return ""
 
 
 def _photographs(listed: Sequence[str]) -> list[str]:

@@ -20,7 +20,7 @@ from ..exports.turntable import write_turntable
 from ..gpu import context, probe
 from .options.occlusion import check_occlusion, with_occlusion
 from .options.page import UNNAMED, names_photographs, page_photographs
-from .options.values import check_shelf, shelf_of, silent
+from .options.values import check_shelf, shelf_of, silent, warn_quietly
 
 _CONVENTION, _WIDTH = "blender", 100.0
 _OWNERS = {"convention": "textures", "photographs": WEB, "width": RELIEF}  # option → the format that has it
@@ -64,6 +64,7 @@ def run(options: Namespace) -> dict:
     )
     if options.format == WEB and options.photographs is None and not names_photographs(result):
         report["warnings"].append(f"no photographs: {UNNAMED}")
+    warn_quietly(options, report.get("warnings", ()))
     if not silent(options):
         sys.stdout.write(_summary(report))
     return report

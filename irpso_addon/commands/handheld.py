@@ -28,7 +28,7 @@ from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
 from ..core.progress_bar import ProgressBar
-from .options.values import numbers_of_text, shell_quoted, silent
+from .options.values import numbers_of_text, shell_quoted, silent, warn_quietly
 
 BLEND = "card.blend"
 _REPORT = "report.json"
@@ -53,6 +53,7 @@ def run(options: Namespace) -> dict:
         (partial / TABLE).write_text(table, encoding="utf-8")
         (partial / _REPORT).write_text(report_text(spec, handheld), encoding="utf-8")
         save_card(partial / BLEND, handheld.field)
+    warn_quietly(options, handheld.warnings)
     if not silent(options):
         sys.stdout.write(_summary(handheld, out))
     return {"output": str(out), **report_of(spec, handheld)}
@@ -131,8 +132,8 @@ def _lens_warnings(folder: Path) -> list[str]:
     if not unused:
         return []
     return [
-        f"{path}: {' and '.join(unused)} are not used: handheld takes the principal point as the image's middle, and"
-        " measures the distortion"
+        f"{path}: not used: {', '.join(unused)}; handheld reads fov_degrees or focal_length_px, and measures the"
+        " distortion"
     ]
 
 

@@ -34,7 +34,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 def lock_file(folder: Path) -> Path:
     """Return the file that is locked for an output folder."""
     place = os.path.normcase(os.path.realpath(folder))
-    digest = hashlib.sha256(place.encode(errors="surrogateescape")).hexdigest()[:16]
+    digest = hashlib.sha256(place.encode(errors="surrogatepass")).hexdigest()[:16]
     return Path(tempfile.gettempdir()) / f"irpso-{digest}.lock"
 
 

@@ -54,8 +54,8 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
     images = sorted(images_of(material.node_tree), key=lambda image: image.name)
     if linked := next((block for block in (material, *images) if block.library is not None), None):
         raise InputError(
-            f"material '{material.name}' is linked from {linked.library.filepath}, and so are its maps; make it local"
-            " first (Object › Relations › Make Local › All)"
+            f"{linked.id_type.lower()} '{linked.name}' is linked from {linked.library.filepath}, so the asset would"
+            " lack maps; make the material local first (Object › Relations › Make Local › All)"
         )
     if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
         raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
@@ -85,7 +85,7 @@ def _copy_named(material: Any, name: str) -> Iterator[Any]:
 
     taken = next((one for one in bpy.data.materials if one.library is None and one.name == name), None)
     if taken is not None:
-        taken.name = "IRPSO"  # Blender numbers it where this is taken, too
+        taken.name = f"{name[:20]} "  # never the asset's: no asset's name ends with a space
     copy = material.copy()
     copy.name = name
     try:

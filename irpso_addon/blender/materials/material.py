@@ -15,6 +15,7 @@ from ...geometry.relief.height import Height
 from ...reflectance.model import ReflectanceModel
 from ...results.map_tables import MapTable, map_tables
 from ...results.maps import Maps
+from ..objects import in_a_scene
 from . import two_lobe_nodes as two_lobe
 from .anisotropy_nodes import connect_grain
 from .displacement import METHOD, displacement, divide
@@ -213,13 +214,6 @@ def subject_object(uid: int | None, subject: str):
     if uid is None:
         return find_card(subject)
     return next((obj for obj in bpy.data.objects if obj.session_uid == uid and in_a_scene(obj)), None)
-
-
-def in_a_scene(obj) -> bool:
-    """Return whether a scene has a local object: settings that name a deleted one keep it in the file."""
-    import bpy
-
-    return obj.library is not None or any(scene.objects.get(obj.name) == obj for scene in bpy.data.scenes)
 
 
 def card_object(subject: str, height: int, width: int, displaced: bool | None = False):

@@ -160,7 +160,7 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> tuple[np
     """
     table_known = states[0].shading.table is not None
     ground = np.array(_ALBEDO_START if table_known else _BOUNCE_START)
-    count, certain = len(ground), np.zeros(len(states))
+    count, no_turns = len(ground), np.zeros(len(states))
     for iteration in range(_JOINT_ITERATIONS):
         left, right, solutions, variance = np.zeros((count, count)), np.zeros(count), [], 0.0
         for state in states:
@@ -177,7 +177,7 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> tuple[np
             right += (projected * state.weights[:, None]).T @ residual
             solutions.append((state, free, by_common, by_residual))
         if not np.trace(left) > 0:  # no light reaches the table
-            return np.zeros(count), certain
+            return np.zeros(count), no_turns
         alone = table_known or iteration < _DATA_ALONE
         prior = _DAMPING * np.trace(left) if alone else variance / _BOUNCE_DEVIATION**2
         left += prior * np.eye(count)
@@ -193,7 +193,7 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> tuple[np
             break
     covariance = variance * np.linalg.inv(left)
     turns = [_turn(state, by_common, covariance) for state, _, by_common, _ in solutions]
-    return np.zeros(count) if absent else ground, certain if table_known else np.array(turns)
+    return np.zeros(count) if absent else ground, no_turns if table_known else np.array(turns)
 
 
 def _turn(state: _State, by_ground: np.ndarray, covariance: np.ndarray) -> float:
@@ -226,9 +226,7 @@ def _scale(residual: np.ndarray, parameters: np.ndarray) -> float:
     return max(deviation, _MIN_SCALE * float(np.linalg.norm(parameters[:3])), 1e-12)
 
 
-def _fit(
-    state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.ndarray, near: bool, turn: float = 0.0
-) -> Fit:
+def _fit(state: _State, centre: np.ndarray, ground: np.ndarray, radiance: np.ndarray, near: bool, turn: float) -> Fit:
     """Return a state's light. turn: standard error of its direction by that of the bounce, radians."""
     shading, values = state.shading, state.parameters
     strength = np.linalg.norm(values[:3])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -66,8 +67,10 @@ def text(table: dict[str, Any], key: str, where: str) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a TOML value is an integer or a float (NaN included), and no boolean."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Return whether a TOML value is an integer that a float can hold or a float (NaN included), and no boolean."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, float) or abs(value) <= sys.float_info.max
 
 
 def rows(table: dict[str, Any], key: str, path: Path, needed: bool = True) -> list[dict[str, Any]]:
@@ -106,8 +109,10 @@ def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = 
     orthographic = table.get("orthographic", "world_width" in table or not perspective)
     if not isinstance(orthographic, bool):
         raise CaptureError(f"{where}: orthographic must be true or false", "value")
+    if "world_height" in table and "world_width" not in table:
+        raise CaptureError(f"{where}: world_height needs world_width; give both, or neither", "camera")
     wrong = FOCAL_KEYS if orthographic else _WIDTHS
-    if wrong & set(table) or set(table) >= FOCAL_KEYS or ("world_height" in table and "world_width" not in table):
+    if wrong & set(table) or set(table) >= FOCAL_KEYS:
         raise CaptureError(
             f"{where}: give one of fov_degrees, focal_length_px, or orthographic = true with world_width", "camera"
         )

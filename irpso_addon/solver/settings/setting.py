@@ -12,6 +12,7 @@ from ...core.errors import InputError
 from .renamed import current_value, hint
 
 MAX_ITERATIONS, MAX_STEPS, MAX_ROUNDS = 1_000_000, 10_000, 100  # a plan lists the cost of every iteration
+_LONG = 10**40
 _SHADERS_MAXIMUM = {int: 2**31 - 1, float: 3.4e38}  # of 32 bits
 
 
@@ -49,23 +50,19 @@ class Setting:
             if not isinstance(value, bool):
                 raise InputError(f"{where}: {name} must be true or false, not {value!r}")
             return
+        long = isinstance(value, int) and abs(value) > _LONG  # Python writes none of more than 4300 digits
+        shown = f"a number of more than {math.log10(_LONG):.0f} digits" if long else repr(value)
         kinds, words = (int, "a whole number") if self.kind is int else (int | float, "a number")
         number = isinstance(value, kinds) and not isinstance(value, bool)
         if not number or not self.minimum <= value < math.inf:
-            raise InputError(f"{where}: {name} must be {words} from {self.minimum}, not {value!r}")
+            raise InputError(f"{where}: {name} must be {words} from {self.minimum}, not {shown}")
         if self.exclusive_minimum and value == self.minimum:
-            raise InputError(f"{where}: {name} must be above {self.minimum}, not {value!r}")
+            raise InputError(f"{where}: {name} must be above {self.minimum}, not {shown}")
         maximum = _SHADERS_MAXIMUM[self.kind] if self.maximum is None else self.maximum
         if value > maximum:
-            raise InputError(f"{where}: {name} must be at most {maximum}, not {_shortened(value)}")
+            raise InputError(f"{where}: {name} must be at most {maximum}, not {shown}")
         if self.odd and value % 2 == 0:
-            raise InputError(f"{where}: {name} must be odd (1, 3, 5, …), not {value!r}")
-
-
-def _shortened(value: float) -> str:
-    """Return a number as text; of a very long one its beginning."""
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:20]}…"
+            raise InputError(f"{where}: {name} must be odd (1, 3, 5, …), not {shown}")
 
 
 def setting(label: str, help: str, default: Any = MISSING, **more: Any) -> Any:

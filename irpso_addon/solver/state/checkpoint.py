@@ -141,7 +141,7 @@ def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise CheckpointError if there is a file at ``path`` that is not a whole checkpoint, of any version."""
+    """Raise CheckpointError if there is a file at ``path`` that does not begin as a checkpoint, of any version."""
     if not path.exists():
         return
     with _reading(path, "move or delete it, or choose another folder"), np.load(path) as file:

@@ -12,6 +12,7 @@ import numpy as np
 from ...blender.colour_spaces import to_rec_709, use_of
 from ...blender.materials import material
 from ...blender.mesh import extract_mesh
+from ...blender.objects import in_a_scene
 from ...blender.occluders import can_occlude, with_occluders
 from ...blender.tiled_images import tile_images
 from ...capture.inspect.sufficiency import MIN_LIGHTS, check_normal, no_normal
@@ -96,7 +97,7 @@ def missing(context) -> str:
 def subject_object(context):
     """Return the mesh object of the settings, or the active one; None if neither is a mesh, or it has been deleted."""
     obj = context.scene.irpso.object or context.view_layer.objects.active  # the setting keeps a deleted object
-    return obj if obj is not None and obj.type == "MESH" and material.in_a_scene(obj) else None
+    return obj if obj is not None and obj.type == "MESH" and in_a_scene(obj) else None
 
 
 def check_local(scene) -> None:

@@ -57,7 +57,7 @@ def store(running: Any) -> bool:
     job, file = running.job, bpy.data.filepath
     about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
     what = (job.origin, job.capture.source, job.name, job.model.name, file)
-    digest = hashlib.sha256("\n".join(map(str, what)).encode(errors="surrogateescape")).hexdigest()[:8]
+    digest = hashlib.sha256("\n".join(map(str, what)).encode(errors="surrogatepass")).hexdigest()[:8]
     try:
         if context_guard.active() is None:
             raise GpuUnavailableError("no graphics context is current")

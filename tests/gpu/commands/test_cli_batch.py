@@ -10,6 +10,7 @@ import pytest
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.cli import build_parser
 from irpso_addon.commands import batch, recover
+from irpso_addon.pipeline.lock import locked_folder
 from irpso_addon.solver.views.history import History
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
@@ -124,15 +125,27 @@ def test_a_job_with_a_former_name_of_a_setting_fails_with_the_present_one(listed
     assert "job 'second' failed: " in err and "there is no setting 'seeded'; it is 'start_fraction' now" in err
 
 
-def test_a_useless_checkpoint_does_not_block_its_job(listed):
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_useless_checkpoint_does_not_block_its_job(listed, begun):
     out, (job, *_) = listed / "out", batch.read_list(listed / "list.toml", build_parser().parse_args)
     (out / "first").mkdir(parents=True)
     (out / "first" / "checkpoint.npz").write_bytes(b"cut off in its middle")
-    (out / "first.json").write_text(json.dumps({"words": job.listed, "state": "begun"}), encoding="utf-8")
+    (out / "first" / "checkpoint.damaged.npz").write_bytes(b"an earlier one")
+    if begun:
+        (out / "first.json").write_text(json.dumps({"words": job.listed, "state": "begun"}), encoding="utf-8")
     code, message, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
-    assert code == 0 and "first: continues" in message and "starts again" in message and "damaged" in message
+    assert code == 0 and f"first: {'continues' if begun else 'starts'}" in message
+    assert "starts again" in message and "it is checkpoint.damaged_1.npz now" in message
     assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
-    assert (out / "first" / "checkpoint.damaged.npz").read_bytes() == b"cut off in its middle"
+    assert (out / "first" / "checkpoint.damaged_1.npz").read_bytes() == b"cut off in its middle"
+    assert (out / "first" / "checkpoint.damaged.npz").read_bytes() == b"an earlier one"
+
+
+def test_a_second_batch_into_a_folder_is_refused(listed):
+    with locked_folder(listed / "out"):
+        code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out")
+    assert code == 2 and err.count("\n") == 1 and "another process writes its result there now" in err
+    assert not (listed / "out").exists()
 
 
 @pytest.mark.parametrize("name", ["first.json", "second.json", "batch.json"])

@@ -31,6 +31,17 @@ def test_a_kept_material_goes_into_the_library_once(session_of_card, library, tm
     assert "single slashes" in refusal(bpy.ops.irpso.save_asset, library=library.name, catalog="a//b")
 
 
+def test_an_asset_may_have_any_name_that_a_material_has(session_of_card, library, tmp_path):
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.objects])
+    bpy.ops.irpso.keep()
+    bpy.data.materials.new("IRPSO").use_fake_user = True
+    for name, file in (("IRPSO leaf", "IRPSO_leaf"), ("IRPSO", "IRPSO")):
+        assert bpy.ops.irpso.save_asset(library=library.name, asset_name=name) == {"FINISHED"}
+        with bpy.data.libraries.load(str(tmp_path / "shelf" / f"{file}.blend"), assets_only=True) as (there, _):
+            assert there.materials == [name]
+    assert sorted(bpy.data.materials.keys()) == ["IRPSO", "IRPSO leaf"]
+
+
 def test_a_linked_material_of_the_assets_name_is_no_hindrance(session_of_card, library, tmp_path):
     bpy.data.batch_remove([*bpy.data.materials, *bpy.data.objects])
     bpy.ops.irpso.keep()
@@ -62,5 +73,5 @@ def test_a_material_whose_maps_are_linked_is_refused(session_of_card, library, t
         wanted.materials = [obj.active_material.name]
     obj.active_material = wanted.materials[0]
     said = refusal(bpy.ops.irpso.save_asset, library=library.name, asset_name="Linked")
-    assert "lib.blend" in said and "make it local first" in said
+    assert "lib.blend" in said and "make the material local first" in said
     assert not (tmp_path / "shelf" / "Linked.blend").exists()

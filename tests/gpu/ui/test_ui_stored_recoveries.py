@@ -116,20 +116,22 @@ def test_a_collection_that_an_empty_shows_is_among_the_occluders(plane):
     assert not len(make_job(bpy.context).mesh.occluders)  # a lighting kit hides nothing
 
 
-@pytest.mark.parametrize("how", ["object", "collection", "excluded", "removed"])
+@pytest.mark.parametrize("how", ["object", "collection", "parent", "excluded", "removed"])
 def test_a_hidden_occluder_is_refused_although_its_setting_keeps_it_evaluated(plane, how):
     from irpso_addon.ui.session.scene_job import make_job
 
     plane.object = bpy.context.object
-    around, top = bpy.data.collections.new("Around"), bpy.context.scene.collection
-    top.children.link(around)
+    around, inner = bpy.data.collections.new("Around"), bpy.data.collections.new("Inner")
+    top = bpy.context.scene.collection
+    top.children.link(around), around.children.link(inner)
     bpy.ops.mesh.primitive_cube_add(location=(9, 0, 0))
     cube = bpy.context.object
     top.objects.unlink(cube)
-    around.objects.link(cube)
+    inner.objects.link(cube)
     plane.occluders = around
     assert len(make_job(bpy.context).mesh.occluders) == 12
-    cube.hide_viewport, around.hide_viewport = how == "object", how == "collection"
+    cube.hide_viewport, inner.hide_viewport = how == "object", how == "collection"
+    around.hide_viewport = how == "parent"
     bpy.context.view_layer.layer_collection.children["Around"].exclude = how == "excluded"
     if how == "removed":
         top.children.unlink(around)
@@ -267,6 +269,19 @@ def test_a_deleted_mesh_is_missed_although_its_setting_keeps_it_in_the_file(plan
     assert plane.object is not None and subject_object(bpy.context) is None
     with pytest.raises(InputError, match="'Plane' has been deleted: undo that"):
         make_job(bpy.context)
+
+
+def test_a_linked_object_of_the_meshs_name_does_not_stand_for_it(plane, tmp_path):
+    from irpso_addon.ui.session.scene_job import subject_object
+
+    mine = plane.object = bpy.context.object
+    bpy.data.libraries.write(str(tmp_path / "lib.blend"), {mine})
+    with bpy.data.libraries.load(str(tmp_path / "lib.blend"), link=True) as (_, wanted):
+        wanted.objects = [mine.name]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    for obj in (mine, wanted.objects[0]):
+        plane.object = obj
+        assert subject_object(bpy.context) == obj
 
 
 def test_without_its_photographs_a_stored_recovery_changes_no_setting(stored, plane, tmp_path):

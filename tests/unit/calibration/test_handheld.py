@@ -413,6 +413,6 @@ def test_the_angle_of_the_folders_camera_file_is_kept_and_its_other_keys_are_war
         np.testing.assert_allclose([c.scale for c in seen_by.cameras], 20 / np.tan(np.radians(angle / 2)))
         np.testing.assert_allclose([c.centre for c in seen_by.cameras], [[20, 15]] * 2)
     (warning,) = handheld._lens_warnings(tmp_path)
-    assert "camera.toml: distortion and principal_point are not used" in warning
+    assert "camera.toml: not used: distortion, principal_point; handheld reads" in warning
     (tmp_path / "camera.toml").write_text("focal_length_px = 50\n")
     assert handheld._lens_warnings(tmp_path) == []

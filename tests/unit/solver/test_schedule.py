@@ -107,6 +107,7 @@ def test_a_bad_setting_is_refused_in_one_line_that_names_it(name, value):
         ("cycles = 1", 'cycles = 1\ntitle2 = "x"', "title2"),
         ("cycles = 1", "cycles = ", "TOML"),
         ("cycles = 1", f"cycles = {'9' * 400}", "cycles"),
+        ("cycles = 1", f"cycles = 0x{'F' * 5000}", "cycles must be at most 100, not a number of more than 40 digits"),
         ("cycles = 1", "cycles = 1\nname = 7", "name must be a text"),
         ('title = "', 'title = [1] # "', "title must be a text"),
         ("cycles = 1", f"cycles = {'9' * 5000}", "TOML"),
