@@ -1,7 +1,8 @@
-"""Whether scenes and view layers have an object: settings that name one keep it in the file, and evaluated."""
+"""Objects whose place or origin is not certain: deleted or hidden ones, which settings keep, and duplicates."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 
@@ -22,6 +23,17 @@ def in_viewports(obj: Any) -> bool:
         return _holds(layer.collection.objects, obj) or any(map(shows, layer.children))
 
     return not obj.hide_viewport and shows(bpy.context.view_layer.layer_collection)
+
+
+def originals(
+    objects: Iterable[Any], role: Callable[[Any], str], has_own_name: Callable[[Any], bool]
+) -> dict[str, Any]:
+    """Return role → object. A duplicate has the role of its original, and another or a longer name.
+
+    has_own_name: whether an object's name is, or begins with, the one that it was made with.
+    """
+    ordered = sorted(objects, key=lambda obj: (not has_own_name(obj), len(obj.name), obj.session_uid), reverse=True)
+    return {role(obj): obj for obj in ordered}
 
 
 def _holds(objects: Any, obj: Any) -> bool:

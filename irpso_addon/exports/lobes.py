@@ -42,7 +42,7 @@ def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
     """
     if not surface.lobes:
         return _none(surface.base_color.shape)
-    f0, f90 = surface.specular_reflectance
+    f0, f90 = surface.specular_color, surface.f90 * (1 - surface.metallic) + surface.metallic
     widths = np.geomspace(lowest, highest, _WIDTHS)
     angle = np.degrees(np.arccos(np.clip(surface.normal[..., 2], 0, 1)))
     step = np.minimum(np.rint(angle / _VIEW_STEP), 80 / _VIEW_STEP)

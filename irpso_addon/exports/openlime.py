@@ -74,7 +74,7 @@ def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, 
     kd = surface.base_color * (1 - surface.metallic)[..., None]
     if surface.layered:
         # The base gets only the light that the layer transmits, here at normal incidence.
-        kd = kd * (1 - surface.specular_reflectance[0])
+        kd = kd * (1 - surface.specular_color)
     return {
         "kd": pixels.colour(kd, maps),
         "ks": pixels.colour(fit.strength, maps),

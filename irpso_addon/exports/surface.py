@@ -54,11 +54,10 @@ class Surface:
         return _grazing(self.f0) if self.layered else np.ones_like(self.f0)
 
     @property
-    def specular_reflectance(self) -> tuple[np.ndarray, np.ndarray]:
-        """F0 (H, W, 3) and F90 (H, W) of the dielectric and the metal together."""
+    def specular_color(self) -> np.ndarray:
+        """(H, W, 3) the reflectance at normal incidence of the dielectric and the metal together."""
         metallic = self.metallic[..., None]
-        f0 = self.f0[..., None] * (1 - metallic) + self.base_color * metallic
-        return f0, self.f90 * (1 - self.metallic) + self.metallic
+        return self.f0[..., None] * (1 - metallic) + self.base_color * metallic
 
 
 def surface_of(maps: Maps) -> Surface:

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from bpy.props import EnumProperty, StringProperty
 
+from ...blender.objects import originals
 from ...blender.scenes.scene import FILE_IMAGE
 from ...blender.scenes.scene_objects import set_camera
 from ...capture.poses import PoseFile, read_poses
@@ -49,10 +50,8 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
     places = np.array([camera.position for camera in poses.cameras.values()])
     size = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()) or 1.0
     empty.empty_display_size = _SMALL * size
-    objects = {}
-    for obj in sorted(collection.objects, key=_renamed, reverse=True):  # of duplicates the original remains
-        if FILE_IMAGE in obj:
-            objects[obj[FILE_IMAGE]] = obj
+    made = [obj for obj in collection.objects if FILE_IMAGE in obj]
+    objects = originals(made, lambda obj: obj[FILE_IMAGE], lambda obj: obj.name == _file_name(obj[FILE_IMAGE]))
     for image, camera in poses.cameras.items():
         obj = objects.get(image)
         if obj is None:
@@ -69,11 +68,6 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
 
 def _file_name(image: str) -> str:
     return image.replace("\\", "/").rpartition("/")[2]
-
-
-def _renamed(obj) -> tuple[bool, int, int]:
-    """Return a key by which a camera with the name that it was made with comes first, and its duplicates later."""
-    return obj.name != _file_name(str(obj.get(FILE_IMAGE, ""))), len(obj.name), obj.session_uid
 
 
 class ImportCameras(bpy.types.Operator):

@@ -15,6 +15,7 @@ from mathutils import Matrix, Vector
 
 from ...blender.images import decode
 from ...blender.materials import material
+from ...blender.objects import originals
 from ...blender.scenes.file_images import FileImages
 from ...blender.scenes.scene import ASPECT, RESOLUTION
 from ...blender.scenes.scene_capture import CAPTURE, lights_in_order, photographed_lights
@@ -161,13 +162,13 @@ def _created(scene) -> list:
 
 
 def _by_role(objects: Iterable) -> dict[str, Any]:
-    """Return role → object. A duplicate has the role of its original, and a longer or another name."""
+    """Return role → object, without duplicates."""
 
-    def renamed(obj) -> tuple:
+    def has_own_name(obj) -> bool:
         kind, index = obj[_ROLE].split()
-        return not obj.name.startswith(f"{kind.title()} {int(index):03d}"), len(obj.name), obj.session_uid
+        return obj.name.startswith(f"{kind.title()} {int(index):03d}")
 
-    return {obj[_ROLE]: obj for obj in sorted(objects, key=renamed, reverse=True)}
+    return originals(objects, lambda obj: obj[_ROLE], has_own_name)
 
 
 def _created_lights(scene) -> list:
