@@ -1,5 +1,7 @@
 """A recovery in a living window, and all that can befall it while it runs: nothing crashes, nothing stays behind."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,31 @@ def test_the_button_recovers_and_keep_makes_the_material_in_one_undo_step(ready)
     ready.wait(f"{CARD!r} in bpy.data.objects")
     assert ready.run(kept) == [True, True, True]
     assert ready.run(f"bpy.data.objects[{CARD!r}].active_material.name") == CARD
+
+
+def test_undoing_a_second_keep_shows_the_pictures_of_the_first(ready, tmp_path):
+    preferences = f"bpy.context.preferences.addons[{MODULE!r}].preferences"
+    ready.run(f"{preferences}.output_folder = {str(tmp_path)!r}")
+    maps = "[image for image in bpy.data.images if 'irpso_map' in image]"
+    shown = f"sorted(image.filepath for image in {maps})[0]"
+    try:
+        ready.click(*ready.find_button("irpso.recover"))
+        ready.wait(RUNNING, 180)
+        finish(ready)
+        ready.click(*ready.find_button("irpso.keep"))
+        ready.wait(f"{CARD!r} in bpy.data.materials")
+        first = ready.run(shown)
+        ready.click(*ready.find_button("irpso.keep"))
+        ready.wait(f"{shown} != {first!r}")
+        ready.move(*ready.region().centre)
+        ready.key("ctrl+z")
+        ready.wait(f"{shown} == {first!r}")
+        count = ready.run(f"len({maps})")
+        assert len(list(tmp_path.iterdir())) == 2 * count
+        ready.run(FRESH, area="")
+        assert len(list(tmp_path.iterdir())) == count and Path(first).exists()
+    finally:
+        ready.run(f"{preferences}.output_folder = ''", area="")
 
 
 def test_escape_pauses_and_resume_goes_on_with_what_was_changed(ready):

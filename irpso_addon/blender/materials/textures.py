@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import tempfile
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,7 @@ from ..colour_spaces import use_space
 from .nodes import images_of
 
 TAG = "irpso_map"
-_unsaved: set[Path] = set()  # the maps' files that no .blend on the disk shows
+_unsaved: set[Path] = set()  # the maps' files written in this session that no saved .blend shows
 
 
 def material_images(maps: Maps, subject: str, folder: Path | None, former: Mapping[str, Any]) -> dict[str, Any]:
@@ -47,7 +48,9 @@ def _map_image(maps: Maps, table: MapTable, subject: str, folder: Path | None, f
     tag = f"{subject}/{table.name}"
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
         where = Path(temporary) if folder is None else folder
-        paths = _write_pictures(maps, table, where, subject, former.get(tag))
+        paths = _write_pictures(maps, table, where, subject)
+        if folder is not None:
+            _unsaved.update(path.resolve() for path in paths.values())
         image = _update_image(former.get(tag), f"IRPSO {subject} {table.name}", paths, table, packed=folder is None)
     image[TAG] = tag
     return image
@@ -91,22 +94,22 @@ def map_images(subject: str) -> list[Any]:
     return [image for image in bpy.data.images if str(image.get(TAG, "")).rpartition("/")[0] == subject]
 
 
-def _write_pictures(maps: Maps, table: MapTable, folder: Path, subject: str, former: Any) -> dict[int, Path]:
-    """Write a map; return UDIM tile number → file. former: the image that the map had, or None.
+def _write_pictures(maps: Maps, table: MapTable, folder: Path, subject: str) -> dict[int, Path]:
+    """Write a map into new files; return UDIM tile number → file.
 
-    Only files are replaced that the former image alone shows: neither a saved .blend, nor another subject of a similar
-    name. Raises InputError where the folder cannot be written.
+    No file is replaced: a saved .blend, another subject of a similar name or an earlier step of *Undo* may show it.
+    Raises InputError where the folder cannot be written.
     """
     name = f"IRPSO {shortened(subject)} {table.name}"
     stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in name)
-    suffix, own = ".png" if table.fits_unit else ".exr", _files(former) & _unsaved
+    suffix = ".png" if table.fits_unit else ".exr"
     stems = (stem if number == 0 else f"{stem}_{number}" for number in itertools.count())
     sets = (
         {number: folder / f"{tile_stem(one, number, maps.tiles)}{suffix}" for number in maps.tiles} for one in stems
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        paths = next(one for one in sets if all(path.resolve() in own or not path.exists() for path in one.values()))
+        paths = next(one for one in sets if not any(path.exists() for path in one.values()))
         for number, part in split_maps(maps):
             values = map_values(table, part)
             if table.fits_unit:
@@ -115,7 +118,6 @@ def _write_pictures(maps: Maps, table: MapTable, folder: Path, subject: str, for
                 write_exr(paths[number], {"": exr_channels(values)})
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
-    _unsaved.update(path.resolve() for path in paths.values())
     return paths
 
 
@@ -127,20 +129,28 @@ def image_files(subject: str | None = None) -> set[Path]:
 
 
 def unsaved(files: Iterable[Path]) -> set[Path]:
-    """Return those of the files that were written since the .blend was loaded or saved: on the disk it shows others."""
+    """Return those of the files that were written since the .blend was loaded, and that it did not show when saved."""
     return _unsaved.intersection(files)
 
 
 def mark_saved() -> None:
-    """Note that a .blend has been saved, or another is loaded: its maps' files are not replaced any more."""
+    """Note that the .blend has been saved: the maps' files that it shows are not removed any more."""
+    _unsaved.difference_update(image_files())
+
+
+def remove_superseded() -> None:
+    """Remove the maps' files that neither a saved .blend nor the open file shows. *Undo* no longer reaches them."""
+    for path in _unsaved - image_files():
+        with suppress(OSError):
+            path.unlink()
     _unsaved.clear()
 
 
 def _files(image: Any) -> set[Path]:
-    """Return the files that an image shows; none where it is packed or None."""
+    """Return the files that an image shows; none where it is packed."""
     import bpy
 
-    if image is None or image.packed_files or not image.filepath:
+    if image.packed_files or not image.filepath:
         return set()
     path = Path(bpy.path.abspath(image.filepath, library=image.library)).resolve()
     return {path.with_name(path.name.replace(PATTERN, str(tile.number))) for tile in image.tiles}

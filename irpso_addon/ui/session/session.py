@@ -7,7 +7,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ...blender.materials.textures import mark_saved
+from ...blender.materials.textures import remove_superseded
 from ...core.errors import InputError
 from ...pipeline.run import RunCache
 from ..common import failures
@@ -84,8 +84,9 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """End the session and remove the handler."""
+    """End the session, remove the files of maps that nothing shows, and remove the handler."""
     reset()
+    remove_superseded()
     bpy.app.handlers.load_pre.remove(_on_load)
 
 
@@ -93,4 +94,4 @@ def unregister() -> None:
 @failures.reported(_LEAVING)
 def _on_load(*_: object) -> None:
     reset()
-    mark_saved()
+    remove_superseded()

@@ -10,7 +10,7 @@ import pytest
 
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.blender.materials.result_blend import save_blend
-from irpso_addon.blender.materials.textures import mark_saved
+from irpso_addon.blender.materials.textures import mark_saved, remove_superseded
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
 from tests.gpu.blender.test_material import SHAPE, counts, pixels, random_maps
@@ -101,8 +101,9 @@ def test_a_folder_beside_the_file_moves_with_it(tiles, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(project / "icon.blend"))
     for _ in range(2):
         material = build_material(maps, "icon", "//maps/")
+    remove_superseded()
     material.use_fake_user = True
-    number = "" if len(tiles) == 1 else ".<UDIM>"
+    number = "_1" if len(tiles) == 1 else "_1.<UDIM>"
     found = {image.filepath.replace("\\", "/") for image in bpy.data.images}
     assert found == {f"//maps/IRPSO_icon_{name}{number}.png" for name in ("base_color", "normal")}
     assert len(list((project / "maps").iterdir())) == 2 * len(tiles)
@@ -137,15 +138,15 @@ def test_maps_in_a_folder_replace_only_their_own_files(tmp_path):
     build_material(first, "Wall.001", tmp_path)
     build_material(second, "Wall_001", tmp_path)
     images = bpy.data.images
-    for _ in range(2):  # a file of its own is replaced
+    for _ in range(2):
         build_material(third, "Wall_001", tmp_path)
-    assert len(list(tmp_path.iterdir())) == len(images) == 4
+    assert len(list(tmp_path.iterdir())) == 8 and len(images) == 4
     np.testing.assert_allclose(pixels(images["IRPSO Wall.001 base_color"]), first.values["base_color"], atol=4e-5)
     np.testing.assert_allclose(pixels(images["IRPSO Wall_001 base_color"]), third.values["base_color"], atol=4e-5)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     bpy.ops.wm.read_factory_settings(use_empty=True)  # another .blend with the same Output Folder
     build_material(second, "Wall.001", tmp_path)
-    assert Path(bpy.data.images["IRPSO Wall.001 base_color"].filepath).name == "IRPSO_Wall_001_base_color_2.png"
+    assert Path(bpy.data.images["IRPSO Wall.001 base_color"].filepath).name == "IRPSO_Wall_001_base_color_4.png"
     assert {path: path.read_bytes() for path in before} == before
 
 
@@ -153,8 +154,9 @@ def test_tiles_in_a_folder_replace_only_their_own_files(tmp_path):
     maps = replace(random_maps(load_model("lambert")), tiles=(1001, 1002, 1011, 1012, 1021, 1022, 1031))
     for subject in ("Wall.001", "Wall_001", "Wall.001"):
         build_material(maps, subject, tmp_path)
+    remove_superseded()
     assert len(list(tmp_path.iterdir())) == 2 * 2 * 7
-    assert (tmp_path / "IRPSO_Wall_001_normal_1.1031.png").exists()
+    assert (tmp_path / "IRPSO_Wall_001_normal_2.1031.png").exists()
 
 
 def test_a_file_that_cannot_be_saved_is_refused_and_nothing_is_left(tmp_path):
@@ -179,21 +181,24 @@ def test_an_old_file_survives_when_saving_fails(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["x.blend"]
 
 
-def test_maps_that_a_saved_file_shows_are_not_replaced(tmp_path):
+def test_only_files_are_removed_that_no_blend_shows(tmp_path):
     first, second, third = (random_maps(load_model("lambert"), seed) for seed in range(3))
     path = str(tmp_path / "a.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
     build_material(first, "icon", "//maps").use_fake_user = True
     bpy.ops.wm.save_mainfile()
     mark_saved()  # by the extension's handler
-    for found in (second, third):  # files that were written after it was saved are replaced
+    for number, found in enumerate((second, third), 1):
         build_material(found, "icon", "//maps")
         assert {image.filepath for image in bpy.data.images} == {
-            f"//maps/IRPSO_icon_{name}_1.png" for name in ("base_color", "normal")
+            f"//maps/IRPSO_icon_{name}_{number}.png" for name in ("base_color", "normal")
         }
         np.testing.assert_allclose(
             pixels(bpy.data.images["IRPSO icon base_color"]), found.values["base_color"], atol=4e-5
         )
+    remove_superseded()  # by the handler, before another file is loaded
+    kept = {f"IRPSO_icon_{name}{number}.png" for name in ("base_color", "normal") for number in ("", "_2")}
+    assert {path.name for path in (tmp_path / "maps").iterdir()} == kept
     bpy.ops.wm.open_mainfile(filepath=path)
     np.testing.assert_allclose(pixels(bpy.data.images["IRPSO icon base_color"]), first.values["base_color"], atol=4e-5)
 
