@@ -21,12 +21,16 @@ class Copies:
         return self.node(output.node).outputs[list(output.node.outputs).index(output)]
 
     def node(self, node: Any) -> Any:
-        """Return the copy of a node. Raises InputError for curves and ramps."""
+        """Return the copy of a node. Raises InputError for curves, ramps and drivers, and in an animated tree."""
         if node.name in self.made:
             return self.made[node.name]
         if any(getattr(node, name, None) is not None for name in _CURVES):
             raise InputError(
                 f"node '{node.name}' has curves or a color ramp, which cannot be copied; put it behind the mix instead"
+            )
+        if _is_animated(node):
+            raise InputError(
+                f"node '{node.name}' has a driver, or its tree has keyframes, which cannot be copied; delete them"
             )
         copy = self.made[node.name] = self._tree.nodes.new(node.bl_idname)
         copy.name, copy.label, copy.location, copy.mute = node.name, node.label, node.location, node.mute
@@ -46,6 +50,14 @@ class Copies:
 def source_of(socket: Any) -> Any:
     """Return the output that drives an input socket; None without a link, or with a muted one."""
     return next((link.from_socket for link in socket.links if not link.is_muted), None)
+
+
+def _is_animated(node: Any) -> bool:
+    """Return whether a node has a driver, or its tree an action."""
+    animation = node.id_data.animation_data
+    if animation is None:
+        return False
+    return animation.action is not None or any(d.data_path.startswith(node.path_from_id()) for d in animation.drivers)
 
 
 def _own_properties(node: Any) -> list[str]:

@@ -31,13 +31,15 @@ class OwnNodes:
     """IRPSO's nodes of a tree, each identified by its role.
 
     A context manager: leaving it removes the IRPSO nodes whose role was not requested. A socket that the user has
-    connected to another node keeps that connection.
+    connected to another node keeps that connection, also from the first output of a node that is replaced by one of
+    another kind.
     """
 
     def __init__(self, tree):
         self._tree = tree
         self._found: dict[str, Any] = {}
         self._used: set[str] = set()
+        self._behind: list[tuple[str, Any]] = []  # role of a replaced node, socket of the user's that it fed
         tagged = [node for node in tree.nodes if TAG in node]
         for node in sorted(tagged, key=lambda node: node.name != f"IRPSO {node[TAG]}"):
             if self._found.setdefault(node[TAG], node) != node:  # the user's copy of a node copies its tag
@@ -52,11 +54,15 @@ class OwnNodes:
         for role, node in list(self._found.items()):
             if role not in self._used:
                 self._tree.nodes.remove(node)
+        for role, socket in self._behind:
+            self._tree.links.new(self._found[role].outputs[0], socket)
 
     def node(self, role: str, kind: str, place: tuple[float, float], label: str = "", **properties: Any):
         """Return the node of this role; a new one is placed at ``place``."""
         node = self._found.get(role)
         if node is not None and node.bl_idname != kind:
+            fed = [link.to_socket for link in node.outputs[0].links if TAG not in link.to_node]
+            self._behind += [(role, socket) for socket in fed]
             self._tree.nodes.remove(node)
             node = None
         if node is None:

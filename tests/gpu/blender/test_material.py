@@ -163,6 +163,17 @@ def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_
     assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
 
 
+def test_a_node_of_the_user_behind_the_surface_stays_connected_when_the_shader_changes():
+    tree = build_material(random_maps(load_model("principled")), "icon").node_tree
+    mix, end = tree.nodes.new("ShaderNodeMixShader"), tree.nodes["IRPSO output"].inputs["Surface"]
+    tree.links.new(tree.nodes["IRPSO surface"].outputs["BSDF"], mix.inputs[2])
+    tree.links.new(mix.outputs[0], end)
+    for name in ("cook_torrance_two_lobe", "principled"):
+        build_material(random_maps(load_model(name)), "icon")
+        assert [link.from_node.name for link in mix.inputs[2].links] == ["IRPSO surface"]
+        assert [link.from_node for link in end.links] == [mix]
+
+
 def test_copies_of_nodes_are_the_users_own():
     tree = build_material(random_maps(load_model("principled")), "icon").node_tree
     copies = {}

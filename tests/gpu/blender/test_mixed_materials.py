@@ -193,6 +193,15 @@ def test_a_node_behind_the_surface_is_refused_and_a_reroute_is_none(kind, tmp_pa
     assert before == [len(getattr(bpy.data, name)) for name in ("materials", "node_groups")]
 
 
+@pytest.mark.parametrize("how", ["driver_add", "keyframe_insert"])
+def test_an_animated_surface_is_refused(how):
+    (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
+    socket = first.node_tree.get_output_node("ALL").inputs["Surface"].links[0].from_node.inputs["IOR"]
+    getattr(socket, how)("default_value")
+    with pytest.raises(InputError, match="has a driver, or its tree has keyframes, which cannot be copied"):
+        mix_materials(first, second)
+
+
 def test_a_linked_material_of_the_active_ones_name_can_be_mixed_in(registered, tmp_path):
     (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
     name, first.name = first.name, "aside"
