@@ -55,8 +55,12 @@ def label_of(settings: Any) -> str:
 
 
 def preset_text(settings: Any) -> str:
-    """Return the text of a preset file with these settings. Raises InputError if their schedule does not exist."""
-    lines = [("preset", settings.preset), *sorted(differences(settings).items())]
+    """Return the text of a preset file with these settings: the user's schedules by their full path, for other scenes.
+
+    Raises InputError if their schedule does not exist.
+    """
+    base = settings.preset if is_shipped(settings) else str(absolute(settings.preset, "Preset"))
+    lines = [("preset", base), *sorted(differences(settings).items())]
     return _HEAD + "".join(f"{_OBJECT}.{name} = {value!r}\n" for name, value in lines)
 
 

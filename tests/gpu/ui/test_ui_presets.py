@@ -298,6 +298,19 @@ def test_a_schedule_of_the_users_own_is_a_preset_by_its_path(tmp_path):
         schedule()
 
 
+def test_an_own_preset_of_a_schedule_beside_the_blend_file_serves_other_files(user_folder, tmp_path):
+    (tmp_path / "own.toml").write_text((PRESETS / "swarm.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    settings().preset, settings().delta = "//own.toml", 0.07
+    wanted = schedule()
+    bpy.ops.irpso.preset_add(name="beside")
+    (tmp_path / "b").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "b" / "b.blend"))
+    settings().preset = "standard"
+    bpy.ops.irpso.preset_load(filepath=str(user_folder / "beside.py"))
+    assert schedule() == wanted
+
+
 def test_a_scenes_schedule_survives_saving(tmp_path):
     settings().preset = "paper"
     settings().delta = 0.07
