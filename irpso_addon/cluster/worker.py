@@ -262,8 +262,8 @@ class Worker:
         prepared = replace(prepare.prepare(part, self.model, settings[0], pack=False), mean_irradiance=mean_irradiance)
         if self._guess is not None:
             prepared = replace(prepared, guess=self._guess)
-        shape, around_box = self.domain.shape, rectangle(box, part.halo)
-        own_fixed = {name: full_map(self.model, name, value, shape)[around_box] for name, value in fixed.items()}
+        around_box, known = rectangle(box, part.halo), self.domain.solvable
+        own_fixed = {name: full_map(self.model, name, value, known)[around_box] for name, value in fixed.items()}
         solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
         return TilePool([Tile(box, part, prepared, own_fixed, solved)], self.model, *settings)
 

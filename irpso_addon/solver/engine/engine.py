@@ -77,7 +77,7 @@ class RecoveryEngine(ABC):
         """
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
-        self.fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
+        self.fixed = {name: full_map(model, name, value, domain.solvable) for name, value in (fixed or {}).items()}
 
     @property
     @abstractmethod

@@ -5,15 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.errors import InputError
-from ...reflectance.model import ReflectanceModel
+from ...reflectance.model import Parameter, ReflectanceModel
+
+_ROUNDING = 1e-5  # of a unit vector's squared length in float32
+_LENGTHS = (0.9, 1.1)  # of vectors that resampling has shortened; others are no normals
+_OUTSIDE = 0.01  # of the range's width: values so far outside are put to its ends
 
 
-def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def full_map(model: ReflectanceModel, name: str, value: np.ndarray, solvable: np.ndarray) -> np.ndarray:
     """Return a known value as a map (H, W, components) float32. value: (components,) or (H, W, components).
 
-    Raises InputError where the shape does not match the model or the domain, or a number is not finite.
+    solvable: (H, W) bool; what the value is elsewhere does not count. Normals get the length 1, where they have not.
+    Raises InputError where the shape does not match the model or the domain, a number is not finite or lies outside the
+    parameter's range, or normals are no unit vectors.
     """
-    parameter = model.parameter(name)
+    parameter, shape = model.parameter(name), solvable.shape
     value = np.asarray(value, np.float32)
     if value.ndim == 1:
         value = np.broadcast_to(value, (*shape, len(value)))
@@ -24,4 +30,36 @@ def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple
         )
     if not np.isfinite(value).all():
         raise InputError(f"fixed {name}: it holds values that are not finite; fill them first")
-    return value
+    if parameter.is_normal:
+        return _unit(name, value, solvable)
+    return _inside(parameter, value, solvable) if parameter.kind == "search" else value
+
+
+def _unit(name: str, normals: np.ndarray, solvable: np.ndarray) -> np.ndarray:
+    """Return normals (H, W, 3) of length 1; those that have it already keep their bits. Raises InputError."""
+    squared = np.einsum("hwc,hwc->hw", normals, normals, dtype=np.float64)
+    changed = np.abs(squared - 1) > _ROUNDING
+    if not (changed & solvable).any():
+        return normals
+    length = np.sqrt(squared[solvable])
+    if empty := np.count_nonzero(length == 0):
+        raise InputError(f"fixed {name}: {empty} texels of the subject hold the vector 0, 0, 0; fill them first")
+    if not _LENGTHS[0] <= np.median(length) <= _LENGTHS[1]:
+        raise InputError(
+            f"fixed {name}: its vectors have the length {np.median(length):.3g}; give unit vectors with components from"
+            " -1 to 1 (of a picture: twice its values, less 1)"
+        )
+    scale = np.sqrt(np.where(changed & (squared > 0), squared, 1))[..., None]
+    return (normals / scale).astype(np.float32)
+
+
+def _inside(parameter: Parameter, values: np.ndarray, solvable: np.ndarray) -> np.ndarray:
+    """Return values (H, W, n) put to the ends of the parameter's range. Raises InputError far outside."""
+    low, high = parameter.range
+    known = values[solvable]
+    if known.size and max(low - (least := known.min()), (most := known.max()) - high) > _OUTSIDE * parameter.width:
+        raise InputError(
+            f"fixed {parameter.name}: its values reach from {least:.3g} to {most:.3g}; scale them to between {low:g}"
+            f" and {high:g}"
+        )
+    return np.clip(values, np.float32(low), np.float32(high))

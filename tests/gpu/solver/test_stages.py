@@ -157,6 +157,18 @@ def test_fixed_maps_are_exact_and_the_rest_is_recovered(recover):
                                   truth["normal"][seen])  # fmt: skip
 
 
+def test_fixed_normals_that_resampling_has_shortened_get_the_length_1(recover):
+    domain, truth = subject()
+    short = truth["normal"] * np.linspace(0.94, 1, domain.shape[1])[:, None]
+    found = []
+    for normals in (truth["normal"], short):
+        recovery = recover(domain, fixed={"normal": normals})
+        recovery.step()
+        found.append(recovery.maps().values)
+    for name, atol in (("normal", 1e-6), ("base_color", 1e-4)):
+        np.testing.assert_allclose(found[1][name], found[0][name], atol=atol)
+
+
 def test_a_known_value_may_be_one_for_all_texels(recover):
     domain, _ = subject()
     recovery = recover(domain, fixed={"base_color": np.array([0.1, 0.2, 0.3])})
@@ -172,7 +184,10 @@ def test_a_known_value_may_be_one_for_all_texels(recover):
         ({"normal": np.zeros(2)}, "resample"),
         ({"base_color": np.full((13, 17, 3), np.nan)}, "not finite"),
         ({"roughness": np.zeros(1)}, "no parameter 'roughness'"),
-        ({"normal": np.zeros(3), "base_color": np.zeros(3)}, "every searched parameter is fixed"),
+        ({"normal": np.zeros(3)}, "texels of the subject hold the vector 0, 0, 0"),
+        ({"normal": np.array([0, 0, 2.0])}, "have the length 2; give unit vectors"),
+        ({"normal": np.array([0.5, 0.5, 1.0])}, "have the length 1.22; give unit vectors"),
+        ({"normal": np.array([0, 0, 1.0]), "base_color": np.zeros(3)}, "every searched parameter is fixed"),
     ],
 )
 def test_known_maps_that_do_not_fit_are_refused(recover, fixed, word):
