@@ -28,7 +28,7 @@ def _expand(source: Path | tuple[str, str], includes: Mapping[str, str | Path], 
     if isinstance(source, Path):
         # A short label: quotes or backslashes of a full path would break #line.
         label = source.relative_to(SHADERS).as_posix() if source.is_relative_to(SHADERS) else source.name
-        text, folder = source.read_text(encoding="utf-8"), source.parent
+        text, folder = _read(source), source.parent
     else:
         label, text = source
         folder = None
@@ -38,6 +38,13 @@ def _expand(source: Path | tuple[str, str], includes: Mapping[str, str | Path], 
         if included not in seen:
             before += _expand(included, includes, seen)
     return [*before, f'#line 1 "{label}"', _INCLUDE.sub("", text).removesuffix("\n")]
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ShaderError(f"{path}: cannot be read ({error}); save it as UTF-8") from error
 
 
 def _find(

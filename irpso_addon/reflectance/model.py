@@ -18,7 +18,18 @@ from ..core.paths import MODELS
 
 MAX_COMPONENTS = int(defined("common/limits.glsl", "MAX_")["COMPONENTS"])
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
+# The lower-case words of GLSL 4.60, section 3.6, that no field of a struct may have as its name.
+_GLSL_WORDS = re.compile(
+    "active|asm|attribute|bool|break|buffer|case|cast|centroid|class|coherent|common|const|continue|default|discard|do"
+    "|double|else|enum|extern|external|false|filter|fixed|flat|float|for|goto|half|highp|if|in|inline|inout|input|int"
+    "|interface|invariant|layout|long|lowp|mediump|namespace|noinline|noperspective|out|output|partition|patch|precise"
+    "|precision|public|readonly|resource|restrict|return|sample|sampler|shared|short|sizeof|smooth|static|struct"
+    "|subroutine|superp|switch|template|this|true|typedef|uint|uniform|union|unsigned|using|varying|void|volatile|while"
+    "|writeonly|[biudhf]?vec[234]|d?mat[234](x[234])?|atomic_uint|.*__.*"
+)
+_INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"', re.M)
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
+_MOST = 1e9  # end of a range: the shaders' float32 holds its fourth power
 MIN_PRIOR_WIDTH = 0.02  # least fraction of a prior's width where it vanishes
 _KINDS = ("search", "linear")
 _PRIORS = ("normal", "concave")
@@ -163,11 +174,29 @@ def load_model(name_or_path: str | Path) -> ReflectanceModel:
 
 
 def digest_of_own_model(name_or_path: str | Path) -> str | None:
-    """Return the SHA-256 of a user's .toml file, in hexadecimal digits; None for a shipped model, or without a file."""
+    """Return the SHA-256 of a user's model, in hexadecimal digits; None for a shipped model, or without a file.
+
+    It is that of the .toml file, the shader, and the files beside them that this includes. Raises InputError where they
+    are no model.
+    """
     path = Path(name_or_path)
     if path.suffix != ".toml" or not path.is_file():
         return None
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = hashlib.sha256(path.read_bytes())
+    files = [load_model(path).shader]
+    for file in files:
+        text = _text_of(file)
+        digest.update(text.encode())
+        beside = (file.parent / name for name in _INCLUDE.findall(text))
+        files += [include for include in beside if include.is_file() and include not in files]
+    return digest.hexdigest()
+
+
+def _text_of(shader: Path) -> str:
+    try:
+        return shader.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{shader}: cannot be read ({error}); save it as UTF-8") from error
 
 
 def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
@@ -192,9 +221,10 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     components = sum(p.components for p in parameters)
     if components > MAX_COMPONENTS:
         raise InputError(f"{path}: {components} components in all; at most {MAX_COMPONENTS} fit")
-    shader = path.with_name(table.get("shader", path.stem + ".glsl"))
-    if not shader.is_file():
-        raise InputError(f'{path}: its shader {shader.name} is not beside it; write it there or set shader = "…"')
+    file = table.get("shader", path.stem + ".glsl")
+    shader = path.parent / file
+    if shader.parent != path.parent or not shader.is_file():
+        raise InputError(f'{path}: its shader {file} is not beside it; write it there or set shader = "…"')
     ordered, complement = tuple(table.get("ordered", ())), tuple(table.get("complement", ()))
     for name in (*ordered, *complement):
         if name not in names or parameters[names.index(name)].components != 1:
@@ -204,7 +234,7 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     if any(parameters[names.index(n)].range != (0.0, 1.0) for n in complement):
         raise InputError(f"{path}: a complement must have the range [0, 1]")
     name = table.get("name", path.stem)
-    bases = frozenset(_BASIS.findall(shader.read_text(encoding="utf-8")))
+    bases = frozenset(_BASIS.findall(_text_of(shader)))
     return ReflectanceModel(
         name, table.get("title", name), shader, parameters, bases, ordered, complement, dict(table.get("material", {})),
         _starts_from_table(table.get("start", []), parameters, path),
@@ -238,6 +268,8 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
     _refuse_unknown_keys(row, set(Parameter.__dataclass_fields__), path, where)
     if not isinstance(name, str) or not _IDENTIFIER.match(name):
         raise InputError(f"{path}: {where}: a name is lower-case letters, digits and _")
+    if _GLSL_WORDS.fullmatch(name):
+        raise InputError(f"{path}: {where}: that is a word of GLSL; choose another name")
     is_normal = bool(row.get("is_normal", False))
     for key in ("kind", "map", "color_space", "socket", "stage"):
         _check_kind(row, key, str, f"{path}: {where}")
@@ -302,8 +334,8 @@ def _check_kind(table: dict[str, Any], key: str, kind: type, where: str) -> None
 
 def _two_numbers(value: Any, path: Path, where: str) -> tuple[float, float]:
     numbers = value if isinstance(value, list | tuple) else ()
-    if len(numbers) != 2 or not all(isinstance(v, int | float) and math.isfinite(v) for v in numbers):
-        raise InputError(f"{path}: {where}: range must be two numbers, as in range = [0.0, 1.0]")
+    if len(numbers) != 2 or not all(_is_number(v) and abs(v) <= _MOST for v in numbers):
+        raise InputError(f"{path}: {where}: range must be two numbers up to {_MOST:g}, as in range = [0.0, 1.0]")
     return float(value[0]), float(value[1])
 
 
