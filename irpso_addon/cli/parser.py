@@ -213,7 +213,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--dome", default="10x20", metavar="LATxLON",
                      help="distant lights, evenly over the sphere (default 10x20, as in the paper)")  # fmt: skip
     add.add_argument("--lights", metavar="FILE", help="file of light directions, x y z on each line, instead of a dome")
-    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help=_MODEL)
+    add.add_argument("--model", metavar="M",
+                     help=f"the model of the maps (default: the result's, of other maps {DEFAULT_MODEL})")  # fmt: skip
     add_common(add)
 
 

@@ -16,7 +16,9 @@ from ..capture.types import Light
 from ..capture.write import write_capture
 from ..core.errors import InputError
 from ..core.files import check_unused
+from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
+from ..exports.result import model_of_result
 from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
@@ -27,7 +29,7 @@ from .options.values import silent, size_option, warn
 
 def run(options: Namespace) -> dict:
     """Render every camera under every light and write the capture. Raises InputError."""
-    model = load_model(options.model)
+    model = load_model(options.model) if options.model else model_of_result(options.maps) or load_model(DEFAULT_MODEL)
     size = size_option("--size", options.size)
     lights = _lights(options)
     check_unused(Path(options.output), "choose a new folder for the capture")

@@ -20,7 +20,7 @@ from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.surface.mesh import MeshData
 from ..geometry.surface.slots import slot_names, slots_of_text
-from ..reflectance.model import digest_of_own_model, load_model
+from ..reflectance.model import ReflectanceModel, digest_of_own_model, load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
 from ..results.write import BLEND, MODEL_DIGEST, REPORT
@@ -72,15 +72,7 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     """
     folder = Path(folder)
     report = _report(folder)
-    settings = report.get("settings")
-    settings = settings if isinstance(settings, dict) else {}
-    stored = settings.get("model")
-    if not model:
-        _check_unchanged(stored, settings.get(MODEL_DIGEST))
-    try:
-        table = load_model(model or stored or report.get("model", ""))
-    except InputError as error:
-        raise InputError(f"{error}; give its present place by --model") from error
+    settings, table = _settings(report), load_model(model) if model else _stored_model(report)
     files = [str(name).split(".") for name in report.get("files", ())]
     numbers = sorted(int(parts[1]) for parts in files if len(parts) == 3 and parts[0] == "maps" and parts[2] == "exr")
     tiles = tuple(numbers) or ONE_SQUARE
@@ -90,6 +82,26 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     # The file's margins are already filled, at seams with the texels from across the seam.
     maps = Maps(table, values, covered, tiles=tiles, margin=~covered, wrapped=not card or "tile" in report)
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
+
+
+def model_of_result(folder: str | Path) -> ReflectanceModel | None:
+    """Return the model that recovered a result's folder; None where no result lies there. Raises InputError."""
+    return _stored_model(_report(Path(folder))) if (Path(folder) / REPORT).is_file() else None
+
+
+def _settings(report: Mapping[str, Any]) -> dict[str, Any]:
+    settings = report.get("settings")
+    return settings if isinstance(settings, dict) else {}
+
+
+def _stored_model(report: Mapping[str, Any]) -> ReflectanceModel:
+    """Return the model of a report. Raises InputError where its file is missing or has changed."""
+    stored = _settings(report).get("model")
+    _check_unchanged(stored, _settings(report).get(MODEL_DIGEST))
+    try:
+        return load_model(stored or report.get("model", ""))
+    except InputError as error:
+        raise InputError(f"{error}; give its present place by --model") from error
 
 
 def _check_unchanged(model: Any, digest: Any) -> None:

@@ -16,7 +16,7 @@ def child_command(code: str, arguments: Sequence[str] = ()) -> list[str]:
     """
     # Last in the path: an extension's libraries are there, but also Blender's own modules, which hide the wheel's bpy.
     script = f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.path += {sys.path!r}; {code}"
-    if not _inside_blender():
+    if not inside_blender():
         return [sys.executable, "-c", script, *arguments]
     import bpy
 
@@ -24,8 +24,8 @@ def child_command(code: str, arguments: Sequence[str] = ()) -> list[str]:
     return [bpy.app.binary_path, *options, "--", *arguments]
 
 
-def _inside_blender() -> bool:
-    """Whether Python runs inside the Blender program, not Blender inside Python (the bpy wheel)."""
+def inside_blender() -> bool:
+    """Return whether Python runs inside the Blender program, not Blender inside Python (the bpy wheel)."""
     try:
         import bpy
     except ImportError:

@@ -19,6 +19,7 @@ _OVERLAPS = 0.2, 0.4  # of the side: range of the search
 _ALIKE = 1.2  # of the least cost of a path: of overlaps up to this cost the smallest is chosen
 _STRETCH = 0.03  # largest relative difference of the two periods
 _SEARCHED = 256  # texels of a side in the first search for the overlap
+_LEAST = 3  # texels of an overlap: a path runs through its middle
 _MIN_SIDE = 32  # least texels of a side
 _FREE = 0.3  # of the overlap at each side: the path avoids it
 _FINEST, _WIDEST = 1.0, 1 / 20  # standard deviations of the blend's bands: texels, of the overlap; six are _FREE
@@ -56,7 +57,10 @@ def seamless(
     square = {name: np.asarray(values[name], np.float64)[y : y + side, x : x + side] for name in names}
     stack = np.concatenate([square[name] for name in names], axis=-1)
     scale = np.concatenate([_scale(model, name, square[name]) for name in names])
-    over, above = (min(round(overlap * side), side // 2),) * 2 if overlap else _matching_overlaps(stack / scale)
+    if overlap:
+        over = above = min(max(round(overlap * side), _LEAST), side // 2)
+    else:
+        over, above = _matching_overlaps(stack / scale)
     plain = _steps_over_wrap(stack / scale)
     across, first = _joined(stack, scale, over, wraps=False)
     turned, second = _joined(across.swapaxes(0, 1), scale, above, wraps=True)
@@ -124,7 +128,7 @@ def _path_costs(stack: np.ndarray, over: int, wraps: bool) -> np.ndarray:
     cost = ((stack[:, :over] - stack[:, -over:]) ** 2).sum(axis=-1)
     cost = blurred(np.pad(cost, ((over, over), (0, 0)), mode="wrap"), _SMOOTH)[over:-over] if wraps else blurred(
         cost, _SMOOTH)  # fmt: skip
-    free = round(_FREE * over)
+    free = min(round(_FREE * over), (over - 1) // 2)
     return cost[:, free : over - free]
 
 

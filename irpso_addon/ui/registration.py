@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 from typing import Any
+
+from ..gpu.child import inside_blender
 
 # In the order of registration: a module stands after those whose classes its own refer to. Each may define CLASSES,
 # register() and unregister().
@@ -70,6 +73,8 @@ def register(command: Callable[[list[str]], int]) -> None:
                 raise
             done.append(module)
         _commands.append(bpy.utils.register_cli_command("irpso", command))
+        if not inside_blender():  # the bpy wheel crashes when a session's GPU objects outlive it
+            atexit.register(unregister)
     except Exception:
         _unregister(done)
         raise
@@ -79,6 +84,7 @@ def unregister() -> None:
     """Undo ``register``, in reverse order."""
     import bpy
 
+    atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     _unregister([import_module(f".{name}", __package__) for name in MODULES])

@@ -17,7 +17,7 @@ from irpso_addon.pipeline import result
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 from tests.builders import command_line as cli_maker
-from tests.builders.command_line import angle, run_cli
+from tests.builders.command_line import angle, read_map, run_cli
 
 TEXELS = 48
 PIXELS = 112
@@ -119,6 +119,23 @@ def test_maps_with_holes_render_black_there_with_a_warning(ball, tmp_path):
     assert code == 0
     share = re.fullmatch(r"irpso: warning: the maps have no normal at (.*)% of what shows, which is black\n", err)[1]
     assert 35 < float(share) < 65
+
+
+def test_a_result_is_rendered_with_its_own_model(ball, tmp_path):
+    folder, _ = ball
+    result_folder = tmp_path / "result"
+    result_folder.mkdir()
+    shutil.copy(folder / "known.exr", result_folder / "maps.exr")
+    (result_folder / "report.json").write_text('{"model": "lambert"}', encoding="utf-8")
+    pictures = []
+    for number, words in enumerate([[result_folder], [folder / "known.exr", "--model", "lambert"]]):
+        code, _, err = run_cli(
+            "render", *words, "--blend", folder / "scene.blend", "--camera", "left", "--dome", "3x1",
+            "--size", "32x32", "-o", tmp_path / str(number), "--quiet",
+        )  # fmt: skip
+        assert (code, err) == (0, "")
+        pictures.append(read_map(tmp_path / str(number) / "000.exr"))
+    np.testing.assert_array_equal(*pictures)
 
 
 @pytest.mark.parametrize(("seen", "card", "warned"), [(9, False, True), (10, False, False), (9, True, False)])

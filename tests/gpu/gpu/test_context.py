@@ -64,7 +64,7 @@ def test_timing_noise_does_not_choose_between_equal_passes(renderer, entry):
 
 @pytest.mark.parametrize("facts", [{"module": False}, {}], ids=["since 4.3", "4.2"])
 def test_a_probe_inside_blender_uses_blender_itself(facts, monkeypatch, tmp_path):
-    assert not child._inside_blender()
+    assert not child.inside_blender()
     ours = context.describe()
     binary = executable(tmp_path / "a renamed Blender", STAND_IN.format(python=sys.executable))
     monkeypatch.setattr(bpy, "app", SimpleNamespace(binary_path=binary, **facts))

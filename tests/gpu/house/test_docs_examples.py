@@ -104,9 +104,11 @@ def test_the_script_for_the_background_recovers_and_keeps(tmp_path):
     before = "import bpy, irpso_addon\nbpy.ops.wm.read_homefile(use_empty=True)\nirpso_addon.register()\n"
     after = (
         "\nimport os\nimage = next(i for i in bpy.data.images if 'normal' in i.name)\n"
-        "print('TOLD', len(bpy.data.materials), *image.size, bpy.data.filepath, flush=True)\nos._exit(0)\n"
+        "print('TOLD', len(bpy.data.materials), *image.size, bpy.data.filepath, flush=True)\n"
+        "os._exit(0) if bpy.app.version < (5, 0) else None  # these wheels do not survive Python's end\n"
     )
     code = before + example.replace("/captures", str(tmp_path)) + after
     done = subprocess.run([sys.executable, "-c", code], cwd=DOCS.parent, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0
     assert f"TOLD 1 20 16 {tmp_path}/icon.blend" in done.stdout, done.stdout + done.stderr
     assert (tmp_path / "icon.blend").is_file()

@@ -126,6 +126,12 @@ def test_half_of_any_side_can_overlap(side):
     assert found.values["specular"].shape[:2] == found.period
 
 
+@pytest.mark.parametrize("side", [32, 40, 49])
+def test_the_least_overlap_serves_small_squares(side):
+    found = seamless(MODEL, maps((side, side)), np.ones((side, side), bool), size=0, overlap=0.05)
+    assert found.period == (side - 3,) * 2 and np.isfinite(found.seam)
+
+
 def test_a_card_that_is_too_small_is_refused():
     with pytest.raises(InputError, match="largest square without holes has 20 texels"):
         seamless(MODEL, maps((20, 60)), np.ones((20, 60), bool))
