@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.errors import InputError
 from ...geometry.domain import Domain
 from ...geometry.spaces import unit
 from ...reflectance.model import ReflectanceModel
@@ -181,7 +182,7 @@ class _Renders:
         steps: list[_Step],
         moving: Moving | None,
     ):
-        self._texels = _covered(domain)
+        self._texels, self._shader = _covered(domain), model.shader
         self._shape, self._count = domain.shape, domain.observations
         self._widths = np.stack([step.width[self._texels] for step in steps], axis=-1) if steps else None
         changed = [{}, *({step.name: side} for step in steps for side in (step.up, step.down))]
@@ -198,9 +199,17 @@ class _Renders:
             self._moved = Renderer(domain.bake, model, values, lights, intensities, views, domain.card)
 
     def of(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return observation k's radiance (T, 3), and the derivatives by parameters (T, 3, P) and light (T, 3, 3)."""
+        """Return observation k's radiance (T, 3), and the derivatives by parameters (T, 3, P) and light (T, 3, 3).
+
+        Raises InputError where the model's radiance is not finite.
+        """
         rows, columns = self._texels
         images = self._stepped.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)[:, rows, columns]
+        if not np.isfinite(images).all():
+            raise InputError(
+                f"{self._shader}: its radiance is not finite for some materials in the parameters' ranges and lights of"
+                " the capture; guard its divisions, roots and powers"
+            )
         differences = (images[1::2] - images[2::2]).transpose(1, 2, 0)
         texel_part = differences / self._widths[:, None] if self._widths is not None else differences
         if self._moved is None:

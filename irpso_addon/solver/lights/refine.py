@@ -264,7 +264,10 @@ def contradiction(
     if not len(texels.rows):
         return ""
     there = {name: texels.part(value) for name, value in values.items()}
-    step = _disagreement(texels.domain, model, there, fixed)
+    try:
+        step = _disagreement(texels.domain, model, there, fixed)
+    except InputError as error:  # a model of the user's that is not finite: the maps are made all the same
+        return str(error)
     if step is None:
         return ""
     remedy = (

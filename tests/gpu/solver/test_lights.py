@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import MODELS
 from irpso_addon.geometry.domain import subset, with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.lights.fit import Moving, axes_of
@@ -134,6 +135,18 @@ def test_only_contradicted_intensities_get_a_warning():
     assert contradiction(same, PRINCIPLED, values, frozenset()) == ""
     text = contradiction(photographed(domain, gains(16, rng), rng), PRINCIPLED, values, frozenset())
     assert "--intensities estimate" in text
+
+
+def test_a_users_radiance_that_is_not_finite_is_named_and_the_maps_are_made_all_the_same(tmp_path):
+    for kind in ("toml", "glsl"):
+        text = (MODELS / f"lambert.{kind}").read_text(encoding="utf-8")
+        (tmp_path / f"mine.{kind}").write_text(text.replace("Fd_Lambert(NoL)", "sqrt(-NoL)"), encoding="utf-8")
+    domain, truth = subject("lambert", 6, shape=(8, 8))
+    values = {name: np.float32(value) for name, value in truth.items()}
+    text = contradiction(domain, load_model(tmp_path / "mine.toml"), values, frozenset())
+    assert "mine.glsl: its radiance is not finite for some materials" in text and "guard its divisions" in text
+    with pytest.raises(InputError, match="is not finite"):
+        estimate_lights(domain, load_model(tmp_path / "mine.toml"))
 
 
 def test_lights_move_along_their_axes():
