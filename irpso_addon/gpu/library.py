@@ -27,7 +27,8 @@ def _expand(source: Path | tuple[str, str], includes: Mapping[str, str | Path], 
     seen.add(source)
     if isinstance(source, Path):
         # A short label: quotes or backslashes of a full path would break #line.
-        label = source.relative_to(SHADERS).as_posix() if source.is_relative_to(SHADERS) else source.name
+        own = re.sub(r"[^\w.-]", "_", source.name)  # #line and its readers end at blanks and quotes
+        label = source.relative_to(SHADERS).as_posix() if source.is_relative_to(SHADERS) else own
         text, folder = _read(source), source.parent
     else:
         label, text = source

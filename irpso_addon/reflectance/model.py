@@ -14,20 +14,11 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.files import defined, load_shipped_table, shipped_names
-from ..core.paths import MODELS
+from ..core.paths import MODELS, SHADERS
+from .shader_files import check_names, files_of, is_word, text_of
 
 MAX_COMPONENTS = int(defined("common/limits.glsl", "MAX_")["COMPONENTS"])
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
-# The lower-case words of GLSL 4.60, section 3.6, that no field of a struct may have as its name.
-_GLSL_WORDS = re.compile(
-    "active|asm|attribute|bool|break|buffer|case|cast|centroid|class|coherent|common|const|continue|default|discard|do"
-    "|double|else|enum|extern|external|false|filter|fixed|flat|float|for|goto|half|highp|if|in|inline|inout|input|int"
-    "|interface|invariant|layout|long|lowp|mediump|namespace|noinline|noperspective|out|output|partition|patch|precise"
-    "|precision|public|readonly|resource|restrict|return|sample|sampler|shared|short|sizeof|smooth|static|struct"
-    "|subroutine|superp|switch|template|this|true|typedef|uint|uniform|union|unsigned|using|varying|void|volatile|while"
-    "|writeonly|[biudhf]?vec[234]|d?mat[234](x[234])?|atomic_uint|.*__.*"
-)
-_INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"', re.M)
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
 _MOST = 1e9  # end of a range: the shaders' float32 holds its fourth power
 MIN_PRIOR_WIDTH = 0.02  # least fraction of a prior's width where it vanishes
@@ -170,7 +161,10 @@ def load_model(name_or_path: str | Path) -> ReflectanceModel:
     naming the file, the key and the remedy.
     """
     table, path = load_shipped_table("model", name_or_path, MODELS)
-    return _model_from_table(table, path)
+    model = _model_from_table(table, path)
+    if not model.shader.resolve().is_relative_to(SHADERS):
+        check_names(model.shader)
+    return model
 
 
 def digest_of_own_model(name_or_path: str | Path) -> str | None:
@@ -183,20 +177,10 @@ def digest_of_own_model(name_or_path: str | Path) -> str | None:
     if path.suffix != ".toml" or not path.is_file():
         return None
     digest = hashlib.sha256(path.read_bytes())
-    files = [load_model(path).shader]
-    for file in files:
-        text = _text_of(file)
-        digest.update(text.encode())
-        beside = (file.parent / name for name in _INCLUDE.findall(text))
-        files += [include for include in beside if include.is_file() and include not in files]
+    for file in files_of(load_model(path).shader):
+        if not file.is_relative_to(SHADERS):
+            digest.update(text_of(file).encode())
     return digest.hexdigest()
-
-
-def _text_of(shader: Path) -> str:
-    try:
-        return shader.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{shader}: cannot be read ({error}); save it as UTF-8") from error
 
 
 def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
@@ -234,7 +218,7 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     if any(parameters[names.index(n)].range != (0.0, 1.0) for n in complement):
         raise InputError(f"{path}: a complement must have the range [0, 1]")
     name = table.get("name", path.stem)
-    bases = frozenset(_BASIS.findall(_text_of(shader)))
+    bases = frozenset(_BASIS.findall(text_of(shader)))
     return ReflectanceModel(
         name, table.get("title", name), shader, parameters, bases, ordered, complement, dict(table.get("material", {})),
         _starts_from_table(table.get("start", []), parameters, path),
@@ -268,7 +252,7 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
     _refuse_unknown_keys(row, set(Parameter.__dataclass_fields__), path, where)
     if not isinstance(name, str) or not _IDENTIFIER.match(name):
         raise InputError(f"{path}: {where}: a name is lower-case letters, digits and _")
-    if _GLSL_WORDS.fullmatch(name):
+    if is_word(name):
         raise InputError(f"{path}: {where}: that is a word of GLSL; choose another name")
     is_normal = bool(row.get("is_normal", False))
     for key in ("kind", "map", "color_space", "socket", "stage"):

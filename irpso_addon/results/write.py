@@ -29,7 +29,7 @@ from .maps import Maps, split_maps
 from .report import plain
 
 REPORT = "report.json"
-MODEL_DIGEST = "model_sha256"  # key of a report's settings: of a user's own model
+MODEL_DIGEST = "model_files_sha256"  # key of a report's settings: of a user's own model
 BLEND = "material.blend"
 FORMER_BLEND = "material.former.blend"  # of the result before, until the new material is saved
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")

@@ -32,7 +32,7 @@ def full_map(model: ReflectanceModel, name: str, value: np.ndarray, solvable: np
         raise InputError(f"fixed {name}: it holds values that are not finite; fill them first")
     if parameter.is_normal:
         return _unit(name, value, solvable)
-    return _inside(parameter, value, solvable) if parameter.kind == "search" else value
+    return _inside(parameter, value, solvable)
 
 
 def _unit(name: str, normals: np.ndarray, solvable: np.ndarray) -> np.ndarray:

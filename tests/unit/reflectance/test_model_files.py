@@ -7,7 +7,7 @@ import pytest
 from irpso_addon.core.errors import InputError, ShaderError
 from irpso_addon.core.paths import MODELS
 from irpso_addon.gpu.library import read_source
-from irpso_addon.reflectance.model import digest_of_own_model, load_model
+from irpso_addon.reflectance.model import digest_of_own_model, load_model, shipped_models
 
 
 @pytest.fixture
@@ -31,6 +31,32 @@ def test_the_digest_is_of_all_files_that_give_the_radiance(mine):
     mine.with_name("other.glsl").write_text("", encoding="utf-8")
     assert digest_of_own_model(mine) == digests[-1]
     assert digest_of_own_model("lambert") is digest_of_own_model(mine.with_name("gone.toml")) is None
+
+
+@pytest.mark.parametrize(
+    "definition",
+    ["float deviance_unit(float noise) { return noise; }", "#define SUPPORT_TAPS 4", "const float MAX_DEVIANCE = 1.0;"],
+)
+def test_a_name_of_a_pass_is_refused_before_anything_runs(mine, definition):
+    shader = mine.with_suffix(".glsl")
+    shader.write_text(f"// {definition}\n/* {definition} */\n" + shader.read_text(encoding="utf-8"), encoding="utf-8")
+    load_model(mine)
+    mine.with_name("terms.glsl").write_text(definition + "\n", encoding="utf-8")
+    shader.write_text('#include "terms.glsl"\n' + shader.read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"terms.glsl: '\w+' is a name of the program .*; begin your own names with"):
+        load_model(mine)
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_copies_of_the_shipped_models_define_no_name_of_a_pass(name, tmp_path):
+    for kind in ("toml", "glsl"):
+        shutil.copy(MODELS / f"{name}.{kind}", tmp_path / f"mine.{kind}")
+    assert load_model(tmp_path / "mine.toml").parameters == load_model(name).parameters
+
+
+def test_a_files_name_with_blanks_and_quotes_leaves_the_line_marks_whole(tmp_path):
+    (tmp_path / 'my "own" model.glsl').write_text("float a;\n", encoding="utf-8")
+    assert '#line 1 "my__own__model.glsl"' in read_source(tmp_path / 'my "own" model.glsl')
 
 
 def test_files_of_editors_that_write_a_byte_order_mark_are_read(mine):

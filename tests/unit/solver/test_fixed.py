@@ -15,6 +15,8 @@ def test_a_map_of_bytes_is_refused_with_its_range():
     values = np.array([[[128], [200]], [[255], [0]]], np.float32)
     with pytest.raises(InputError, match="fixed roughness: its values reach from 128 to 255; scale them to between 0"):
         full_map(MODEL, "roughness", values, HOLE)
+    with pytest.raises(InputError, match="fixed base_color: its values reach from -1 to"):
+        full_map(MODEL, "base_color", np.array([-1.0, 0.2, 0.3]), HOLE)
 
 
 def test_values_slightly_outside_are_put_to_the_end_of_the_range_and_others_keep_their_bits():
