@@ -41,6 +41,8 @@ class Light:
     cosine: float = 0.0
 
     def __post_init__(self) -> None:
+        if not np.isfinite(self.vector).all() or (self.distant and not np.any(self.vector)):
+            raise CaptureError("a light's direction or position is three finite numbers, a direction not all zero")
         if self.axis is None and (self.cone is not None or self.cosine):
             raise CaptureError("a light with a cone or a cosine has an axis; give the direction in which it shines")
         if self.axis is not None and self.distant:

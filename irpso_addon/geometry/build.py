@@ -323,7 +323,9 @@ def _light(light: Light, to_frame: np.ndarray) -> np.ndarray:
 def _read(observation: Observation, capture: Capture) -> np.ndarray:
     camera = capture.cameras[observation.camera]
     image = np.asarray(observation.read(), np.float32)
-    if image.shape != (camera.height, camera.width, 4):
+    if image.ndim != 3 or image.shape[2] != 4:
+        raise InputError(f"image '{observation.name}' has the shape {image.shape}; give (H, W, 4): RGB and weight")
+    if image.shape[:2] != (camera.height, camera.width):
         height, width = image.shape[:2]
         raise InputError(
             f"image '{observation.name}' is {width} × {height}, its camera {camera.width} × {camera.height};"

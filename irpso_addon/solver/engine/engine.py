@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...geometry.domain import Domain
 from ...gpu import probe
-from ...gpu.kernel import EntryChoice
+from ...gpu.kernel import Entry, EntryChoice
 from ...gpu.passes import Pass
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
@@ -75,6 +75,8 @@ class RecoveryEngine(ABC):
         fixed: parameter name → (H, W, components) or (components,) in the parameter's own units; these parameters are
         not searched. entry: of the shaders; "auto" is the one that the probe finds faster.
         """
+        if entry not in ("auto", *get_args(Entry)):
+            raise InputError(f"entry is '{entry}'; choose fragment, compute or auto")
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self.fixed = {name: full_map(model, name, value, domain.solvable) for name, value in (fixed or {}).items()}

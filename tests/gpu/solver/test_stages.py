@@ -9,6 +9,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.gpu.textures import CHANNELS
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.phases.phase import TexturePhase
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.resolve import resolve
@@ -194,6 +195,11 @@ def test_known_maps_that_do_not_fit_are_refused(recover, fixed, word):
     with pytest.raises(InputError, match=word) as caught:
         recover(subject()[0], fixed=fixed)
     assert "\n" not in str(caught.value)
+
+
+def test_an_entry_that_there_is_not_is_refused():
+    with pytest.raises(InputError, match="entry is 'wurst'; choose fragment, compute or auto"):
+        Recovery(subject()[0], LAMBERT, SHORT, entry="wurst")
 
 
 def test_cycles_of_stages_improve_on_the_estimates_of_the_one_before(recover):

@@ -100,6 +100,7 @@ def test_a_texel_that_is_black_under_every_light_is_not_solvable():
         ({"mask": np.zeros((5, 7), bool)}, "covers nothing"),
         ({"mask": np.ones((7, 5), bool)}, "5 × 7"),
         ({"images": [np.ones((4, 7, 4), np.float32)] * 3}, "'image 0' is 7 × 4, its camera 7 × 5"),
+        ({"images": [np.ones((5, 7, 3), np.float32)] * 3}, r"'image 0' has the shape \(5, 7, 3\); give \(H, W, 4\)"),
         ({"images": [np.zeros((5, 7, 4), np.float32)] * 3}, "shows the card"),
         ({"images": [np.zeros((5, 7, 4), np.float32)], "lights": [], "count": 0}, "no images"),
     ],
@@ -107,6 +108,14 @@ def test_a_texel_that_is_black_under_every_light_is_not_solvable():
 def test_an_invalid_card_is_refused_with_the_reason(change, message):
     with pytest.raises(InputError, match=message):
         domain_from_card(capture(**change)[0])
+
+
+@pytest.mark.parametrize("vector", [(0, 0, 0), (0, np.nan, 1), (np.inf, 0, 1)])
+def test_a_light_without_a_direction_is_refused(vector):
+    with pytest.raises(InputError, match="three finite numbers, a direction not all zero"):
+        Light(vector)
+    with pytest.raises(InputError, match="three finite numbers"):
+        Light((0, np.nan, 1), distant=False)
 
 
 def test_a_card_of_two_cameras_is_refused():
