@@ -56,3 +56,11 @@ def image_of(path, codes=None, bits=8):
     if codes is not None:
         write_png(path, codes, bits)
     return bpy.data.images.load(str(path))
+
+
+def assert_same_camera(a, b):
+    """Assert that two cameras are equal to float32."""
+    assert (a.width, a.height, a.perspective) == (b.width, b.height, b.perspective)
+    np.testing.assert_allclose(a.scale, b.scale, rtol=1e-6)
+    np.testing.assert_allclose(a.centre, b.centre, atol=1e-5)
+    np.testing.assert_allclose(a.matrix, b.matrix, atol=1e-6)
