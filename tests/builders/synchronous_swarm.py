@@ -10,9 +10,8 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.phases.phase import PhaseContext
-from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.phases.synchronous_swarm import SynchronousSwarmPhase
-from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.resolve import particle_count, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates

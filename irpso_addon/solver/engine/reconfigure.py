@@ -12,9 +12,17 @@ from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import build_encoding
 from ..phases.phase import Phase
-from ..phases.swarm import SwarmPhase, particle_count
+from ..phases.swarm import SwarmPhase
 from ..settings.groups import Fitness
-from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit, ResolvedSheen, ResolvedSurface, ResolvedSwarm
+from ..settings.resolve import (
+    Resolved,
+    ResolvedIndirect,
+    ResolvedPrefit,
+    ResolvedSheen,
+    ResolvedSurface,
+    ResolvedSwarm,
+    particle_count,
+)
 from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.prefit_measurements import PrefitMeasurements

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...core.files import defined
 from ...gpu.kernel import Defines, Entry, Kernel, Output, Packed, Samplers
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..settings.schedule import Schedule
+from ..settings.schedule import MAX_PARTICLES, Schedule
 from .declarations import FLOAT_2D, MOVE, OBSERVATIONS, PACKING, model_includes, packed, schedule_defines
 from .encoding import Encoding
 from .linear_weights import LinearWeights
 from .single_passes import take_halo_pass
 
 # Four outputs of four fitnesses; two more hold the linear weights of the best.
-MAX_PARTICLES = int(defined("common/limits.glsl", "MAX_")["PARTICLES"])
 _CHUNK = 4  # particles evaluated per read of an observation
 
 

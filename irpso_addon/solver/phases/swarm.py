@@ -14,7 +14,7 @@ from ...gpu.textures import Texture
 from ..kernels.encoding import build_encoding
 from ..kernels.sequential_swarm import SequentialSwarmPasses
 from ..kernels.synchronous_swarm import SynchronousSwarmPasses
-from ..settings.resolve import ResolvedSwarm
+from ..settings.resolve import ResolvedSwarm, particle_count
 from ..settings.schedule import Schedule
 from ..state.textures import loss_constants
 from .phase import PhaseContext, TexturePhase
@@ -104,12 +104,6 @@ class SwarmPhase(TexturePhase):
     def inherit(self, old: SwarmPhase) -> None:
         """Continue with the swarms of a phase that searches the same parameters; the old phase then loses them."""
         self.textures, old.textures, self.iteration = old.textures, self.textures, old.iteration
-
-
-def particle_count(schedule: Schedule, dimensions: int) -> int:
-    """Return m, the particles of a swarm in a space of ``dimensions``."""
-    swarm = schedule.swarm
-    return max(swarm.particles, math.ceil(swarm.particles_per_dimension * dimensions))
 
 
 def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> float:

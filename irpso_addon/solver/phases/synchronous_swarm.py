@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.errors import InputError
 from ...gpu.bands import Bands
 from ...gpu.kernel import Entry
 from ..kernels.linear_weights import linear_weights
-from ..kernels.synchronous_swarm import MAX_PARTICLES, SynchronousSwarmPasses, build_synchronous_swarm_passes
+from ..kernels.synchronous_swarm import SynchronousSwarmPasses, build_synchronous_swarm_passes
 from ..state.phase_textures import GLOBAL_BESTS, PARTICLES, PhaseTextures, synchronous_swarm_table
 from .swarm import SwarmPhase
 
@@ -19,12 +18,6 @@ class SynchronousSwarmPhase(SwarmPhase):
     passes: SynchronousSwarmPasses
 
     def _build(self, entry: Entry) -> None:
-        if self.particles > MAX_PARTICLES:
-            raise InputError(
-                f'particles: update = "all", and the prefit, move at most {MAX_PARTICLES} together, not'
-                f" {self.particles}; lower particles or particles_per_dimension, or for the prefit set"
-                " prefit_iterations = 0"
-            )
         self.linear = linear_weights(self.model, self.stage.solved)
         table = synchronous_swarm_table(self.particles, self.encoding.blocks, self.linear.blocks)
         self.textures = PhaseTextures(table, self.width, self.height)

@@ -12,7 +12,7 @@ from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
 from ..kernels.refinement import PROPAGATION_RADIUS, renders
 from ..phases import neighbour_test
-from ..phases.swarm import particle_count, stencil_radius_at
+from ..phases.swarm import stencil_radius_at
 from ..settings.levels import level_schedules
 from ..settings.resolve import (
     Resolved,
@@ -25,6 +25,7 @@ from ..settings.resolve import (
     ResolvedSpatialPrior,
     ResolvedSurface,
     ResolvedSwarm,
+    particle_count,
     resolve,
     unsearched_names,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cache
@@ -9,9 +10,9 @@ from functools import cache
 from ...core.errors import InputError
 from ...core.paths import SHADERS
 from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .groups import NormalSearch, Prefit, Stage
+from .groups import NormalSearch, Stage
 from .refinement_groups import Materials, Refinement, SpatialPrior, Surface
-from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
+from .schedule import ALL, MAX_DIMENSIONS, MAX_PARTICLES, REST, Schedule
 
 PROPAGATE = -2  # instead of a start: the best materials of neighbours
 BEST = -1  # instead of a start: the texel's best material so far, with its damping
@@ -195,22 +196,25 @@ def prefit_model(sheen: bool = False) -> ReflectanceModel:
     return load_model(SHADERS / "prefit" / f"base_lobe{'_sheen' if sheen else ''}.toml")
 
 
-def _resolve_prefit(prefit: Prefit) -> list[Resolved]:
-    first = _prefit_with(prefit_model(), prefit)
+def _resolve_prefit(schedule: Schedule) -> list[Resolved]:
+    prefit = schedule.prefit
+    first = _prefit_with(prefit_model(), schedule)
     resolved: list[Resolved] = [replace(first, seeks=prefit.indirect_shadow > 0)]
     if prefit.sheen_gain:
-        resolved += [replace(_prefit_with(prefit_model(sheen=True), prefit, _ROUNDS), sheen=True), ResolvedSheen()]
+        resolved += [replace(_prefit_with(prefit_model(sheen=True), schedule, _ROUNDS), sheen=True), ResolvedSheen()]
     if prefit.indirect_shadow:
         separation = [ResolvedSeparation()] if prefit.indirect_share else []
         resolved += [ResolvedIndirect(), *separation, replace(first, indirect=True)]
     return resolved
 
 
-def _prefit_with(model: ReflectanceModel, prefit: Prefit, rounds: int = 0) -> ResolvedPrefit:
+def _prefit_with(model: ReflectanceModel, schedule: Schedule, rounds: int = 0) -> ResolvedPrefit:
+    prefit = schedule.prefit
     refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=rounds)
     searched = tuple(p for p in model.parameters if p.kind == "search")
     solved = tuple(p for p in model.parameters if p.kind == "linear")
     stage = ResolvedSwarm(searched, prefit.iterations, solved=solved)
+    _check_particles(schedule, stage)
     return ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
 
 
@@ -286,7 +290,7 @@ def resolve(
     free = [p for p in model.parameters if p.name not in unsearched]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.min_observations and any(p.is_normal for p in free)
-    resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
+    resolved: list[Resolved] = _resolve_prefit(schedule) if has_prefit else []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
             searched = [p for p in free if _in_stage(p, stage, names) and not (has_prefit and p.is_normal)]
@@ -305,6 +309,12 @@ def resolve(
     if not resolved:
         raise InputError("search: every searched parameter is fixed; leave one of them free")
     return tuple(resolved)
+
+
+def particle_count(schedule: Schedule, dimensions: int) -> int:
+    """Return m, the particles of a swarm in a space of ``dimensions``."""
+    swarm = schedule.swarm
+    return max(swarm.particles, math.ceil(swarm.particles_per_dimension * dimensions))
 
 
 def unsearched_names(schedule: Schedule, model: ReflectanceModel, fixed: Collection[str]) -> frozenset[str]:
@@ -336,7 +346,19 @@ def _resolve_swarm(
             f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
             ' search fewer, set linear = "solve", fix some (--fixed), or search the normal on the hemisphere'
         )
+    if schedule.swarm.update == "all":
+        _check_particles(schedule, result)
     return result
+
+
+def _check_particles(schedule: Schedule, stage: ResolvedSwarm) -> None:
+    """Raise InputError if a stage whose particles move together has more than fit."""
+    particles = particle_count(schedule, stage.dimensions(schedule.swarm.normal))
+    if particles > MAX_PARTICLES:
+        raise InputError(
+            f'particles: update = "all", and the prefit, move at most {MAX_PARTICLES} together, not {particles}; lower'
+            " particles or particles_per_dimension, or for the prefit set prefit_iterations = 0"
+        )
 
 
 def _in_stage(parameter: Parameter, stage: Stage, searched: set[str]) -> bool:

@@ -17,7 +17,8 @@ from .refinement_groups import Interreflection, Materials, Refinement, SpatialPr
 from .renamed import FORMAT, current_key, current_name, current_tables, hint
 from .setting import Setting, setting, settings_of
 
-MAX_DIMENSIONS = int(defined("common/limits.glsl", "MAX_")["DIMENSIONS"])
+_LIMITS = defined("common/limits.glsl", "MAX_")
+MAX_DIMENSIONS, MAX_PARTICLES = int(_LIMITS["DIMENSIONS"]), int(_LIMITS["PARTICLES"])  # of a swarm that moves together
 ALL = "all"
 REST = "rest"  # all parameters that no stage of the schedule names
 _TEXTS = ("name", "title")  # that only a preset's file sets

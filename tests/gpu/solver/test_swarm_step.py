@@ -12,8 +12,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.phases.phase import PhaseContext
 from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
-from irpso_addon.solver.phases.swarm import particle_count
-from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.resolve import particle_count, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates

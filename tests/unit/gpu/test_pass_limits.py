@@ -26,7 +26,6 @@ from irpso_addon.solver.kernels.single_passes import (
 )
 from irpso_addon.solver.phases import acceptance, indirect, prefit, separation, sheen
 from irpso_addon.solver.phases.neighbour_test import decision_pass
-from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedIndirect,
     ResolvedPrefit,
@@ -35,6 +34,7 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedSheen,
     ResolvedSpatialPrior,
     ResolvedSurface,
+    particle_count,
     resolve,
 )
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets

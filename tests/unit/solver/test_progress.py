@@ -4,9 +4,8 @@ import pytest
 
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.progress import Course, Progress, TimeLeft
-from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.planning.cost import work_of
-from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedSwarm, resolve
+from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedSwarm, particle_count, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 
 

@@ -7,10 +7,10 @@ import pytest
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.phases.swarm import neighbour_constant, particle_count
+from irpso_addon.solver.phases.swarm import neighbour_constant
 from irpso_addon.solver.settings.groups import Stage
 from irpso_addon.solver.settings.refinement_groups import Refinement
-from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve, unsearched_names
+from irpso_addon.solver.settings.resolve import ResolvedRefinement, particle_count, resolve, unsearched_names
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
@@ -214,6 +214,12 @@ def test_swarms_grow_with_the_dimensions():
     schedule = load_schedule("swarm")
     assert [particle_count(schedule, n) for n in (2, 5, 6, 8)] == [16, 16, 18, 24]
     assert particle_count(schedule.replaced(particles=5, particles_per_dimension=0.0), 8) == 5
+
+
+def test_more_particles_than_move_together_are_refused_before_anything_is_read():
+    standard, model = load_schedule("standard"), load_model("lambert")
+    with pytest.raises(InputError, match="move at most 16 together, not 17; .* for the prefit set prefit_iterations = 0"):
+        resolve(standard.replaced(particles=17), model, set(), observations=50)
 
 
 def test_the_neighbour_term_fades_to_nothing_or_stays():

@@ -10,8 +10,6 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.pipeline.job import possible_schedule
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.kernels.synchronous_swarm import MAX_PARTICLES
-from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedIndirect,
     ResolvedMaterials,
@@ -21,9 +19,10 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedSheen,
     ResolvedSurface,
     ResolvedSwarm,
+    particle_count,
     resolve,
 )
-from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.settings.schedule import MAX_PARTICLES, load_schedule, shipped_presets
 
 OTHERS = {"solve": "search", "cauchy": "l2", "stop": "clamp", "lambert": "random", "hemisphere": "cartesian"}
 
