@@ -218,7 +218,7 @@ def test_swarms_grow_with_the_dimensions():
 
 def test_more_particles_than_move_together_are_refused_before_anything_is_read():
     standard, model = load_schedule("standard"), load_model("lambert")
-    with pytest.raises(InputError, match="move at most 16 together, not 17; .* for the prefit set prefit_iterations = 0"):
+    with pytest.raises(InputError, match="at most 16 together, not 17; .* for the prefit set prefit_iterations = 0"):
         resolve(standard.replaced(particles=17), model, set(), observations=50)
 
 
