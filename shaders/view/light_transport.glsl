@@ -12,8 +12,8 @@
 #include "common/observation.glsl"
 #include "model.glsl"
 
-// Upper limit of a ray's radiance for light of intensity 1. Without it, rays that hit a narrow highlight, or lie in a
-// narrow lobe, leave isolated bright elements (fireflies).
+// Upper limit of a ray's radiance for light of intensity 1; the intensities given here are about that. Without it, rays
+// that hit a narrow highlight, or lie in a narrow lobe, leave isolated bright elements (fireflies).
 #define MAX_RADIANCE 64.0
 #define GOLDEN_RATIO 0.6180339887
 

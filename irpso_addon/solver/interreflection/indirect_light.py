@@ -77,7 +77,8 @@ class IndirectLight:
         materials = {name: self._grid(value) for name, value in wide.items()}
         self._groups = _of_one_view(domain.views)
         columns = np.concatenate([np.pad(group, (0, TRANSPORT_LIGHTS - len(group)), "edge") for group in self._groups])
-        lighting = domain.lights[columns], domain.intensities[columns], domain.views[columns]
+        self._units = self._powers_of_two()
+        lighting = domain.lights[columns], (domain.intensities / self._units[:, None])[columns], domain.views[columns]
         self._inputs = render_inputs(bake, model, materials, *lighting)
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._grid(ray) for ray in _hits_first(transport)]))
         self._unlit, *self._targets = (
@@ -153,8 +154,21 @@ class IndirectLight:
             textures_of_group = yield from self._radiances(number, inputs)
             for observation, texture in zip(group, textures_of_group, strict=False):
                 radiance = textures.download(texture).reshape(-1, 4)[:count]
+                radiance *= self._units[observation]
                 indirect[observation], direct[observation] = radiance[:, :3], radiance[:, 3]
         return indirect, direct
+
+    def _powers_of_two(self) -> np.ndarray:
+        """Return (K,) float32: the light of each observation at most elements, as a power of two.
+
+        The pass limits radiances for light of about 1. Powers of two leave the bits of what stays below the limit.
+        """
+        domain, places = self._domain, _flat(self._domain.bake.position)[self.transport.texels]
+        middle = np.median(places.astype(np.float64), axis=0)
+        squared = ((domain.lights[:, :3] - middle) ** 2).sum(axis=-1)
+        light = domain.intensities.mean(axis=-1) / np.where(domain.lights[:, 3] > 0, squared, 1)
+        exponent = np.log2(light, out=np.zeros_like(light), where=(light > 0) & np.isfinite(light))
+        return np.exp2(np.round(exponent)).astype(np.float32)
 
     def _radiances(
         self, number: int, inputs: Mapping[str, textures.Texture]

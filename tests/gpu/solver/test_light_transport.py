@@ -44,6 +44,16 @@ def test_a_closed_sphere_sends_on_its_albedo_at_every_bounce(bounces):
     np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.05)
 
 
+@pytest.mark.parametrize("factor", [2.0**-14, 2.0**14])
+def test_the_unit_of_the_intensities_changes_no_bit(factor):
+    # The limit of a ray's radiance cuts off the second bounce of strong lights where it counts in radiance itself.
+    mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
+    domain = cavity(mesh)
+    other = replace(domain, intensities=domain.intensities * np.float32(factor))
+    found = [indirect(mesh, one, albedo, 4) for one in (domain, other)]
+    np.testing.assert_array_equal(found[1], found[0] * np.float32(factor))
+
+
 def test_elements_say_what_the_light_itself_makes_them_send():
     mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
     domain = cavity(mesh)
