@@ -270,12 +270,13 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
             f"fitted photographs: mean error of radiance {mean:.2%} of white, of 99 in 100 texels at most {most:.1%}"
         )
     for name, error in report.get("ground_truth", {}).items():
-        lines.append(
-            f"{name} against ground truth: mean {error['mean']:.3f} {error['unit']}, median {error['median']:.3f},"
-            f" 99th percentile {error['p99']:.3f}"
-        )
-    if shares := report.get("priors_decided"):
-        decided = ", ".join(f"{name} on {1 - share:.0%}" for name, share in shares.items())
+        figures = "nothing to compare"
+        if error["mean"] is not None:
+            figures = f"mean {error['mean']:.3f} {error['unit']}, median {error['median']:.3f}"
+            figures += f", 99th percentile {error['p99']:.3f}"
+        lines.append(f"{name} against ground truth: {figures}")
+    if shares := report.get("photographs_decided"):
+        decided = ", ".join(f"{name} on {share:.0%}" for name, share in shares.items())
         lines.append(f"decided by the photographs: {decided} of the texels; elsewhere by the model's prior")
     if (share := report.get("unknown", {}).get("normal", 0)) >= 0.005:
         lines.append(f"normal: unknown on {share:.0%} of the texels")

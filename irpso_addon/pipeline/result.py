@@ -22,7 +22,7 @@ from ..gpu import context
 from ..results.derived_map import DerivedMap, indirect_map
 from ..results.derived_maps import DerivedMaps, derived_maps
 from ..results.maps import Maps
-from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
+from ..results.report import build_report, limit_warnings, mode_warnings, photograph_shares, prior_shares
 from ..solver.lights.checks import light_warnings
 from ..solver.lights.refine import contradiction
 from ..solver.settings.resolve import unsearched_names
@@ -77,8 +77,9 @@ def report_of(
     report |= run.findings | run.relit[1] | {"warnings": [*maps_warnings(run, maps), *of_capture, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
-    if priors and (shares := prior_shares(maps, unsearched_names(job.schedule, job.model, job.fixed))):
-        report["priors_decided"] = shares
+    unsearched = unsearched_names(job.schedule, job.model, job.fixed)
+    if priors and (shares := prior_shares(maps, unsearched)):
+        report |= {"priors_decided": shares, "photographs_decided": photograph_shares(maps, unsearched)}
     if job.capture.left_out:
         report["left_out"] = [asdict(image) for image in job.capture.left_out]
     if job.held_out:

@@ -114,7 +114,28 @@ def prior_shares(maps: Maps, fixed: Collection[str] = ()) -> dict[str, float]:
     A prior decides where its precision exceeds that of the samples. The maps' variance already contains a normal
     prior's precision: such a prior decides where more than half of its own variance remains.
     """
-    model, shares = maps.model, {}
+    return {name: _share(decided) for name, decided in _prior_decided(maps, fixed).items()}
+
+
+def photograph_shares(maps: Maps, fixed: Collection[str] = ()) -> dict[str, float]:
+    """Return, for the parameters of ``prior_shares``, the fraction of texels where the photographs decided.
+
+    There the prior did not decide, and the value is not unknown.
+    """
+    unknown, shares = maps.unknown_by_cause(), {}
+    for name, decided in _prior_decided(maps, fixed).items():
+        masks = [mask[maps.solved] for mask in unknown.get(name, {}).values()]
+        shares[name] = _share(~np.logical_or.reduce([decided, *masks]))
+    return shares
+
+
+def _share(texels: np.ndarray) -> float:
+    return round(float(texels.mean()), 4)
+
+
+def _prior_decided(maps: Maps, fixed: Collection[str]) -> dict[str, np.ndarray]:
+    """Return (N,) bool over the solved texels by parameter, as described in ``prior_shares``."""
+    model, result = maps.model, {}
     for p in model.parameters:
         if p.prior is None or p.name in fixed or maps.confidence is None or not maps.solved.any():
             continue
@@ -125,8 +146,8 @@ def prior_shares(maps: Maps, fixed: Collection[str] = ()) -> dict[str, float]:
         variance = p.prior.variance(maps.values[p.name][maps.solved], p.width, place)
         measured = np.square(maps.confidence[p.name][maps.solved])
         decided = (2 * measured if p.prior.kind == "normal" else measured) > variance
-        shares[p.name] = round(float(decided.mean()), 4)
-    return shares
+        result[p.name] = decided.any(axis=-1)
+    return result
 
 
 def ground_truth_errors(maps: Maps, truth: Mapping[str, np.ndarray], texels: np.ndarray) -> dict[str, Any]:

@@ -219,10 +219,12 @@ def test_doctor_names_the_gpu_its_limits_and_the_choices():
 def test_the_summary_gives_errors_in_parts_of_white_and_what_the_photographs_decide():
     report = {
         "texels": 100, "unseen_texels": 0, "seconds": {"solve": 2.0}, "residual": {"mean": 0.00712, "p99": 0.0412},
-        "priors_decided": {"roughness": 0.004, "specular": 1.0}, "relighting_mean_psnr_db": 20.0,
+        "photographs_decided": {"roughness": 0.996, "specular": 0.0}, "relighting_mean_psnr_db": 20.0,
         "relighting_highlights_mean_psnr_db": None, "warnings": [],
     }  # fmt: skip
     lines = _summary(report, Path("out"), 1.0).splitlines()
     assert "fitted photographs: mean error of radiance 0.71% of white, of 99 in 100 texels at most 4.1%" in lines
     assert any(line.startswith("decided by the photographs: roughness on 100%, specular on 0%") for line in lines)
     assert "unseen photographs: RMS error 10.0% (20.0 dB)" in lines
+    nothing = report | {"ground_truth": {"normal": {"unit": "°", "mean": None, "median": None, "p99": None}}}
+    assert "normal against ground truth: nothing to compare" in _summary(nothing, Path("out"), 1.0)

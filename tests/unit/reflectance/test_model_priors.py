@@ -9,7 +9,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import MODELS
 from irpso_addon.reflectance.model import ParameterPrior, load_model
 from irpso_addon.results.maps import Maps
-from irpso_addon.results.report import prior_shares
+from irpso_addon.results.report import photograph_shares, prior_shares
 from irpso_addon.solver.settings.schedule import load_schedule
 
 
@@ -85,6 +85,10 @@ def test_the_report_counts_texels_dominated_by_the_prior():
     assert prior_shares(maps) == {"metallic": 0.6, "specular": 0.6}
     assert prior_shares(maps, fixed={"metallic"}) == {"specular": 0.6}
     assert prior_shares(replace(maps, confidence=None)) == {}
+    # Metallic is unknown where its prior does not decide; of specular a modest deviation remains there.
+    assert photograph_shares(maps) == {"metallic": 0.0, "specular": 0.4}
+    modes = replace(maps, two_modes={"specular": np.array([[False] * 3, [False, False, True]])})
+    assert photograph_shares(modes)["specular"] == 0.2
 
 
 def test_standard_uses_priors_and_paper_does_not():
