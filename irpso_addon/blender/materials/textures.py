@@ -39,9 +39,12 @@ def material_images(maps: Maps, subject: str, folder: Path | None, former: Mappi
 def data_image(
     maps: Maps, name: str, values: np.ndarray, subject: str, folder: Path | None, former: Mapping[str, Any]
 ) -> Any:
-    """Return the bpy image, a 32-bit EXR, of values (H, W, 1) over the maps' texels that are no map of the model."""
+    """Return the bpy image, a 32-bit EXR, of values (H, W, 1) over the maps' texels that are no map of the model.
+
+    Beyond UV seams the image has the nearest value of its own side, as at other borders.
+    """
     table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that exceeds PNG's
-    return _map_image(replace(maps, values={name: values}), table, subject, folder, former)
+    return _map_image(replace(maps, values={name: values}, margin=None), table, subject, folder, former)
 
 
 def _map_image(maps: Maps, table: MapTable, subject: str, folder: Path | None, former: Mapping[str, Any]) -> Any:

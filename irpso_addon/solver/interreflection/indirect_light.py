@@ -32,6 +32,7 @@ _MAX_STRENGTH = 30.0
 _MIN_ROUGHNESS = 0.3
 _MAX_NOISE = 3.0  # factor between a dark sample and the median of all; beyond it a lamp reaches the sample
 _BRANCHES = 4  # rays followed from the element that a ray hits, in the pass to the camera
+_EXPONENTS = 100  # of powers of two in float32, with room for their products
 _COLUMNS = 1024  # of the grid of elements; software renderers share out squares of 64 texels among their threads
 
 
@@ -159,16 +160,16 @@ class IndirectLight:
         return indirect, direct
 
     def _powers_of_two(self) -> np.ndarray:
-        """Return (K,) float32: the light of each observation at most elements, as a power of two.
+        """Return (K,) float32: the light of each observation at the middle one of the elements, as a power of two.
 
         The pass limits radiances for light of about 1. Powers of two leave the bits of what stays below the limit.
         """
-        domain, places = self._domain, _flat(self._domain.bake.position)[self.transport.texels]
-        middle = np.median(places.astype(np.float64), axis=0)
-        squared = ((domain.lights[:, :3] - middle) ** 2).sum(axis=-1)
-        light = domain.intensities.mean(axis=-1) / np.where(domain.lights[:, 3] > 0, squared, 1)
-        exponent = np.log2(light, out=np.zeros_like(light), where=(light > 0) & np.isfinite(light))
-        return np.exp2(np.round(exponent)).astype(np.float32)
+        domain, places = self._domain, _flat(self._domain.bake.position)[self.transport.texels].astype(np.float64)
+        light = domain.intensities.mean(axis=-1, dtype=np.float64)
+        for k in np.flatnonzero(domain.lights[:, 3] > 0):
+            light[k] /= np.median(((domain.lights[k, :3] - places) ** 2).sum(axis=-1))
+        exponent = np.log2(light, out=np.zeros_like(light), where=light > 0)
+        return np.exp2(np.round(np.clip(exponent, -_EXPONENTS, _EXPONENTS))).astype(np.float32)
 
     def _radiances(
         self, number: int, inputs: Mapping[str, textures.Texture]

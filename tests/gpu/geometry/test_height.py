@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.materials.margins import blender_maps
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry.relief import relief
@@ -11,6 +12,7 @@ from irpso_addon.geometry.relief.height import Height
 from irpso_addon.geometry.surface import bake
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from tests.builders import seams
 from tests.builders.command_line import angle
 from tests.builders.domains import unit
 from tests.oracles import geometry as geometry_oracle
@@ -167,3 +169,20 @@ def test_the_relief_of_a_card_does_not_wrap_around(tmp_path):
     look_from_above(1.0)
     depth, _ = passes(tmp_path / "slope.exr")
     assert np.abs(5 - depth - slope / SIZE)[4:-4].max() < 0.5 / SIZE
+
+
+def test_the_displacement_of_a_mesh_is_whole_at_its_seams():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    surface, model = seams.sheet("as it is"), load_model("lambert")
+    domain = surface.domain()
+    covered, slope = domain.bake.coverage, 0.3 * domain.bake.frames()[..., :2, 1].astype(np.float64)  # along world y
+    normals = unit(np.concatenate([-slope, np.ones_like(slope[..., :1])], axis=-1))
+    height = relief.mesh_height(surface.mesh, bake.bake_uv(surface.mesh, *domain.shape[::-1]), normals, covered)
+    maps = Maps(model, {p.name: np.zeros((*domain.shape, 3), np.float32) for p in model.parameters}, covered)
+    found = blender_maps(maps, surface.mesh, domain.bake, domain.seams)
+    build_material(found, "sheet", height=height)
+    image = bpy.data.images["IRPSO sheet height"]
+    shown = np.array(image.pixels).reshape(*domain.shape, -1)[..., 0]
+    rows, columns = np.nonzero(found.margin & np.roll(covered, 1, axis=1))
+    assert len(rows) > 20
+    np.testing.assert_allclose(shown[rows, columns], height.values[rows, columns - 1], atol=1e-5)

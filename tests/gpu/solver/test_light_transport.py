@@ -52,6 +52,9 @@ def test_the_unit_of_the_intensities_changes_no_bit(factor):
     other = replace(domain, intensities=domain.intensities * np.float32(factor))
     found = [indirect(mesh, one, albedo, 4) for one in (domain, other)]
     np.testing.assert_array_equal(found[1], found[0] * np.float32(factor))
+    with closing(IndirectLight(domain, transport_of(mesh, domain), LAMBERT, maps_of(domain, base_color=albedo),
+                               domain.solvable, 1)) as light:  # fmt: skip
+        np.testing.assert_array_equal(light._units, 1)  # though the light is in the middle of the elements
 
 
 def test_elements_say_what_the_light_itself_makes_them_send():
