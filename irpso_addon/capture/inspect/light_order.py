@@ -10,6 +10,8 @@ _MIN_PHOTOGRAPHS = 8  # photographs
 _MOVES = (1, -1, 2, -2)  # places by which a list may be moved
 _RANDOM = 5  # random orders that the lights are compared with
 _SCALINGS = 2  # times that the photographs' factors are fitted
+_RIGHT_ERROR = 0.02  # median error, as part of a pixel's bright sample: below, the order is right
+_BETTER = 0.5  # of the given order's error: at most that of a reversed or moved list that is right
 _MIN_ERROR = 0.07  # median error of a wrong order, as part of a pixel's bright sample: below, the order hardly matters
 _METAL = 0.25  # median of the samples, likewise: below, most light is in highlights, which follow no matt shading
 # In the right order the median error is at most 0.53 of that in random orders: on rendered spheres, cards, reliefs and
@@ -34,19 +36,18 @@ def light_order_message(values: np.ndarray, usable: np.ndarray, lamps: np.ndarra
         return ""
     places, generator = np.arange(len(values)), np.random.default_rng(0)
     given = _error(relative, used, lamps)
-    if given < _MIN_ERROR:
+    if given < _RIGHT_ERROR:
         return ""
-    random = np.median([_error(relative, used, lamps[generator.permutation(places)]) for _ in range(_RANDOM)])
-    if given < _RIGHT * random:
-        return ""
+    random = float(np.median([_error(relative, used, lamps[generator.permutation(places)]) for _ in range(_RANDOM)]))
     others = {"the list reversed": _error(relative, used, lamps[::-1])}
     others |= {_moved(move): _error(relative, used, np.roll(lamps, -move, axis=0)) for move in _MOVES}
     best = min(others, key=others.__getitem__)
-    if others[best] < _RIGHT * random:
+    is_wrong = given >= max(_MIN_ERROR, _RIGHT * random) or others[best] < _BETTER * given
+    if is_wrong and others[best] < _RIGHT * random:
         return (
             f"the photographs match the lights better with {best}: compare the order of the lights with the photographs"
         )
-    if given > _LIKE_RANDOM * random:
+    if given >= _MIN_ERROR and given > _LIKE_RANDOM * random:
         return (
             "the photographs match the lights no better than lights in a random order: compare the list of lights with"
             " the photographs, or calibrate again"

@@ -50,6 +50,7 @@ _MAX_MATTE_MISFIT = 0.05
 _MAX_ILL_FITTED = 0.02
 # There, the last matte round may fit worse than the first by a factor: such fits say little. It is 1.03 and 1.05 in a
 # coin and a bowl of metal paint, and their light helps the full round.
+_ROUNDING = 1e-3  # of mean errors that are the same
 _WORSE = 1.25
 _MAX_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
 _MIN_SHARE = 0.003  # of the light of the photographs; with less there is no further round
@@ -138,7 +139,7 @@ class InterreflectionRounds(Successive):
         full = self._errors[self._rounds.matte :]
         if full and self.progress.done:
             last = self._mean_residual(self._live.maps(confidence=False))
-            if last > full[0]:
+            if self._samples is not None and last > (1 + _ROUNDING) * full[0]:
                 setting = "rounds" if self.schedule.interreflection.rounds else "matte_rounds"
                 lines.append(
                     "after subtracting the light that the subject throws on itself, the maps fit the photographs worse"

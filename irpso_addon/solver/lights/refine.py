@@ -38,6 +38,7 @@ _CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
 # Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
 # matte model on a glossy surface, 0.01 for correct intensities.
 _EXPLAINED = 0.6
+_MIN_FREE_LIGHTS = 4  # a Lambertian texel has three unknowns, which fit any three photographs
 _MIN_LIGHTS = 8  # least number for an estimate of intensities
 
 Intensities = Literal["auto", "given", "estimate"]
@@ -146,12 +147,24 @@ def light_steps(
         raise InputError(
             "no texel is lit by three observations, so the lights are not determined; give the intensities"
         )
+    if intensities and not any(p.is_normal and p.name in fixed for p in model.parameters):
+        _check_count(domain.lights[chosen])
     search = _Search(
         texels, model, texel_schedule(schedule), seed, fixed_at(fixed, texels), chosen, intensities,
         np.radians(refine_degrees), entry,
     )  # fmt: skip
     step = yield from search.rounds()
     return search.result(domain, step)
+
+
+def _check_count(lights: np.ndarray) -> None:
+    """Raise InputError for fewer different lights (K, 4) than a free normal and albedo, and the intensities, need."""
+    count = len(np.unique(np.round(lights, 4), axis=0))
+    if count < _MIN_FREE_LIGHTS:
+        raise InputError(
+            f"intensities: {count} different lights do not determine their intensities, as every texel fits any; give"
+            f" them, take {_MIN_FREE_LIGHTS} photographs or more, or fix the normals"
+        )
 
 
 estimate_lights = blocking("estimate_lights", light_steps)

@@ -163,6 +163,17 @@ def test_lights_move_along_their_axes():
     np.testing.assert_allclose(np.einsum("kac,kbc->kab", axes, axes)[:, 0, 1:], 0, atol=1e-5)
 
 
+def test_three_lights_do_not_determine_their_intensities_unless_normals_are_known():
+    domain, truth = subject("lambert", 6, shape=(8, 8))
+    with pytest.raises(InputError, match="3 different lights do not determine their intensities"):
+        estimate_lights(subset(domain, [0, 1, 2]), LAMBERT)
+    twice = subset(domain, [0, 1, 2, 2])
+    with pytest.raises(InputError, match="3 different lights do not determine"):
+        estimate_lights(twice, LAMBERT)
+    known = estimate_lights(subset(domain, [0, 1, 2]), LAMBERT, fixed={"normal": np.float32(truth["normal"])})
+    np.testing.assert_allclose(known.factors / known.factors.mean(axis=0), 1, atol=0.01)
+
+
 @pytest.mark.parametrize(("degrees", "intensities"), [(30, True), (-1, True), (0, False)])
 def test_invalid_light_options_are_refused(degrees, intensities):
     domain, _ = subject("lambert", 6, shape=(8, 8))

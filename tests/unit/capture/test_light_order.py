@@ -6,6 +6,7 @@ import pytest
 from irpso_addon.capture.inspect.light_order import light_order_message
 from irpso_addon.capture.inspect.report import inspect_capture
 from tests.builders.captures import decode_png
+from tests.builders.command_line import dome_lights
 from tests.builders.domains import unit
 from tests.unit.capture.test_room_light import LIGHTS, SURFACES, photographs, write_photographs
 
@@ -41,6 +42,15 @@ def test_a_shuffled_list_is_recognised(surface):
 
 def test_a_reversed_list_is_recognised():
     assert "the list reversed" in message("clay", np.arange(24)[::-1])
+
+
+@pytest.mark.parametrize("surface", MATT)
+@pytest.mark.parametrize("widest", [20, 30, 40])
+def test_a_reversed_list_is_recognised_where_lights_are_close_together(surface, widest):
+    lights = dome_lights(14, widest)  # from the middle outward: reversed, every photograph has a light of another tilt
+    values = photographs(surface, lights, 0.0)[0].mean(axis=-1)
+    assert "the list reversed" in light_order_message(values, values > 0, lights[::-1, None])
+    assert light_order_message(values, values > 0, lights[:, None]) == ""
 
 
 @pytest.mark.parametrize("surface", SURFACES)
