@@ -29,6 +29,7 @@ from ..results.report import plain
 from ..results.write import REPORT
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
+from .options.origin import is_same_origin, origin_of
 from .options.values import silent
 
 _PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
@@ -40,6 +41,7 @@ _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadows")
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
 _OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
+_RIG = "rig"  # the word before a rig, at the end of a job's words
 _SUMMARY = "batch.json"  # of all jobs, in the output folder
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
@@ -74,6 +76,11 @@ class Row:
     def capture(self, output: Path) -> Path:
         """Return the folder of the job's capture under its rig."""
         return output / f"{self.name}_capture"
+
+    @property
+    def photographs(self) -> Path:
+        """The job's capture; with a rig the folder of its photographs."""
+        return Path(self.words[1])
 
     @property
     def places(self) -> list[str]:
@@ -185,7 +192,7 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
     if rig is None:
         return Row(name, tuple(words), tuple(listed))
-    return Row(name, tuple(words), (*listed, "rig", rig), path.parent / rig)
+    return Row(name, tuple(words), (*listed, _RIG, rig), path.parent / rig)
 
 
 def _check_known(option: str, parse: Parse) -> None:
@@ -239,18 +246,18 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     """Run a job unless it is done; return the contents of its state file."""
     folder, file = job.folder(output), job.state_file(output)
     former = _state(file)
-    same = former.get("words") == list(job.listed)
+    moved = _is_elsewhere(job, former, output)
+    same = former.get("words") == list(job.listed) and not moved
     if same and former.get("state") == "done" and (folder / REPORT).is_file():
         _say(options, f"{job.name}: done before")
         return former
+    if reason := _refusal(job, former, moved, output):
+        return _failed(job, reason)  # the former state stays, to tell this again
     capture = job.capture(output)
-    made_of = _photographs(former["words"]) if "words" in former else None
-    if job.rig is not None and capture.is_dir() and made_of != _photographs(job.listed):
-        # The former state stays, to tell this again.
-        return _failed(job, f"{capture}: may be of other photographs or another rig; delete or rename it")
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
-    state = {"name": job.name, "words": list(job.listed), "state": "begun"}
+    origin = origin_of(job.photographs, job.rig, output)
+    state = {"name": job.name, "words": list(job.listed), "origin": origin, "state": "begun"}
     write_json(file, plain(state))
     words = [*job.words, "-o", str(folder), *["--resume"] * resume, *["--quiet"] * silent(options)]
     started, interrupted = time.perf_counter(), False
@@ -295,7 +302,26 @@ def _move_damaged(path: Path) -> str:
 
 def _photographs(listed: Sequence[str]) -> list[str]:
     """Return the words of a job, from its list, that determine its capture: photographs and rig."""
-    return [listed[1], *listed[-2:]]
+    return [listed[1], *(listed[-2:] if listed[-2] == _RIG else ())]
+
+
+def _is_elsewhere(job: Row, former: dict[str, Any], output: Path) -> bool:
+    """Return whether a former job had the same words for its photographs, in another list with other ones."""
+    if "words" not in former or _photographs(former["words"]) != _photographs(job.listed):
+        return False
+    return not is_same_origin(former.get("origin"), job.photographs, job.rig, output)
+
+
+def _refusal(job: Row, former: dict[str, Any], moved: bool, output: Path) -> str | None:
+    """Return why a job must not replace or use what is in the batch's folder, if so. moved: of ``_is_elsewhere``."""
+    capture, folder = job.capture(output), job.folder(output)
+    made_of = _photographs(former["words"]) if "words" in former else None
+    if job.rig is not None and capture.is_dir() and (moved or made_of != _photographs(job.listed)):
+        return f"{capture}: may be of other photographs or another rig; delete or rename it"
+    if moved and any((folder / written).is_file() for written in (REPORT, CHECKPOINT)):
+        of, state = former["origin"]["paths"][0], job.state_file(output)
+        return f"{folder}: is of {of}; choose another name or -o, or delete {state} to replace it"
+    return None
 
 
 def _failed(job: Row, error: str) -> dict[str, Any]:

@@ -167,6 +167,72 @@ def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
     assert "first: done before" in run_cli("batch", "list.toml", "-o", "out", "--only", "first")[1]
 
 
+def two_days(folder):
+    """Return two folders with equal lists, of captures that differ in their photographs only."""
+    lights = cli_maker.dome_lights(8, widest=70)
+    for day, seed in (("day1", 1), ("day2", 2)):
+        values = cli_maker.smooth_maps((9, 12), {}, seed=seed)
+        (folder / day).mkdir()
+        cli_maker.write_card(folder / day / "icon", cli_maker.render_oracle("lambert", values, lights), lights)
+        text = '[[job]]\nmodel = "lambert"\niterations = 2\ncapture = "icon"\n'
+        (folder / day / "list.toml").write_text(text, encoding="utf-8")
+    return folder / "day1", folder / "day2"
+
+
+def test_equal_lists_of_other_photographs_do_not_share_a_result(tmp_path):
+    first, second = two_days(tmp_path)
+    out = tmp_path / "out"
+    assert run_cli("batch", first / "list.toml", "-o", out)[0] == 0
+    kept, state = (out / "icon" / "maps.exr").read_bytes(), (out / "icon.json").read_bytes()
+    for _ in range(2):
+        code, _, err = run_cli("batch", second / "list.toml", "-o", out)
+        assert code == 2 and f"is of {first / 'icon'}; choose another name or -o, or delete {out / 'icon.json'}" in err
+        assert json.loads((out / "batch.json").read_text(encoding="utf-8"))["failed"] == ["icon"]
+        assert (out / "icon" / "maps.exr").read_bytes() == kept and (out / "icon.json").read_bytes() == state
+    assert "icon: done before" in run_cli("batch", first / "list.toml", "-o", out)[1]
+    (out / "icon.json").unlink()
+    assert run_cli("batch", second / "list.toml", "-o", out)[0] == 0
+    assert (out / "icon" / "maps.exr").read_bytes() != kept
+
+
+@pytest.mark.parametrize("with_output", [True, False])
+def test_photographs_that_have_moved_with_their_list_are_the_same(tmp_path, with_output):
+    first, _ = two_days(tmp_path)
+    out = first / "out"
+    assert run_cli("batch", first / "list.toml", "-o", out)[0] == 0
+    if with_output:  # its place is enough: the photographs may be gone
+        (first / "icon" / "000.exr").unlink()
+    else:
+        out = out.rename(tmp_path / "out")
+    there = first.rename(tmp_path / "elsewhere")
+    assert "icon: done before" in run_cli("batch", there / "list.toml", "-o", there / "out" if with_output else out)[1]
+
+
+def test_a_capture_under_a_rig_is_not_used_for_the_photographs_of_another_list(tmp_path, monkeypatch):
+    days, out = two_days(tmp_path), tmp_path / "out"
+    monkeypatch.setattr(recover, "run", lambda options: {})
+    for day in days:
+        assert run_cli("rig", "save", day / "icon", "-o", day / "dome")[0] == 0
+        (day / "icon" / "capture.toml").unlink()
+        (day / "list.toml").write_text('[[job]]\ncapture = "icon"\nrig = "dome"\n', encoding="utf-8")
+    assert run_cli("batch", days[0] / "list.toml", "-o", out)[0] == 0
+    code, _, err = run_cli("batch", days[1] / "list.toml", "-o", out)
+    assert code == 2 and "icon_capture: may be of other photographs" in err
+
+
+def test_an_unfinished_job_of_other_photographs_is_kept(tmp_path):
+    first, second = two_days(tmp_path)
+    out = tmp_path / "out"
+    assert run_cli("batch", first / "list.toml", "-o", out)[0] == 0
+    state = json.loads((out / "icon.json").read_text(encoding="utf-8"))
+    (out / "icon.json").write_text(json.dumps({**state, "state": "begun"}), encoding="utf-8")
+    (out / "icon" / "report.json").unlink()
+    (out / "icon" / "checkpoint.npz").write_bytes(b"of the first")
+    code, _, err = run_cli("batch", second / "list.toml", "-o", out)
+    assert code == 2 and f"is of {first / 'icon'}" in err
+    assert (out / "icon" / "checkpoint.npz").read_bytes() == b"of the first"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
