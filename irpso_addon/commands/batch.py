@@ -21,7 +21,6 @@ from ..cluster.transport import joined
 from ..core.errors import CheckpointError, InputError, IrpsoError
 from ..core.files import write_json
 from ..core.steps import run_steps
-from ..core.udim import PATTERN
 from ..pipeline.drive import CHECKPOINT
 from ..pipeline.lock import locked_folder
 from ..pipeline.ranks import leave_with_error
@@ -30,7 +29,7 @@ from ..results.write import REPORT
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
 from .options.origin import is_same_origin, origin_of
-from .options.values import silent
+from .options.values import numbers_of_text, silent
 
 _PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
@@ -237,8 +236,8 @@ def _beside(path: Path | None, key: str, value: str) -> str:
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
         return str(path.parent / value)
     name, equals, file = value.partition("=")
-    if key == "fixed" and (PATTERN in file or (path.parent / file).is_file()):
-        return f"{name}{equals}{path.parent / file}"
+    if key == "fixed" and equals and numbers_of_text(file) is None:
+        return f"{name}={path.parent / file.strip()}"
     return value
 
 

@@ -299,12 +299,14 @@ def test_false_switches_off_what_is_on(tmp_path):
 def test_paths_are_relative_to_the_list(listed):
     jobs = batch.read_list(listed / "list.toml", build_parser().parse_args)
     assert jobs[0].words[:2] == ("recover", str(listed / "first"))
-    (listed / "given.exr").touch()
     text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nfixed = ["normal=given.exr", "roughness=0.5"]\nasset = "lib"'
     (listed / "other.toml").write_text(text, encoding="utf-8")
     (other,) = batch.read_list(listed / "other.toml", build_parser().parse_args)
     assert {str(listed / "own.toml"), f"normal={listed / 'given.exr'}", "roughness=0.5"} <= set(other.words)
     assert str(listed / "lib") in other.words
+    assert words_of(listed, 'fixed = ["normal=0, 0,1", "a = n.exr"]') == [
+        "--fixed", "normal=0, 0,1", "--fixed", f"a ={listed / 'n.exr'}"
+    ]  # fmt: skip
     udim = f"normal={listed / 'n.<UDIM>.exr'}"
     assert words_of(listed, 'fixed = "normal=n.<UDIM>.exr"') == ["--fixed", udim]
     assert jobs[2].words.count("--set") == 2 and jobs[0].words[-2:] == ("--checkpoint-every", "60")
