@@ -9,7 +9,7 @@ import time
 import traceback
 from argparse import Namespace
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from ..results.report import plain
 from ..results.write import REPORT
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
-from .options.origin import is_same_origin, origin_of
+from .options.origin import is_same_origin, name_of, origin_of
 from .options.values import numbers_of_text, silent
 
 _PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
@@ -56,13 +56,15 @@ class Row:
     """One job of a list. words: its command line, without the options that a batch adds.
 
     listed: the same words with paths as in the list, which identify the job even if the list has moved. rig: applied to
-    the job's capture, which is then a folder of photographs.
+    the job's capture, which is then a folder of photographs. former_name: default name of the job in version 0.1.0;
+    None for a job with a name.
     """
 
     name: str
     words: tuple[str, ...]
     listed: tuple[str, ...]
     rig: Path | None = None
+    former_name: str | None = None
 
     def folder(self, output: Path) -> Path:
         """Return the folder of the job's result."""
@@ -95,12 +97,13 @@ def run(options: Namespace) -> dict:
     if ranks is not None:
         error = InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
         return leave_with_error(ranks, options, error)
-    jobs = read_list(Path(options.list), options.parse)
     output = Path(options.output)
+    listed = read_list(Path(options.list), options.parse)
+    jobs = _as_before(listed, output)
     if options.only is not None:
-        chosen = [job for job in jobs if job.name == options.only]
+        chosen = [job for job, now in zip(jobs, listed, strict=True) if options.only in (job.name, now.name)]
         if not chosen:
-            names = ", ".join(job.name for job in jobs)
+            names = ", ".join(job.name for job in listed)
             raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
         _check_replaces_nothing(chosen, output)
         return _outcome([_run_job(chosen[0], output, options)], None, options)
@@ -160,6 +163,21 @@ def read_list(path: Path, parse: Parse) -> list[Row]:
     return jobs
 
 
+def _as_before(jobs: list[Row], output: Path) -> list[Row]:
+    """Return the jobs; one that a former version has begun here under its former default name keeps that name."""
+    kept = list(jobs)
+    for number, job in enumerate(jobs):
+        if not job.former_name or job.state_file(output).exists():
+            continue
+        former = replace(job, name=job.former_name)
+        others = {_SUMMARY, *(place for other in kept if other is not job for place in other.places)}
+        state = _state(former.state_file(output))
+        same = state.get("words") == list(job.listed) and not _is_elsewhere(former, state, output)
+        if same and others.isdisjoint(former.places):
+            kept[number] = former
+    return kept
+
+
 def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
     """Return a job with the defaults: a card without those of meshes, a mesh without those of cards, and so on."""
     if "shadows" in row:  # the opposite of no_shadows
@@ -174,9 +192,9 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     where = f"{path}: job {row.get('name', number)}"
     if not isinstance(row.get("capture"), str):
         raise InputError(f'{where}: has no capture; add capture = "folder"')
-    name = row.get("name", Path(row["capture"]).stem)
+    name = row.get("name", name_of(path.parent / row["capture"]))
     if not isinstance(name, str) or not name or Path(name).name != name or name.startswith("."):
-        raise InputError(f"{where}: name must be one that a folder can have")
+        raise InputError(f"{where}: give it a name that a folder can have")
     if reserved := [key for key in _BATCH_OPTIONS if key in row]:
         raise InputError(f"{where}: {reserved[0]} is not an option of jobs; give it to batch itself")
     rig = row.pop("rig", None)
@@ -189,9 +207,10 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
         parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
+    former = None if "name" in row else Path(row["capture"]).stem
     if rig is None:
-        return Row(name, tuple(words), tuple(listed))
-    return Row(name, tuple(words), (*listed, _RIG, rig), path.parent / rig)
+        return Row(name, tuple(words), tuple(listed), None, former)
+    return Row(name, tuple(words), (*listed, _RIG, rig), path.parent / rig, former)
 
 
 def _check_known(option: str, parse: Parse) -> None:

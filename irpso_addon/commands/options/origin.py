@@ -1,4 +1,4 @@
-"""Origin of a job of ``batch``: where its capture lies, and a digest of the capture's files."""
+"""Origin of a job of ``batch``: its capture's name, its place, and a digest of its files."""
 
 from __future__ import annotations
 
@@ -9,10 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from ...calibration.radiometry.source import images_in
+from ...capture.formats.registry import format_of
+from ...capture.formats.table import TABLE
 from ...capture.read import read_spec
 from ...core.errors import InputError
 
+_SCENE = ".blend"  # suffix of a capture that is a Blender file
 _PIECE = 1 << 14  # bytes read at the beginning, middle and end of a file: photographs differ everywhere, by their noise
+
+
+def name_of(capture: Path) -> str:
+    """Return the name of a capture by its path: of its folder, or of a file that may have others beside it."""
+    whole, known = Path(os.path.abspath(capture)), format_of(capture)
+    if known is not None and whole.name in (TABLE, *known.names):
+        return whole.parent.name
+    is_file = (known is not None or whole.suffix.lower() == _SCENE) and not whole.is_dir()
+    return whole.stem if is_file else whole.name
 
 
 def origin_of(capture: Path, rig: Path | None, output: Path) -> dict[str, Any]:
@@ -66,7 +78,7 @@ def _files(capture: Path, rig: Path | None) -> list[Path]:
     """Return the files that determine a capture."""
     if rig is not None:
         return [*images_in(capture), *(path for path in sorted(rig.rglob("*")) if path.is_file())]
-    if capture.suffix.lower() == ".blend":
+    if capture.suffix.lower() == _SCENE:
         return [capture]
     spec = read_spec(capture)
     tables = [path for path in (spec.source, *spec.source.glob("*.txt")) if path.is_file()]  # a DiLiGenT folder's lists

@@ -276,6 +276,39 @@ def test_mesh_defaults_do_not_apply_to_cards(tmp_path):
     assert "--resolution" not in card.words and "--crop" in card.words and "--blend" not in card.words
 
 
+def test_a_job_without_a_name_has_that_of_its_captures_folder(tmp_path):
+    names = {
+        "vase/capture.toml": "vase", "cup/capture.toml": "cup", "tile.1": "tile.1", "tile.2/": "tile.2",
+        "dome/filenames.txt": "dome", "b/turned.toml": "turned", "b/scan.2.lp": "scan.2", "b/Room.blend": "Room",
+        ".": tmp_path.name, "x/../y": "y",
+    }  # fmt: skip
+    text = "".join(f'[[job]]\ncapture = "{capture}"\n' for capture in names)
+    (tmp_path / "list.toml").write_text(text, encoding="utf-8")
+    jobs = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
+    assert [job.name for job in jobs] == list(names.values())
+
+
+@pytest.mark.parametrize("only", ["first", "capture", None])
+def test_a_result_under_the_default_name_of_a_former_version_is_continued(listed, monkeypatch, only):
+    text = '[[job]]\ncapture = "first/capture.toml"\n[[job]]\ncapture = "second/capture.toml"\n'
+    (listed / "list.toml").write_text(text, encoding="utf-8")
+    out, begun = listed / "out", []
+    monkeypatch.setattr(recover, "run", lambda options: begun.append(options.output) or {})
+    (job, other) = batch.read_list(listed / "list.toml", build_parser().parse_args)
+    (out / "capture").mkdir(parents=True)
+    (out / "capture" / "report.json").write_text("{}")
+    state = {"name": "capture", "words": list(job.listed), "state": "done"}
+    (out / "capture.json").write_text(json.dumps(state), encoding="utf-8")
+    code, message, _ = run_cli("batch", listed / "list.toml", "-o", out, *(["--only", only] if only else []))
+    assert code == 0 and "capture: done before" in message
+    assert begun == ([] if only else [str(out / "second")]) and other.name == "second"
+    # It is not the result of a job that has the name now, nor of other options.
+    (listed / "list.toml").write_text(text.replace("second/capture.toml", "other/capture"), encoding="utf-8")
+    begun.clear()
+    run_cli("batch", listed / "list.toml", "-o", out)
+    assert begun == [str(out / "first"), str(out / "capture")]
+
+
 def words_of(folder, *lines, head=""):
     text = f'{head}[[job]]\ncapture = "a"\n' + "\n".join(lines)
     (folder / "list.toml").write_text(text, encoding="utf-8")
