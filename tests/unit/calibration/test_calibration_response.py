@@ -179,6 +179,14 @@ def test_a_curve_without_a_residual_is_written_and_says_so(tmp_path, monkeypatch
     assert (code, err) == (0, "") and "a.toml: residual unknown, measured at codes of red 0.300 to 0.700" in out
 
 
+@pytest.mark.parametrize("shape", [(1, 20), (20, 1), (1, 1)])
+def test_brackets_of_one_row_or_column_give_the_pixels_of_the_same_one_twice(shape):
+    codes = np.random.default_rng(0).uniform(0.1, 0.9, (*shape, 3, 3))
+    twice = codes.repeat(1 + (shape[0] == 1), axis=0).repeat(1 + (shape[1] == 1), axis=1)
+    found, expected = (command.spread_samples(one, 1000) for one in (codes, twice))
+    np.testing.assert_array_equal(np.unique(found, axis=0), np.unique(expected, axis=0))
+
+
 def test_a_partly_clipped_patch_is_refused(tmp_path):
     """A third of the brightest patch at the largest code changes its mean, and the curve, by a few percent."""
     codes = np.full((20, 60, 3), 60, np.uint8)
