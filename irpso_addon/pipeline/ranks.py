@@ -117,6 +117,8 @@ def run_on_ranks(
         if leader is not None:  # the other ranks wait for an order; a launcher's SIGTERM follows their end
             ignore_signals()
             leader.end(exit_code_of(error))
+            if isinstance(error, IrpsoError):
+                return leave_with_error(ranks, options, error)
             ranks.close()
         raise
     if leader is not None:

@@ -236,12 +236,18 @@ def test_unsupported_options_of_ranks_are_refused_once(card, tmp_path):
     assert code == 2 and "--preview" in reply["error"] and err.count("irpso: ") == 1
 
 
-@pytest.mark.parametrize("command", ["recover", "batch"])
-def test_an_error_is_printed_before_another_rank_ends(card, tmp_path, command):
+@pytest.mark.parametrize(
+    ("command", "more", "code"),
+    [
+        ("recover", ["--set", "levels=2", "--model", "lambert"], LATE),
+        ("batch", ["--only", "a"], LATE),
+        ("recover", WIDE, LATE + FULL.replace("MemoryError", "recover.InputError")),  # at the end, of rank 0 alone
+    ],
+)
+def test_an_error_is_printed_before_another_rank_ends(card, tmp_path, command, more, code):
     """Open MPI ends rank 0 as soon as another one has ended with a code above 0."""
-    (tmp_path / "sitecustomize.py").write_text(LATE)
+    (tmp_path / "sitecustomize.py").write_text(code)
     there = f'export PYTHONPATH="{mpi_maker.ROOT}:{tmp_path}";'
-    more = ["--set", "levels=2", "--model", "lambert"] if command == "recover" else ["--only", "a"]
     code, reply, err = mpi_maker.run(2, command, card, "--json", "-o", tmp_path / "out", *more, before=there)
     assert code == 2 and err.count("irpso: ") == 1 and "Traceback" not in err
     assert reply["exit_code"] == 2 and f"irpso: {reply['error']}\n" in err
