@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import zlib
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from ..core.png import encode_png
 from .movie import Movie, opened_movie
 
 COUNT = 40  # photographs, where no number is given
+_MAX_REPEATED = 0.05  # of the frames compared: more equal the one before in all bits, and no camera is without noise
+_DAMAGED = "the video may be damaged or cut off: look at the photographs, or copy the video again"
 _SEARCH_SHARE = 0.8  # of the work: the search for frames of different light; the rest writes
 
 
@@ -52,18 +55,20 @@ def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Genera
                     f"{other.path}: is {other.size[0]}×{other.size[1]} pixels, {movies[0].path} {movies[0].size[0]}×"
                     f"{movies[0].size[1]}; give videos of one camera and one size"
                 )
-        chosen = yield from _chosen_steps(movies, profiles, count, where)
-        files, greys, names = [], [], _names(videos)
+        chosen, warnings = yield from _chosen_steps(movies, profiles, count, where)
+        files, greys, names, changed = [], [], _names(videos), 0
         with new_folder(out) as folder:
-            for done, (number, index) in enumerate(chosen):
+            for done, ((number, index), digest) in enumerate(chosen.items()):
                 yield _SEARCH_SHARE + (1 - _SEARCH_SHARE) * done / len(chosen), "writing"
                 movie = movies[number]
                 picture = movie.frame(index)
+                changed += _digest(picture.values) != digest
                 greys.append(profiles[number].linearised(picture.values).mean(axis=-1))
                 files.append(f"{names[number]}_{index + 1:05d}.png")
                 encode_png(folder / files[-1], picture.values, picture.bits, movie.cicp)
             moved = check_camera(greys, where)
-    warnings = []
+    if changed:
+        warnings.append(f"{where}: {changed} of the photographs changed when they were read again; {_DAMAGED}")
     if moved:
         warnings.append(f"{where}: {moved} of the frames are shifted; irpso develop --register can correct that")
     if len(chosen) < count:
@@ -74,18 +79,31 @@ def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Genera
 
 def _chosen_steps(
     movies: Sequence[Movie], profiles: Sequence[ColourProfile], count: int, where: str
-) -> Generator[tuple[float, str], None, list[tuple[int, int]]]:
-    """Yield the progress; return the frames to keep, as numbers of movies and indices in them."""
+) -> Generator[tuple[float, str], None, tuple[dict[tuple[int, int], int], list[str]]]:
+    """Yield the progress; return the frames to keep, and warnings.
+
+    The frames: (number of the movie, index in it) → digest of its codes.
+    """
     places: list[tuple[int, int]] = []
     for number, movie in enumerate(movies):
         looked_at = min(movie.frames, max(1, MAX_COMPARED // len(movies)))
         indices = np.unique(np.linspace(0, movie.frames - 1, looked_at).round().astype(int))
         places += [(number, index) for index in indices.tolist()]
-    looks = []
+    looks, digests = [], []
     for number, index in places:
         yield _SEARCH_SHARE * len(looks) / len(places), "looking for lights"
-        looks.append(describe_frame(movies[number].frame(index).values, profiles[number].linearised))
-    return [places[k] for k in chosen_frames(looks, count, where)]
+        codes = movies[number].frame(index).values
+        looks.append(describe_frame(codes, profiles[number].linearised))
+        digests.append(_digest(codes))
+    warnings = []
+    repeated = sum(one == other for one, other in itertools.pairwise(digests))
+    if repeated > _MAX_REPEATED * len(digests):
+        warnings.append(f"{where}: {repeated} of {len(digests)} frames repeat the one before; {_DAMAGED}")
+    return {places[k]: digests[k] for k in chosen_frames(looks, count, where)}, warnings
+
+
+def _digest(codes: np.ndarray) -> int:
+    return zlib.crc32(np.ascontiguousarray(codes).data)
 
 
 def _names(videos: Sequence[Path]) -> list[str]:

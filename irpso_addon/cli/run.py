@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from ..core.errors import InputError, IrpsoError, ShaderError
+from ..core.errors import InputError, IrpsoError, print_error
 from ..core.interrupt import INTERRUPTED, interrupt_on_signals
 from .parser import build_parser
 
@@ -26,38 +26,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         options = build_parser().parse_args(argv)
     except InputError as error:
-        return _fail(error, "--json" in argv)
+        return print_error(error, "--json" in argv)
     except SystemExit as stop:  # --help; this process may be Blender
         return int(stop.code or 0)
     interrupt_on_signals()
     try:
         result = import_module(f"..commands.{options.command}", __package__).run(options)
     except IrpsoError as error:
-        return _fail(error, options.json)
+        return print_error(error, options.json)
     except ModuleNotFoundError as error:
         if error.name not in _REMEDIES:
             raise
-        return _fail(InputError(f"Python has no module {error.name}; {_REMEDIES[error.name]}"), options.json)
+        return print_error(InputError(f"Python has no module {error.name}; {_REMEDIES[error.name]}"), options.json)
     except MemoryError as error:
         text = f"memory is full ({error}); choose a smaller --resolution, or smaller or fewer images"
-        return _fail(InputError(text), options.json)
+        return print_error(InputError(text), options.json)
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\nirpso: interrupted{f'; {stop}' if str(stop) else ''}\n")
         return INTERRUPTED
     if options.json:
-        _print_json(result)
+        sys.stdout.write(json.dumps(result) + "\n")
     return int(result.get("exit_code", 0))
-
-
-def _fail(error: IrpsoError, as_json: bool) -> int:
-    """Print the error in one line; the compiler's whole log goes only into the JSON."""
-    text = error.summary if isinstance(error, ShaderError) else " ".join(str(error).splitlines())
-    sys.stderr.write(f"irpso: {text}\n")
-    if as_json:
-        log = {"log": error.log} if isinstance(error, ShaderError) else {}
-        _print_json({"error": text, "exit_code": error.exit_code, **log})
-    return error.exit_code
-
-
-def _print_json(value: dict) -> None:
-    sys.stdout.write(json.dumps(value) + "\n")

@@ -9,7 +9,7 @@ import time
 import traceback
 from argparse import Namespace
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from ..cluster.transport import joined
 from ..core.errors import CheckpointError, InputError, IrpsoError
 from ..core.files import write_json
 from ..core.steps import run_steps
-from ..core.udim import PATTERN
 from ..pipeline.drive import CHECKPOINT
 from ..pipeline.lock import locked_folder
 from ..pipeline.ranks import leave_with_error
@@ -29,7 +28,8 @@ from ..results.report import plain
 from ..results.write import REPORT
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
-from .options.values import silent
+from .options.origin import is_same_origin, name_of, origin_of
+from .options.values import numbers_of_text, silent
 
 _PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
@@ -40,6 +40,7 @@ _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadows")
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
 _OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
+_RIG = "rig"  # the word before a rig, at the end of a job's words
 _SUMMARY = "batch.json"  # of all jobs, in the output folder
 _AGAIN = "start the batch again to continue"
 _CHECKPOINT_SECONDS = 60.0  # default of --checkpoint-every
@@ -55,13 +56,15 @@ class Row:
     """One job of a list. words: its command line, without the options that a batch adds.
 
     listed: the same words with paths as in the list, which identify the job even if the list has moved. rig: applied to
-    the job's capture, which is then a folder of photographs.
+    the job's capture, which is then a folder of photographs. former_name: default name of the job in version 0.1.0;
+    None for a job with a name.
     """
 
     name: str
     words: tuple[str, ...]
     listed: tuple[str, ...]
     rig: Path | None = None
+    former_name: str | None = None
 
     def folder(self, output: Path) -> Path:
         """Return the folder of the job's result."""
@@ -74,6 +77,11 @@ class Row:
     def capture(self, output: Path) -> Path:
         """Return the folder of the job's capture under its rig."""
         return output / f"{self.name}_capture"
+
+    @property
+    def photographs(self) -> Path:
+        """The job's capture; with a rig the folder of its photographs."""
+        return Path(self.words[1])
 
     @property
     def places(self) -> list[str]:
@@ -89,12 +97,13 @@ def run(options: Namespace) -> dict:
     if ranks is not None:
         error = InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
         return leave_with_error(ranks, options, error)
-    jobs = read_list(Path(options.list), options.parse)
     output = Path(options.output)
+    listed = read_list(Path(options.list), options.parse)
+    jobs = _as_before(listed, output)
     if options.only is not None:
-        chosen = [job for job in jobs if job.name == options.only]
+        chosen = [job for job, now in zip(jobs, listed, strict=True) if options.only in (job.name, now.name)]
         if not chosen:
-            names = ", ".join(job.name for job in jobs)
+            names = ", ".join(job.name for job in listed)
             raise InputError(f"--only {options.only}: {options.list} has no such job; choose one of {names}")
         _check_replaces_nothing(chosen, output)
         return _outcome([_run_job(chosen[0], output, options)], None, options)
@@ -154,6 +163,21 @@ def read_list(path: Path, parse: Parse) -> list[Row]:
     return jobs
 
 
+def _as_before(jobs: list[Row], output: Path) -> list[Row]:
+    """Return the jobs; one that a former version has begun here under its former default name keeps that name."""
+    kept = list(jobs)
+    for number, job in enumerate(jobs):
+        if not job.former_name or job.state_file(output).exists():
+            continue
+        former = replace(job, name=job.former_name)
+        others = {_SUMMARY, *(place for other in kept if other is not job for place in other.places)}
+        state = _state(former.state_file(output))
+        same = state.get("words") == list(job.listed) and not _is_elsewhere(former, state, output)
+        if same and others.isdisjoint(former.places):
+            kept[number] = former
+    return kept
+
+
 def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
     """Return a job with the defaults: a card without those of meshes, a mesh without those of cards, and so on."""
     if "shadows" in row:  # the opposite of no_shadows
@@ -168,9 +192,9 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     where = f"{path}: job {row.get('name', number)}"
     if not isinstance(row.get("capture"), str):
         raise InputError(f'{where}: has no capture; add capture = "folder"')
-    name = row.get("name", Path(row["capture"]).stem)
+    name = row.get("name", name_of(path.parent / row["capture"]))
     if not isinstance(name, str) or not name or Path(name).name != name or name.startswith("."):
-        raise InputError(f"{where}: name must be one that a folder can have")
+        raise InputError(f"{where}: give it a name that a folder can have")
     if reserved := [key for key in _BATCH_OPTIONS if key in row]:
         raise InputError(f"{where}: {reserved[0]} is not an option of jobs; give it to batch itself")
     rig = row.pop("rig", None)
@@ -183,9 +207,10 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
         parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
+    former = None if "name" in row else Path(row["capture"]).stem
     if rig is None:
-        return Row(name, tuple(words), tuple(listed))
-    return Row(name, tuple(words), (*listed, "rig", rig), path.parent / rig)
+        return Row(name, tuple(words), tuple(listed), None, former)
+    return Row(name, tuple(words), (*listed, _RIG, rig), path.parent / rig, former)
 
 
 def _check_known(option: str, parse: Parse) -> None:
@@ -230,8 +255,8 @@ def _beside(path: Path | None, key: str, value: str) -> str:
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
         return str(path.parent / value)
     name, equals, file = value.partition("=")
-    if key == "fixed" and (PATTERN in file or (path.parent / file).is_file()):
-        return f"{name}{equals}{path.parent / file}"
+    if key == "fixed" and equals and numbers_of_text(file) is None:
+        return f"{name}={path.parent / file.strip()}"
     return value
 
 
@@ -239,18 +264,18 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     """Run a job unless it is done; return the contents of its state file."""
     folder, file = job.folder(output), job.state_file(output)
     former = _state(file)
-    same = former.get("words") == list(job.listed)
+    moved = _is_elsewhere(job, former, output)
+    same = former.get("words") == list(job.listed) and not moved
     if same and former.get("state") == "done" and (folder / REPORT).is_file():
         _say(options, f"{job.name}: done before")
         return former
+    if reason := _refusal(job, former, moved, output):
+        return _failed(job, reason)  # the former state stays, to tell this again
     capture = job.capture(output)
-    made_of = _photographs(former["words"]) if "words" in former else None
-    if job.rig is not None and capture.is_dir() and made_of != _photographs(job.listed):
-        # The former state stays, to tell this again.
-        return _failed(job, f"{capture}: may be of other photographs or another rig; delete or rename it")
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
-    state = {"name": job.name, "words": list(job.listed), "state": "begun"}
+    origin = origin_of(job.photographs, job.rig, output)
+    state = {"name": job.name, "words": list(job.listed), "origin": origin, "state": "begun"}
     write_json(file, plain(state))
     words = [*job.words, "-o", str(folder), *["--resume"] * resume, *["--quiet"] * silent(options)]
     started, interrupted = time.perf_counter(), False
@@ -295,7 +320,26 @@ def _move_damaged(path: Path) -> str:
 
 def _photographs(listed: Sequence[str]) -> list[str]:
     """Return the words of a job, from its list, that determine its capture: photographs and rig."""
-    return [listed[1], *listed[-2:]]
+    return [listed[1], *(listed[-2:] if listed[-2] == _RIG else ())]
+
+
+def _is_elsewhere(job: Row, former: dict[str, Any], output: Path) -> bool:
+    """Return whether a former job had the same words for its photographs, in another list with other ones."""
+    if "words" not in former or _photographs(former["words"]) != _photographs(job.listed):
+        return False
+    return not is_same_origin(former.get("origin"), job.photographs, job.rig, output)
+
+
+def _refusal(job: Row, former: dict[str, Any], moved: bool, output: Path) -> str | None:
+    """Return why a job must not replace or use what is in the batch's folder, if so. moved: of ``_is_elsewhere``."""
+    capture, folder = job.capture(output), job.folder(output)
+    made_of = _photographs(former["words"]) if "words" in former else None
+    if job.rig is not None and capture.is_dir() and (moved or made_of != _photographs(job.listed)):
+        return f"{capture}: may be of other photographs or another rig; delete or rename it"
+    if moved and any((folder / written).is_file() for written in (REPORT, CHECKPOINT)):
+        of, state = former["origin"]["paths"][0], job.state_file(output)
+        return f"{folder}: is of {of}; choose another name or -o, or delete {state} to replace it"
+    return None
 
 
 def _failed(job: Row, error: str) -> dict[str, Any]:

@@ -107,7 +107,8 @@ def spread_samples(codes: np.ndarray, count: int) -> np.ndarray:
     """
     height, width, frames, _ = codes.shape
     middle = codes[:, :, frames // 2].mean(axis=-1)
-    rough = np.hypot(*np.gradient(middle))
+    slopes = [np.gradient(middle, axis=axis) for axis in (0, 1) if middle.shape[axis] > 1]
+    rough = np.hypot.reduce([np.zeros_like(middle), *slopes])
     flat = codes.reshape(-1, frames, 3)
     smooth = np.flatnonzero((rough <= np.quantile(rough, 0.7)).ravel())
     order = smooth[np.argsort(flat[smooth].mean(axis=(1, 2)), kind="stable")]

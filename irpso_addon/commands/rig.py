@@ -34,7 +34,9 @@ def _save(options: Namespace) -> dict:
     corrected = rig.measured is not None
     if not silent(options):
         kind = "with the corrections of develop" if corrected else "without corrections"
-        sys.stdout.write(f"{len(rig.photographs)} lamps, {len(rig.spec.views)} cameras, {kind}: {options.output}\n")
+        lamps, cameras = len(rig.photographs), len(rig.spec.views)
+        counts = f"{lamps} lamp{'s' * (lamps != 1)}, {cameras} camera{'s' * (cameras != 1)}"
+        sys.stdout.write(f"{counts}, {kind}: {options.output}\n")
     return {"output": options.output, "lamps": len(rig.photographs), "cameras": len(rig.spec.views),
             "corrections": corrected}  # fmt: skip
 

@@ -1,6 +1,8 @@
 """The program's exceptions. Each message names the fault, its place and the remedy."""
 
+import json
 import re
+import sys
 from collections.abc import Sequence
 
 _SOURCE_LINE = re.compile(r"(\S+\.glsl:\d+(?::\d+)?):\s*(?:error:\s*)?(.+)", re.IGNORECASE)
@@ -47,3 +49,17 @@ class GpuUnavailableError(IrpsoError):
     """No usable GPU context can be made, or the device computes wrongly."""
 
     exit_code = 3
+
+
+def print_error(error: IrpsoError, as_json: bool) -> int:
+    """Print an error as one line of standard error; return its exit code.
+
+    as_json: also print it as JSON on standard output. Only that has a compiler's whole log.
+    """
+    text = error.summary if isinstance(error, ShaderError) else " ".join(str(error).splitlines())
+    sys.stderr.write(f"irpso: {text}\n")
+    if as_json:
+        log = {"log": error.log} if isinstance(error, ShaderError) else {}
+        sys.stdout.write(json.dumps({"error": text, "exit_code": error.exit_code, **log}) + "\n")
+    sys.stdout.flush()
+    return error.exit_code

@@ -26,6 +26,12 @@ def interrupt_on_signals() -> None:
         signal.signal(number, signal.default_int_handler)
 
 
+def ignore_signals() -> None:
+    """Ignore SIGINT and SIGTERM from now on."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def signals_interrupt() -> bool:
     """Return whether SIGINT and SIGTERM raise KeyboardInterrupt, as in a command and not in Blender's window."""
     return all(signal.getsignal(number) is signal.default_int_handler for number in SIGNALS)

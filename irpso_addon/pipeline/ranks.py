@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from argparse import Namespace
 from collections.abc import Callable, Generator
@@ -18,8 +17,8 @@ from ..cluster.partition import Partition, Split, around, check_fits, check_gath
 from ..cluster.recovery import Leader, RankedRecovery, serve
 from ..cluster.transport import CollectiveError, Ranks
 from ..cluster.worker import Worker
-from ..core.errors import InputError, IrpsoError
-from ..core.interrupt import exit_code_of
+from ..core.errors import InputError, IrpsoError, print_error
+from ..core.interrupt import exit_code_of, ignore_signals
 from ..core.optional import present
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
 from ..geometry.domain import Domain, GeometryBake, subset, with_texels
@@ -115,8 +114,11 @@ def run_on_ranks(
     except CollectiveError as collective:
         return leave_with_error(ranks, options, collective.error)
     except BaseException as error:
-        if leader is not None:  # the other ranks wait for an order
+        if leader is not None:  # the other ranks wait for an order; a launcher's SIGTERM follows their end
+            ignore_signals()
             leader.end(exit_code_of(error))
+            if isinstance(error, IrpsoError):
+                return leave_with_error(ranks, options, error)
             ranks.close()
         raise
     if leader is not None:
@@ -126,11 +128,16 @@ def run_on_ranks(
 
 
 def leave_with_error(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
-    """Leave the MPI job after an error of all ranks: rank 0 raises it, the others return an exit code."""
-    ranks.close()
+    """Leave the MPI job after an error of all ranks, which rank 0 prints; return the exit code, for ``main``.
+
+    A launcher sends all ranks SIGTERM when the first has ended with such a code, so that rank 0 prints before the
+    others can leave.
+    """
+    ignore_signals()
     if ranks.leads:
-        raise error
+        print_error(error, options.json)
     options.json = False
+    ranks.close()
     return {"exit_code": error.exit_code}
 
 
@@ -229,7 +236,5 @@ def _check_lit(worker: Worker, job: Job) -> None:
 
 
 def _serve_orders(worker: Worker) -> int:
-    # Rank 0 gets these signals too, and orders the end.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    ignore_signals()  # rank 0 gets them too, and orders the end
     return serve(worker)

@@ -21,11 +21,14 @@ MATT_ONLY = (
 
 
 def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...]) -> Response:
-    """Return the response curve by grey patches of known reflectance in one photograph. Raises InputError."""
+    """Return the response curve by grey patches of known reflectance in one photograph.
+
+    Raises InputError, also for a patch of which more than 2 % are clipped.
+    """
     if any(patch.reflectance is None for patch in patches):
         raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
-    rgb = _codes(store, image)
-    means = [patch_mean(rgb, np.ones(rgb.shape[:2]), patch, f"--grey-card: {image}") for patch in patches]
+    codes, weight = _codes(store, image), read_frame(store, image).weight
+    means = [patch_mean(codes, weight, patch, f"--grey-card: {image}") for patch in patches]
     return response_from_patches(np.array(means), [patch.reflectance or 0.0 for patch in patches])
 
 

@@ -127,11 +127,8 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
     index = GOALS.index(goal)
     if shortfall := _short(NUMBER, index, count):
         row, enough = shortfall
-        yield Shortfall(
-            "few",
-            f"{count} lights are few for {goal}; take {enough:g} or more (in our test with {row.value:g} lights, on a"
-            f" card with cast shadows and interreflection, {row.failed[index]:.0%} of the texels failed)",
-        )
+        test = _measured(row, index, "with {:g} lights, on a card with cast shadows and interreflection,")
+        yield Shortfall("few", f"{count} lights are few for {goal}; take {enough:g} or more ({test})")
     if directions is None or len(directions) < 3:
         return
     angle = half_angle(directions)
@@ -140,8 +137,7 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
         yield Shortfall(
             "narrow",
             f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {goal}; spread them over"
-            f" {enough:g}° or more (in our test with 50 lights within {row.value:g}°, {row.failed[index]:.0%} of the"
-            " texels failed)",
+            f" {enough:g}° or more ({_measured(row, index, 'with 50 lights within {:g}°,')})",
         )
     across = spread_across(directions)
     if shortfall := _short(ACROSS, index, across):
@@ -149,17 +145,26 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
         yield Shortfall(
             "flat",
             f"the lights spread only {across:.2f} times as far one way as the other, which is little for {goal}; add"
-            f" some off their plane, to {enough:g} or more (in our test with 50 lights at {row.value:g} times,"
-            f" {row.failed[index]:.0%} of the texels failed)",
+            f" some off their plane, to {enough:g} or more ({_measured(row, index, 'with 50 lights at {:g} times,')})",
         )
 
 
-def _short(figures: tuple[Figure, ...], goal: int, value: float) -> tuple[Figure, float] | None:
-    """Return the next figure below an insufficient value, and the least sufficient value; None for a sufficient one."""
+def _measured(row: Figure | None, goal: int, lights: str) -> str:
+    """Return the words of a measurement. lights: of the test, with a place for the value."""
+    if row is None:
+        return "we have not measured less"
+    return f"in our test {lights.format(row.value)} {row.failed[goal]:.0%} of the texels failed"
+
+
+def _short(figures: tuple[Figure, ...], goal: int, value: float) -> tuple[Figure | None, float] | None:
+    """Return an insufficient figure, and the least sufficient value; None for a sufficient value.
+
+    The figure is the next one below the value, or above it the least measured one; None where that is sufficient.
+    """
     sufficient = [f.value for f in figures if f.failed[goal] <= FEW]
     # Sufficient values lie above all insufficient ones: fewer lights may succeed by chance.
     enough = min(v for v in sufficient if all(f.value < v for f in figures if f.failed[goal] > FEW))
     if value >= _SLACK * enough:
         return None
-    below = [f for f in figures if f.value <= value]
-    return below[-1] if below else figures[0], enough
+    nearest = [f for f in figures if f.value <= value][-1:] or [f for f in figures[:1] if f.failed[goal] > FEW]
+    return nearest[0] if nearest else None, enough

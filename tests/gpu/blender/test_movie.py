@@ -1,16 +1,18 @@
 """Videos through Blender's movie reader, and the commands that make photographs of them."""
 
 import json
+import re
 import shlex
 import shutil
 import tomllib
+from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 
 from irpso_addon.blender.images import decode
-from irpso_addon.blender.movie import cicp_of, opened_movie
+from irpso_addon.blender.movie import Movie, cicp_of, opened_movie
 from irpso_addon.capture.images.image import ImageRef, ImageStore
 from irpso_addon.core.errors import InputError
 from tests.builders.captures import write_png
@@ -92,6 +94,32 @@ def test_videos_of_one_name_keep_all_their_frames(tmp_path):
     written = [path.name for path in (tmp_path / "out").iterdir()]
     assert len(written) == len(json.loads(out)["frames"]) == 24
     assert {name[:-10].lower() for name in written} == {"lamp", "lamp_2", "lamp_3", "lamp_4"}
+
+
+def test_a_video_whose_end_is_missing_is_warned_of(tmp_path):
+    write_video(tmp_path / "whole.mkv", [rec709(frame) for frame in LINEAR])
+    data = (tmp_path / "whole.mkv").read_bytes()
+    (tmp_path / "cut.mkv").write_bytes(data[: len(data) * 6 // 10])
+    for name, warned in (("whole", False), ("cut", True)):
+        code, out, _ = run_cli("frames", tmp_path / f"{name}.mkv", "-o", tmp_path / name, "--count", "6", "--json")
+        warnings = " ".join(json.loads(out)["warnings"])
+        assert code == 0 and bool(re.search(r"cut\.mkv: \d+ of 24 frames repeat the one before", warnings)) == warned
+
+
+def test_a_frame_that_changes_when_it_is_read_again_is_warned_of(video, tmp_path, monkeypatch):
+    """As in damaged videos, where a decoder conceals by what it read before."""
+    read, real = [], Movie.frame
+
+    def frame(self, index):
+        read.append(index)
+        picture = real(self, index)
+        return replace(picture, values=1 - picture.values) if read.count(index) > 1 and index % 2 else picture
+
+    monkeypatch.setattr(Movie, "frame", frame)
+    code, out, _ = run_cli("frames", video, "-o", tmp_path / "out", "--count", "8", "--json")
+    reply = json.loads(out)
+    odd = sum(number % 2 == 0 for number in reply["frames"])  # numbers are from 1
+    assert code == 0 and f"{odd} of the photographs changed when they were read again" in " ".join(reply["warnings"])
 
 
 def test_another_file_than_a_video_is_refused(tmp_path):

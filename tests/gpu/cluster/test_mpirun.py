@@ -47,6 +47,16 @@ def full(*arguments, **options):
     raise MemoryError("no room")
 recover.write_maps = full
 """
+LATE = """
+import time
+from irpso_addon.cluster.transport import Ranks
+close = Ranks.close
+def late(self):
+    close(self)
+    if self.leads:
+        time.sleep(5)
+Ranks.close = late
+"""
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +234,23 @@ def test_unsupported_options_of_ranks_are_refused_once(card, tmp_path):
     assert code == 2 and "levels" in reply["error"] and err.count("irpso: ") == 1
     code, reply, err = mpi_maker.run(2, *options_of([card, "--preview"], WIDE, tmp_path / "out"))
     assert code == 2 and "--preview" in reply["error"] and err.count("irpso: ") == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "more", "code"),
+    [
+        ("recover", ["--set", "levels=2", "--model", "lambert"], LATE),
+        ("batch", ["--only", "a"], LATE),
+        ("recover", WIDE, LATE + FULL.replace("MemoryError", "recover.InputError")),  # at the end, of rank 0 alone
+    ],
+)
+def test_an_error_is_printed_before_another_rank_ends(card, tmp_path, command, more, code):
+    """Open MPI ends rank 0 as soon as another one has ended with a code above 0."""
+    (tmp_path / "sitecustomize.py").write_text(code)
+    there = f'export PYTHONPATH="{mpi_maker.ROOT}:{tmp_path}";'
+    code, reply, err = mpi_maker.run(2, command, card, "--json", "-o", tmp_path / "out", *more, before=there)
+    assert code == 2 and err.count("irpso: ") == 1 and "Traceback" not in err
+    assert reply["exit_code"] == 2 and f"irpso: {reply['error']}\n" in err
 
 
 def test_an_asset_that_is_there_already_is_refused_before_the_search(card, tmp_path):

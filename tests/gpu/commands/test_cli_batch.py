@@ -167,6 +167,72 @@ def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
     assert "first: done before" in run_cli("batch", "list.toml", "-o", "out", "--only", "first")[1]
 
 
+def two_days(folder):
+    """Return two folders with equal lists, of captures that differ in their photographs only."""
+    lights = cli_maker.dome_lights(8, widest=70)
+    for day, seed in (("day1", 1), ("day2", 2)):
+        values = cli_maker.smooth_maps((9, 12), {}, seed=seed)
+        (folder / day).mkdir()
+        cli_maker.write_card(folder / day / "icon", cli_maker.render_oracle("lambert", values, lights), lights)
+        text = '[[job]]\nmodel = "lambert"\niterations = 2\ncapture = "icon"\n'
+        (folder / day / "list.toml").write_text(text, encoding="utf-8")
+    return folder / "day1", folder / "day2"
+
+
+def test_equal_lists_of_other_photographs_do_not_share_a_result(tmp_path):
+    first, second = two_days(tmp_path)
+    out = tmp_path / "out"
+    assert run_cli("batch", first / "list.toml", "-o", out)[0] == 0
+    kept, state = (out / "icon" / "maps.exr").read_bytes(), (out / "icon.json").read_bytes()
+    for _ in range(2):
+        code, _, err = run_cli("batch", second / "list.toml", "-o", out)
+        assert code == 2 and f"is of {first / 'icon'}; choose another name or -o, or delete {out / 'icon.json'}" in err
+        assert json.loads((out / "batch.json").read_text(encoding="utf-8"))["failed"] == ["icon"]
+        assert (out / "icon" / "maps.exr").read_bytes() == kept and (out / "icon.json").read_bytes() == state
+    assert "icon: done before" in run_cli("batch", first / "list.toml", "-o", out)[1]
+    (out / "icon.json").unlink()
+    assert run_cli("batch", second / "list.toml", "-o", out)[0] == 0
+    assert (out / "icon" / "maps.exr").read_bytes() != kept
+
+
+@pytest.mark.parametrize("with_output", [True, False])
+def test_photographs_that_have_moved_with_their_list_are_the_same(tmp_path, with_output):
+    first, _ = two_days(tmp_path)
+    out = first / "out"
+    assert run_cli("batch", first / "list.toml", "-o", out)[0] == 0
+    if with_output:  # its place is enough: the photographs may be gone
+        (first / "icon" / "000.exr").unlink()
+    else:
+        out = out.rename(tmp_path / "out")
+    there = first.rename(tmp_path / "elsewhere")
+    assert "icon: done before" in run_cli("batch", there / "list.toml", "-o", there / "out" if with_output else out)[1]
+
+
+def test_a_capture_under_a_rig_is_not_used_for_the_photographs_of_another_list(tmp_path, monkeypatch):
+    days, out = two_days(tmp_path), tmp_path / "out"
+    monkeypatch.setattr(recover, "run", lambda options: {})
+    for day in days:
+        assert run_cli("rig", "save", day / "icon", "-o", day / "dome")[0] == 0
+        (day / "icon" / "capture.toml").unlink()
+        (day / "list.toml").write_text('[[job]]\ncapture = "icon"\nrig = "dome"\n', encoding="utf-8")
+    assert run_cli("batch", days[0] / "list.toml", "-o", out)[0] == 0
+    code, _, err = run_cli("batch", days[1] / "list.toml", "-o", out)
+    assert code == 2 and "icon_capture: may be of other photographs" in err
+
+
+def test_an_unfinished_job_of_other_photographs_is_kept(tmp_path):
+    first, second = two_days(tmp_path)
+    out = tmp_path / "out"
+    assert run_cli("batch", first / "list.toml", "-o", out)[0] == 0
+    state = json.loads((out / "icon.json").read_text(encoding="utf-8"))
+    (out / "icon.json").write_text(json.dumps({**state, "state": "begun"}), encoding="utf-8")
+    (out / "icon" / "report.json").unlink()
+    (out / "icon" / "checkpoint.npz").write_bytes(b"of the first")
+    code, _, err = run_cli("batch", second / "list.toml", "-o", out)
+    assert code == 2 and f"is of {first / 'icon'}" in err
+    assert (out / "icon" / "checkpoint.npz").read_bytes() == b"of the first"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -210,6 +276,39 @@ def test_mesh_defaults_do_not_apply_to_cards(tmp_path):
     assert "--resolution" not in card.words and "--crop" in card.words and "--blend" not in card.words
 
 
+def test_a_job_without_a_name_has_that_of_its_captures_folder(tmp_path):
+    names = {
+        "vase/capture.toml": "vase", "cup/capture.toml": "cup", "tile.1": "tile.1", "tile.2/": "tile.2",
+        "dome/filenames.txt": "dome", "b/turned.toml": "turned", "b/scan.2.lp": "scan.2", "b/Room.blend": "Room",
+        ".": tmp_path.name, "x/../y": "y",
+    }  # fmt: skip
+    text = "".join(f'[[job]]\ncapture = "{capture}"\n' for capture in names)
+    (tmp_path / "list.toml").write_text(text, encoding="utf-8")
+    jobs = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
+    assert [job.name for job in jobs] == list(names.values())
+
+
+@pytest.mark.parametrize("only", ["first", "capture", None])
+def test_a_result_under_the_default_name_of_a_former_version_is_continued(listed, monkeypatch, only):
+    text = '[[job]]\ncapture = "first/capture.toml"\n[[job]]\ncapture = "second/capture.toml"\n'
+    (listed / "list.toml").write_text(text, encoding="utf-8")
+    out, begun = listed / "out", []
+    monkeypatch.setattr(recover, "run", lambda options: begun.append(options.output) or {})
+    (job, other) = batch.read_list(listed / "list.toml", build_parser().parse_args)
+    (out / "capture").mkdir(parents=True)
+    (out / "capture" / "report.json").write_text("{}")
+    state = {"name": "capture", "words": list(job.listed), "state": "done"}
+    (out / "capture.json").write_text(json.dumps(state), encoding="utf-8")
+    code, message, _ = run_cli("batch", listed / "list.toml", "-o", out, *(["--only", only] if only else []))
+    assert code == 0 and "capture: done before" in message
+    assert begun == ([] if only else [str(out / "second")]) and other.name == "second"
+    # It is not the result of a job that has the name now, nor of other options.
+    (listed / "list.toml").write_text(text.replace("second/capture.toml", "other/capture"), encoding="utf-8")
+    begun.clear()
+    run_cli("batch", listed / "list.toml", "-o", out)
+    assert begun == [str(out / "first"), str(out / "capture")]
+
+
 def words_of(folder, *lines, head=""):
     text = f'{head}[[job]]\ncapture = "a"\n' + "\n".join(lines)
     (folder / "list.toml").write_text(text, encoding="utf-8")
@@ -233,12 +332,14 @@ def test_false_switches_off_what_is_on(tmp_path):
 def test_paths_are_relative_to_the_list(listed):
     jobs = batch.read_list(listed / "list.toml", build_parser().parse_args)
     assert jobs[0].words[:2] == ("recover", str(listed / "first"))
-    (listed / "given.exr").touch()
     text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nfixed = ["normal=given.exr", "roughness=0.5"]\nasset = "lib"'
     (listed / "other.toml").write_text(text, encoding="utf-8")
     (other,) = batch.read_list(listed / "other.toml", build_parser().parse_args)
     assert {str(listed / "own.toml"), f"normal={listed / 'given.exr'}", "roughness=0.5"} <= set(other.words)
     assert str(listed / "lib") in other.words
+    assert words_of(listed, 'fixed = ["normal=0, 0,1", "a = n.exr"]') == [
+        "--fixed", "normal=0, 0,1", "--fixed", f"a ={listed / 'n.exr'}"
+    ]  # fmt: skip
     udim = f"normal={listed / 'n.<UDIM>.exr'}"
     assert words_of(listed, 'fixed = "normal=n.<UDIM>.exr"') == ["--fixed", udim]
     assert jobs[2].words.count("--set") == 2 and jobs[0].words[-2:] == ("--checkpoint-every", "60")

@@ -14,6 +14,7 @@ from irpso_addon.calibration.radiometry.response import (
 )
 from irpso_addon.commands import response as command
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.png import png_bytes
 from tests.builders.command_line import run_cli
 
 
@@ -176,6 +177,28 @@ def test_a_curve_without_a_residual_is_written_and_says_so(tmp_path, monkeypatch
     run = "response", tmp_path / "chart.png", "-o", tmp_path / "a.toml", "--grey-card", "1,1,9,9=0.1"
     code, out, err = run_cli(*run, "--grey-card", "20,1,9,9=0.5")
     assert (code, err) == (0, "") and "a.toml: residual unknown, measured at codes of red 0.300 to 0.700" in out
+
+
+@pytest.mark.parametrize("shape", [(1, 20), (20, 1), (1, 1)])
+def test_brackets_of_one_row_or_column_give_the_pixels_of_the_same_one_twice(shape):
+    codes = np.random.default_rng(0).uniform(0.1, 0.9, (*shape, 3, 3))
+    twice = codes.repeat(1 + (shape[0] == 1), axis=0).repeat(1 + (shape[1] == 1), axis=1)
+    found, expected = (command.spread_samples(one, 1000) for one in (codes, twice))
+    np.testing.assert_array_equal(np.unique(found, axis=0), np.unique(expected, axis=0))
+
+
+def test_a_partly_clipped_patch_is_refused(tmp_path):
+    """A third of the brightest patch at the largest code changes its mean, and the curve, by a few percent."""
+    codes = np.full((20, 60, 3), 60, np.uint8)
+    codes[:, 20:40], codes[:, 40:] = 120, 240
+    patches = [word for k, grey in enumerate("169") for word in ("--grey-card", f"{20 * k},0,20,20=0.{grey}")]
+    run = ["response", tmp_path / "a.png", *patches, "-o", tmp_path / "a.toml"]
+    for rows, exit_code in ((7, 2), (0, 0)):
+        codes[:rows, 40:, 0] = 255
+        (tmp_path / "a.png").write_bytes(png_bytes(codes / 255, 8))
+        code, _, err = run_cli(*run)
+        assert code == exit_code and ("a.png: 35% of the patch 40,0,20,20 are clipped" in err) == bool(rows)
+        codes[:rows, 40:] = 240
 
 
 def test_a_curve_may_be_lines_of_numbers(tmp_path):

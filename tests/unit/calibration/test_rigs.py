@@ -84,6 +84,11 @@ def plain_rig(capture, tmp_path):
     return tmp_path / "rig"
 
 
+def test_saving_a_rig_tells_its_lamps_and_cameras(capture, tmp_path):
+    out = run_cli("rig", "save", capture, "-o", tmp_path / "rig")[1]
+    assert out == f"5 lamps, 1 camera, without corrections: {tmp_path / 'rig'}\n"
+
+
 def test_new_photographs_come_out_as_the_scene_under_the_rigs_lamps(developed_rig, later, tmp_path):
     before = listing(later)
     code, _, err = run_cli("rig", "apply", developed_rig, later, "-o", tmp_path / "out", "--quiet")

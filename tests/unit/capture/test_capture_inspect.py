@@ -144,6 +144,16 @@ def test_the_spread_across_a_fan_is_its_width_over_its_length():
     assert sufficiency.spread_across(even_lights(5000, 60)) == pytest.approx(1, rel=0.03)
 
 
+def test_lights_nearer_than_all_measured_ones_have_no_figure_of_a_set_that_suffices():
+    narrow = even_lights(200, 4)
+    for goal, said in (
+        ("normals", "spread them over 10° or more (we have not measured less)"),
+        ("two lobes", "spread them over 20° or more (in our test with 50 lights within 10°, 35% of the texels failed)"),
+    ):
+        (lack,) = [found for found in sufficiency.shortfalls(goal, 200, narrow) if found.code == "narrow"]
+        assert said in lack.message
+
+
 @pytest.mark.parametrize(
     ("count", "short", "said"),
     [
