@@ -46,7 +46,7 @@ class ViewSpec:
 
     placed: whether its pose is not the identity (at the origin, looking along −z). where: file and place, for errors.
     lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide. foreign:
-    whether another program's file (``cameras``) gives it.
+    whether another program's file (``cameras``) gives it. doubt: returns a warning about its images, "" for none.
     """
 
     name: str
@@ -57,6 +57,7 @@ class ViewSpec:
     placed: bool = False
     lens: bool = True
     foreign: bool = False
+    doubt: Callable[[], str] = str
 
 
 class CaptureKind(StrEnum):
@@ -142,6 +143,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         faults += orientation_faults([observation.image for observation, _ in of_view], store)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
+        warnings += [doubt] if (doubt := view.doubt()) else []
         warnings += yield from _exposure_warnings([observation for observation, _ in of_view], store)
     raise_all(faults)
     tested = [

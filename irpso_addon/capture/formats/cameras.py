@@ -9,8 +9,9 @@ import numpy as np
 
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
+from ..images.exr_header import Turn
 from ..images.image import ImageRef, ImageStore
-from ..poses import PoseFile, moved, path_parts, read_poses, similarity, upright_camera
+from ..poses import PoseFile, moved, path_parts, read_poses, similarity, turn_doubt, turn_of_camera, upright_camera
 from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
 
@@ -73,9 +74,17 @@ class Views:
         camera, where = poses.cameras[name], f"{poses.path}: camera '{name}'"
 
         def make(width: int, height: int) -> Camera:
-            return moved(upright_camera(camera, width, height, ImageStore().turned_by(image), where), self._world)
+            orientation = turn_of_camera(camera, _turn(image))
+            return moved(upright_camera(camera, width, height, orientation, where), self._world)
 
-        return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True)
+        def doubt() -> str:
+            return turn_doubt(poses, name, _turn(image), where)
+
+        return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True, doubt=doubt)
+
+
+def _turn(image: ImageRef) -> Turn:
+    return ImageStore().turn(image) or Turn(1, 1)
 
 
 def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:

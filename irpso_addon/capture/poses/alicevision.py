@@ -16,7 +16,7 @@ import numpy as np
 
 from ..camera import is_rotation
 from ..errors import CaptureError
-from .posed import Lens, PoseFile, camera_from_vision, moved
+from .posed import Lens, PoseFile, camera_from_vision, moved, stated_orientation
 
 # Distortion model, by either of its names → OpenCV's names of its parameters, in order.
 _DISTORTIONS = {
@@ -43,6 +43,7 @@ def read_alicevision(path: Path) -> PoseFile:
     lenses = {_text(row, "intrinsicId", path): _lens(row, version, path) for row in _rows(table, "intrinsics", path)}
     poses = {_text(row, "poseId", path): _pose(row, path) for row in _rows(table, "poses", path)}
     cameras, unusable = {}, {}
+    orientations: dict[str, int] = {}
     for view in _rows(table, "views", path):
         name = _text(view, "path", path)
         where = f"{path}: view '{name}'"
@@ -60,7 +61,9 @@ def read_alicevision(path: Path) -> PoseFile:
         else:
             camera = camera_from_vision(*lens, *pose)
             cameras[name] = moved(camera, _MESH_TURN) if version >= _MESH_TURNED_SINCE else camera
-    return PoseFile(path, "AliceVision", cameras, unusable)
+            tags = view["metadata"] if isinstance(view.get("metadata"), dict) else {}
+            orientations |= stated_orientation(name, tags.get("Exif:Orientation", tags.get("Orientation")))
+    return PoseFile(path, "AliceVision", cameras, unusable, orientations)
 
 
 def _parsed(path: Path) -> dict[str, Any]:

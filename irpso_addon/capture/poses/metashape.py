@@ -17,7 +17,7 @@ import numpy as np
 
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
-from .posed import Lens, PoseFile, camera_from_vision, similarity
+from .posed import Lens, PoseFile, camera_from_vision, similarity, stated_orientation
 
 _AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
 _NEGLIGIBLE = 0.1  # pixels at the image's corners: largest ignored effect of an unsupported term
@@ -49,6 +49,7 @@ def read_metashape(path: Path) -> PoseFile:
     places = {part.get("id"): part.find("transform") for part in chunk.iterfind("components/component")}
     cameras: dict[str, Camera] = {}
     unusable: dict[str, str] = {}
+    orientations: dict[str, int] = {}
     for element in chunk.iterfind("cameras//camera"):
         name = element.get("label") or f"camera {element.get('id')}"
         where = f"{path}: camera '{name}'"
@@ -75,7 +76,8 @@ def read_metashape(path: Path) -> PoseFile:
                 unusable[name] = lens
             else:
                 cameras[name] = camera_from_vision(*lens, *_pose(element, world, where))
-    return PoseFile(path, "Metashape", cameras, unusable)
+                orientations |= stated_orientation(name, element.findtext("orientation"))
+    return PoseFile(path, "Metashape", cameras, unusable, orientations)
 
 
 def _parsed(path: Path) -> ElementTree.Element:

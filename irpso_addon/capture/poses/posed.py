@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from operator import eq
 from os.path import commonprefix
@@ -14,6 +14,7 @@ import numpy as np
 from ...core.errors import some
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
+from ..images.exr_header import Turn
 
 # EXIF orientation (2.3, tag 274) → quarter turns clockwise from the stored to the upright image; the others mirror.
 _TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
@@ -25,13 +26,15 @@ _BACK = np.diag([1.0, -1.0, -1.0])  # y down and z away, as in computer vision, 
 class PoseFile:
     """Cameras of one file or folder. program: its writer. cameras: image name in the file → Camera.
 
-    unusable: image name → reason why its camera cannot be used.
+    unusable: image name → reason why its camera cannot be used. orientations: image name → EXIF orientation of the
+    aligned photograph, where the program states it.
     """
 
     path: Path
     program: str
     cameras: Mapping[str, Camera]
     unusable: Mapping[str, str]
+    orientations: Mapping[str, int] = field(default_factory=dict)
 
     def name_of(self, image_name: str, where: str) -> str:
         """Return the name of an image's camera: equal, else equal without case, else without suffix and case.
@@ -93,6 +96,11 @@ def camera_from_vision(
     return Camera(*size, focal, (centre[0], size[1] - centre[1]), matrix, True, distortion)
 
 
+def stated_orientation(name: str, text: object) -> dict[str, int]:
+    """Return an entry of PoseFile.orientations; {} if the text is no EXIF orientation."""
+    return {name: int(str(text))} if str(text).strip() in tuple("12345678") else {}
+
+
 def similarity(matrix: np.ndarray, where: str) -> np.ndarray:
     """Return a (4, 4) similarity transform as float64. Raises CaptureError for any other matrix."""
     matrix = np.asarray(matrix, np.float64)
@@ -129,6 +137,13 @@ def upright_camera(camera: Camera, width: int, height: int, orientation: int, wh
         for _ in range(_TURNS[orientation]):
             camera = _quarter_turn(camera)
     if not _fits(camera, width, height):
+        if _fits(camera, height, width):
+            raise CaptureError(
+                f"{where}: the picture is upright ({width}×{height} pixels), its camera that of the stored one"
+                f" ({camera.width}×{camera.height}), and its file has no EXIF orientation; give the photograph as the"
+                " camera stored it, or one that this irpso develop has written",
+                "size",
+            )
         raise CaptureError(
             f"{where}: the picture is {width}×{height} pixels, its camera {camera.width}×{camera.height}; align the"
             " uncropped pictures that the capture names",
@@ -139,6 +154,44 @@ def upright_camera(camera: Camera, width: int, height: int, orientation: int, wh
         camera, width=width, height=height, scale=(camera.scale[0] * x, camera.scale[1] * y),
         centre=(camera.centre[0] * x, camera.centre[1] * y),
     )  # fmt: skip
+
+
+def turn_of_camera(camera: Camera, turn: Turn) -> int:
+    """Return the EXIF orientation by which the camera of a stored picture is turned, for ``upright_camera``.
+
+    If the program turned a HEIC file by a quarter, too, its size shows it, unless the picture is a square.
+    """
+    return turn.tag if _size_tells(camera, turn.tag) else turn.turned_by
+
+
+def turn_doubt(poses: PoseFile, name: str, turn: Turn, where: str) -> str:
+    """Return a warning if a picture may be turned against the photograph of its camera ``name``, else "".
+
+    turn: of the picture. Raises CaptureError for HEIC files of COLMAP, which reads them as stored (Bitmap::Read
+    switches OpenImageIO's oiio:reorient off), unless other libraries than ours turn them nevertheless.
+    """
+    camera, aligned = poses.cameras[name], poses.orientations.get(name, turn.turned_by)
+    if turn.tag != turn.turned_by:
+        if _size_tells(camera, turn.tag):
+            return ""
+        what = f"{where}: a HEIC file has the EXIF orientation {turn.tag}, and {poses.program} may not have applied it;"
+        if poses.program == "COLMAP":
+            raise CaptureError(f"{what} convert the photographs to JPEG, align those, and give them", "orientation")
+        return f"{what} it is read as if it had: if the result is upside down, convert to JPEG, and align again"
+    if 1 not in (aligned, turn.turned_by) or _size_tells(camera, max(aligned, turn.turned_by)):
+        return ""
+    if aligned == turn.turned_by:
+        return ""
+    return (
+        f"{where}: {poses.program} aligned a photograph of EXIF orientation {aligned}, and the capture's picture has"
+        f" {turn.turned_by}; if a program turned its pixels, it is read turned: give the photograph as the camera"
+        " stored it, or one that this irpso develop has written"
+    )
+
+
+def _size_tells(camera: Camera, orientation: int) -> bool:
+    """Return whether a picture's size shows if it was turned by an EXIF orientation: no square, a quarter turn."""
+    return bool(_TURNS.get(orientation, 0) % 2) and camera.width != camera.height
 
 
 def _fits(camera: Camera, width: int, height: int) -> bool:
