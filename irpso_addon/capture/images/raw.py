@@ -100,13 +100,19 @@ def _saturated(raw: RawPy) -> np.ndarray:
     levels = raw.camera_white_level_per_channel
     white = min(level for level in levels if level > 0) if levels and any(levels) else raw.white_level
     black = max(raw.black_level_per_channel)
-    saturated = raw.raw_image_visible >= black + _SATURATION * (white - black)
-    height, width = saturated.shape[:2]
+    affected = raw.raw_image_visible >= black + _SATURATION * (white - black)
+    affected = _spread(affected) if affected.ndim == 2 else affected[..., : raw.num_colors].any(axis=-1)
+    flip = raw.sizes.flip
+    affected = affected[:: -1 if flip & 2 else 1, :: -1 if flip & 1 else 1]
+    return affected.T if flip & 4 else affected
+
+
+def _spread(saturated: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: pixels within the footprint of demosaicing of a mosaic's saturated photosites (H, W) bool."""
+    height, width = saturated.shape
     padded = np.pad(saturated, _FOOTPRINT)
     affected = np.zeros_like(saturated)
     for i in range(2 * _FOOTPRINT + 1):
         for j in range(2 * _FOOTPRINT + 1):
             affected |= padded[i : i + height, j : j + width]
-    flip = raw.sizes.flip
-    affected = affected[:: -1 if flip & 2 else 1, :: -1 if flip & 1 else 1]
-    return affected.T if flip & 4 else affected
+    return affected

@@ -143,6 +143,21 @@ def test_libraw_turns_pictures_and_clipped_places_alike(tmp_path, orientation):
     assert bright.any() and not (bright & ~bad).any() and bad.sum() == (3 + 4) * (4 + 4)
 
 
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_libraw_reads_linear_files_whose_clipped_pixels_do_not_spread(tmp_path, orientation):
+    """As ProRAW and demosaiced DNG files are; rows and columns go where the tag's definition in EXIF 2.3 says."""
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    scene = 0.8 * SCENE
+    scene[5:8, 40:44, 1] = 1
+    path = tmp_path / "a.dng"
+    path.write_bytes(dng(np.rint(scene * 60000).astype(int), 0, 60000, orientation=orientation))
+    turn = {1: lambda v: v, 3: lambda v: v[::-1, ::-1], 6: lambda v: np.rot90(v, -1), 8: np.rot90}[orientation]
+    found = decode_raw(path).values[::-1]
+    weighted = turn(scene[..., 1] < 1)
+    np.testing.assert_array_equal(found[..., 3], weighted)
+    np.testing.assert_allclose(found[weighted][:, :3], turn(scene)[weighted], atol=1e-3)
+
+
 def test_libraw_refuses_a_cut_file_by_name(tmp_path):
     pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
     (tmp_path / "a.dng").write_bytes(dng(np.zeros((40, 60), int))[:300])
