@@ -52,10 +52,10 @@ def jpeg(width, height, block=b""):
     return head + frame + b"\xff\xda\0\2 data\xff\xd9"
 
 
-def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None):
+def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None, matrix=XYZ_TO_REC709):
     """Return a DNG 1.4 file of a mosaic (H, W) of 16-bit codes, pattern RGGB, of a camera with Rec. 709 primaries.
 
-    Codes (H, W, 3) make a linear DNG, whose pixels have all three colours.
+    Codes (H, W, 3) make a linear DNG, whose pixels have all three colours. matrix: (3, 3), of XYZ to another camera's.
     """
     height, width = mosaic.shape[:2]
     channels = mosaic.size // (height * width)
@@ -66,7 +66,7 @@ def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, se
         (274, SHORT, [orientation]), (277, SHORT, [channels]), (278, LONG, [height]), (279, LONG, [2 * mosaic.size]),
         *pattern, (50706, BYTE, [1, 4, 0, 0]), (50708, ASCII, b"Test Camera\0"),
         (50714, SHORT, [black] * channels), (50717, SHORT, [white] * channels), (50778, SHORT, [21]),
-        (50721, SRATIONAL, [(round(v * 10**4), 10**4) for v in XYZ_TO_REC709.ravel()]),
+        (50721, SRATIONAL, [(round(v * 10**4), 10**4) for v in matrix.ravel()]),
         (50728, RATIONAL, [(round(v * 10**4), 10**4) for v in neutral]),
     ]  # fmt: skip
     tags += [(33434, RATIONAL, [seconds])] if seconds else []
