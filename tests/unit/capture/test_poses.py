@@ -140,6 +140,29 @@ def test_a_slave_camera_of_a_rig_is_named_as_such(tmp_path):
         found.name_of("NIR.TIF", "here")
 
 
+PLACED = COMPONENT.replace("<components>", '<components active_id="{}">').replace("</components>", "{}</components>")
+
+
+@pytest.mark.parametrize(
+    ("world", "other", "used"),
+    [
+        (PLACED.format(0, '<component id="1"><region/></component>'), 1, True),
+        (COMPONENT.replace("</components>", '<component id="1"/></components>'), 1, True),  # none is said to be active
+        (PLACED.format(1, '<component id="1"/>'), 0, False),
+        (PLACED.format(1, COMPONENT[12:-13].replace('id="0"', 'id="1"')), 0, False),
+        (COMPONENT.replace("<components>", '<components active_id="0">'), None, True),
+        ('<components active_id="7"><component id="0"/><component id="1"/></components>', None, True),
+    ],
+)
+def test_cameras_of_another_metashape_component_are_unusable(tmp_path, world, other, used):
+    """Components share no tie points: their places and scales have nothing to do with each other."""
+    camera = f'<camera id="8" sensor_id="0" component_id="1" label="B"><transform>{row(np.eye(4))}</transform></camera>'
+    found = read_poses(metashape(tmp_path / "a.xml", world=world, camera=camera))
+    unusable = {1: ["B"], 0: ["IMG_0001"], None: []}[other]
+    assert [name for name, why in found.unusable.items() if "another component than the model's" in why] == unusable
+    assert ("IMG_0001" in found.cameras) == used and ("B" in found.cameras) == (other != 1)
+
+
 def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
