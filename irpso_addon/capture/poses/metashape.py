@@ -127,11 +127,11 @@ def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     """Return (size, focal length, centre, distortion), or the reason why the sensor is unsupported."""
     items = sensor.findall("calibration")
     calibration = next((item for item in items if item.get("class") == "adjusted"), items[0] if items else None)
-    if calibration is None:
-        raise CaptureError(f"{where}: has no calibration; {_AGAIN}", "camera")
-    kind = calibration.get("type") or sensor.get("type") or "frame"
-    if kind != "frame":
+    kind = sensor.get("type") if calibration is None else calibration.get("type") or sensor.get("type")
+    if kind not in (None, "frame"):
         return f"has a lens of type {kind}; only frame cameras are read: export undistorted photographs from Metashape"
+    if calibration is None:
+        return "has a sensor without a calibration; align its photographs in Metashape and export again"
     resolution = calibration.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
     if resolution is None:

@@ -163,6 +163,25 @@ def test_cameras_of_another_metashape_component_are_unusable(tmp_path, world, ot
     assert ("IMG_0001" in found.cameras) == used and ("B" in found.cameras) == (other != 1)
 
 
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        (
+            '<sensor id="5" type="spherical"><resolution width="640" height="480"/></sensor>',
+            "a lens of type spherical; o",
+        ),
+        ('<sensor id="5" type="frame"/>', "a sensor without a calibration; align"),
+    ],
+)
+def test_a_metashape_sensor_without_a_calibration_leaves_the_other_cameras_usable(tmp_path, sensor, words):
+    """Spherical sensors have none, as in the file of issue 1634 of nerfstudio."""
+    camera = f'<camera id="8" sensor_id="5" label="B"><transform>{row(np.eye(4))}</transform></camera>'
+    path = metashape(tmp_path / "a.xml", camera=camera)
+    path.write_text(path.read_text().replace("</sensors>", f"{sensor}</sensors>"))
+    found = read_poses(path)
+    assert list(found.cameras) == ["IMG_0001"] and words in found.unusable["B"]
+
+
 def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
